@@ -59,7 +59,7 @@ def api() -> str:
     parts = []
     for name in order:
         # A rig's fields stand on a page of their own.
-        members = "value, parameters, tuning" if name == "Rig" else ""
+        members = "value, with_value, parameters, tuning" if name == "Rig" else ""
         item, inherited = kinds[name], "" if name in ("Rig", "BadInput") else "   :inherited-members:\n"
         if isinstance(item, type):
             kind = "autoexception" if issubclass(item, Exception) else "autoclass"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 
 class BadInput(Exception):
     """Input that cannot be used: a file, topic, parameter or value.
@@ -13,3 +15,26 @@ class BadInput(Exception):
 
 class NoResult(BadInput):
     """Input that can be read, but from which nothing comes out, such as a fit that diverges: status 1."""
+
+
+def number(name: str, value: object, low: float = -math.inf, high: float = math.inf) -> float:
+    """A number that was given to a function of the API.
+
+    Args:
+        name: of the argument.
+        value: as it was given.
+        low: least value.
+        high: largest value.
+
+    Raises:
+        BadInput: no number, or out of bounds.
+    """
+    try:
+        found = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        found = math.nan
+    if not low <= found <= high:
+        bounds = "a number" if math.isinf(low) and math.isinf(high) else f"{low:g} or more"
+        bounds = bounds if math.isinf(high) else f"{low:g} to {high:g}"
+        raise BadInput(f"{name} {value!r}: expected {bounds}")
+    return found

@@ -12,16 +12,18 @@ from pathlib import Path
 from pam_antagonist.errors import BadInput
 
 
-def check_output(path: Path) -> Path:
+def check_output(path: Path, overwrite: bool = False) -> Path:
     """Refuse an output path that exists, before any work is done.
 
     Args:
         path: of a new folder.
+        overwrite: whether it may be the folder of an earlier result, which has a ``report.json``.
 
     Raises:
         BadInput: the path exists, or cannot be made.
     """
-    if path.exists() or path.is_symlink():
+    earlier = overwrite and (path / "report.json").is_file() and not path.is_symlink()
+    if not earlier and (path.exists() or path.is_symlink()):
         raise BadInput(f"{path}: exists; expected the name of a new folder, nothing is overwritten")
     ancestor = path.absolute().parent
     while not ancestor.exists():
@@ -32,12 +34,13 @@ def check_output(path: Path) -> Path:
 
 
 @contextmanager
-def output_folder(path: Path, make: bool = True) -> Iterator[Path]:
+def output_folder(path: Path, make: bool = True, overwrite: bool = False) -> Iterator[Path]:
     """A new folder that appears only after everything in it is written without an error.
 
     Args:
         path: of a new folder, see :func:`check_output`.
         make: False for writers that make the folder themselves.
+        overwrite: True replaces the folder of an earlier result.
 
     Yields:
         An empty folder of the same name to write into (or only its path), which is moved to `path` at the end.
@@ -45,7 +48,7 @@ def output_folder(path: Path, make: bool = True) -> Iterator[Path]:
     Raises:
         BadInput: as :func:`check_output`, or the disk is full or not writable.
     """
-    check_output(path)
+    check_output(path, overwrite)
     target = path.resolve()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -57,6 +60,8 @@ def output_folder(path: Path, make: bool = True) -> Iterator[Path]:
         if make:
             partial.mkdir()
         yield partial
+        if overwrite and target.exists():
+            target.rename(aside / "earlier")
         partial.rename(target)
     except OSError as error:
         raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -10,7 +10,7 @@ import math
 import re
 import reprlib
 import stat
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -45,9 +45,17 @@ if pydantic.VERSION.startswith("1."):
                 raise ValueError("expected finite numbers")
             return value
 
-        def replaced(self, **fields: Any) -> Self:
-            """A copy with some fields replaced; what is put in is not checked again."""
+        def unchecked(self, **fields: Any) -> Self:
+            """A copy with some fields replaced, whose values are not checked: for trials of a fit."""
             return self.copy(update=fields)
+
+        def replaced(self, **fields: Any) -> Self:
+            """A copy with some fields replaced, checked as :func:`replaced` says."""
+            return replaced(self, fields)
+
+        def plain(self) -> dict[str, Any]:
+            """The content as plain values, as a file has it."""
+            return self.dict()
 
 else:
 
@@ -56,12 +64,82 @@ else:
 
         model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-        def replaced(self, **fields: Any) -> Self:
-            """A copy with some fields replaced; what is put in is not checked again."""
+        def unchecked(self, **fields: Any) -> Self:
+            """A copy with some fields replaced, whose values are not checked: for trials of a fit."""
             return self.model_copy(update=fields)
+
+        def replaced(self, **fields: Any) -> Self:
+            """A copy with some fields replaced, checked as :func:`replaced` says."""
+            return replaced(self, fields)
+
+        def plain(self) -> dict[str, Any]:
+            """The content as plain values, as a file has it."""
+            return self.model_dump()
 
 
 Schema = TypeVar("Schema", bound=BaseModel)
+Checked = TypeVar("Checked", bound=Strict)
+
+
+def replaced(part: Checked, fields: Mapping[str, Any]) -> Checked:
+    """A copy of a part of a file with some fields replaced, each checked by its own bounds.
+
+    Args:
+        part: of a file.
+        fields: new values by name.
+
+    Raises:
+        BadInput: an unknown name, or a value of another kind or out of bounds.
+    """
+    kind = type(part)
+    known = field_names(kind)
+    for name in fields:
+        if name not in known:
+            hint = unknown(name, [*known, *names(part.plain())])
+            hint += "; Rig.with_value changes a value by its dotted name" if "." in hint else ""
+            raise BadInput(f"{kind.__name__}.replaced: {hint}; expected one of {', '.join(known)}")
+    try:
+        return kind(**{**{name: getattr(part, name) for name in known}, **fields})
+    except ValidationError as error:
+        raise BadInput(f"{kind.__name__}.replaced: {_first_complaint(error, kind)}") from None
+
+
+def field_names(schema: type[BaseModel]) -> tuple[str, ...]:
+    """Names of a schema's fields.
+
+    Args:
+        schema: of a file or of a part of it.
+    """
+    return tuple(getattr(schema, "model_fields", None) or getattr(schema, "__fields__", {}))
+
+
+def names(content: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """Dotted names of all values of a file.
+
+    Args:
+        content: of the file.
+        prefix: of the names.
+    """
+    inner = [(f"{prefix}{key}", value) for key, value in content.items()]
+    return [
+        name
+        for key, value in inner
+        for name in (names(value, f"{key}.") if isinstance(value, Mapping) and value else [key])
+    ]
+
+
+def unknown(name: str, known: Iterable[str]) -> str:
+    """That a name is unknown, and the one that it may stand for.
+
+    Args:
+        name: as it was typed.
+        known: names that exist.
+    """
+    choices = list(known)
+    close = difflib.get_close_matches(name, choices, 1)
+    # "inertia" stands for "joint.inertia".
+    close = close or [other for other in choices if other.split(".")[-1] == name][:1]
+    return f"unknown {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
 
 
 class _StrictLoader(yaml.SafeLoader):

@@ -17,13 +17,14 @@ API = set(pam_antagonist.__all__) - {"__version__"}
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
-BASE = "base"  # errors, optional, blas, program, _jit: what every module may use
+BASE = "base"  # errors, optional, blas, program, shown, _jit: what every module may use
 FILES = "files"  # paths, output, strict_yaml, strict_json, software: reading and writing files
 PLACES = {
     "errors": BASE,
     "blas": BASE,
     "optional": BASE,
     "program": BASE,
+    "shown": BASE,
     "_jit": BASE,
     "paths": FILES,
     "output": FILES,
@@ -66,7 +67,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
 """Layer -> the layers that it may import. A layer imports only layers that stand before it."""
 
 LIBRARIES: dict[str, tuple[str, ...]] = {
-    BASE: ("numba", "threadpoolctl"),
+    BASE: ("numba", "threadpoolctl", "typing_extensions"),
     "model": ("numpy", "numba", "typing_extensions"),
     "control": ("numpy",),
     "safety": (),

@@ -6,19 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.api.given import Bag, RigGiven, as_rig, calibration
+from pam_antagonist.api.given import Bag, RigGiven, calibration
 from pam_antagonist.checks import Checked, check_recording
+from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report.assumption import assumption
+from pam_antagonist.rig import as_rig
 from pam_antagonist.strict_json import write_json
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CheckResult(Checked):
     """Result of a check.
 
@@ -47,8 +49,15 @@ class CheckResult(Checked):
         }  # fmt: skip
 
     def save(self, path: str | Path) -> Path:
-        """Write the findings as JSON to a file; returns its path."""
-        write_json(Path(path), self.as_dict())
+        """Write the findings as JSON to a file; returns its path.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        try:
+            write_json(Path(path), self.as_dict())
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:

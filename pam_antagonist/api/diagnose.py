@@ -10,9 +10,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from typing_extensions import override
+
 from pam_antagonist.api import episodes
 from pam_antagonist.api.episodes import EpisodesDiagnoseResult
-from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig, corrections
+from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections
 from pam_antagonist.diagnosis import Diagnosis, found_calibrations
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
@@ -26,7 +28,7 @@ from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_document import summary, write_report
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig import Rig, as_rig, load_rig
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.write import write_rig
 
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DiagnoseResult(Diagnosis):
     """The diagnosis, see :class:`pam_antagonist.diagnosis.Diagnosis`, with its inputs.
 
@@ -51,6 +53,15 @@ class DiagnoseResult(Diagnosis):
     seed: int
     kept: float | tuple[str, ...]
     typed: Corrections = field(default_factory=Corrections)
+
+    @override
+    def _brief(self) -> str:
+        pairs = [
+            (name, unit, getattr(self.errors.as_configured, name), getattr(self.errors.extended, name))
+            for name, unit in (("angle", "°"), ("torque", " N m"))
+        ]
+        errors = [f"{name} RMSE {a.rmse:.3g}{unit} -> {b.rmse:.3g}{unit}" for name, unit, a, b in pairs if a and b]
+        return "; ".join([self.verdict, *errors, self.sentence])
 
     @property
     def report(self) -> numbers.CloseLoopReport:
@@ -76,7 +87,7 @@ class DiagnoseResult(Diagnosis):
         """The tables that the command prints."""
         return terminal.render(summary(self.report))
 
-    def save(self, path: str | Path, figures: bool = True) -> Path:
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
 
         With several recordings, it also writes the rig of each (``rig_extended_1.yaml`` ...). A rig that is worse than
@@ -85,6 +96,7 @@ class DiagnoseResult(Diagnosis):
         Args:
             path: of a new folder.
             figures: False leaves the figures out of the page.
+            overwrite: True replaces an earlier result there.
 
         Returns:
             The folder.
@@ -92,7 +104,7 @@ class DiagnoseResult(Diagnosis):
         Raises:
             BadInput: the folder exists, or cannot be written.
         """
-        with output_folder(Path(path)) as folder:
+        with output_folder(Path(path), overwrite=overwrite) as folder:
             self._write_rigs(folder)
             write_report(folder, self.report, self, with_figures=figures)
         return Path(path)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typing_extensions import override
+
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis
 from pam_antagonist.diagnosis.episodes import diagnose as _diagnose
 from pam_antagonist.errors import BadInput
@@ -23,6 +25,7 @@ from pam_antagonist.report import html, terminal
 from pam_antagonist.report import identify_episodes as identify_report
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import write_rig, write_unread
+from pam_antagonist.shown import Shown
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -40,8 +43,8 @@ def are_given(recordings: Sequence[Recording], rig: Rig) -> bool:
     return rig.drive == "regulator" and any(one.episode_ns is not None for one in recordings)
 
 
-@dataclass(frozen=True, eq=False)
-class EpisodesIdentifyResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class EpisodesIdentifyResult(Shown):
     """A rig that was identified from episodes.
 
     Attributes:
@@ -55,6 +58,10 @@ class EpisodesIdentifyResult:
     found: EpisodesIdentified
     joint: PressureDriven
     hashes: tuple[str, ...]
+
+    @override
+    def _brief(self) -> str:
+        return f"rig {self.rig.name} from the episodes of {self.joint.name}"
 
     @property
     def report(self) -> Mapping[str, Any]:
@@ -70,12 +77,13 @@ class EpisodesIdentifyResult:
         """The tables that the command prints."""
         return terminal.render(identify_report.summary(self.found, self.joint))
 
-    def save(self, path: str | Path, figures: bool = True) -> Path:
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write ``rig.yaml``, ``report.html`` and ``report.json``; a rejected rig as ``rig_rejected.yaml``.
 
         Args:
             path: of a new folder.
             figures: ignored, because this page has no figures.
+            overwrite: True replaces an earlier result there.
 
         Returns:
             The folder.
@@ -84,7 +92,7 @@ class EpisodesIdentifyResult:
             BadInput: the folder exists, or cannot be written.
         """
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {self.found.counts[0]} episodes of "
-        with output_folder(Path(path)) as folder:
+        with output_folder(Path(path), overwrite=overwrite) as folder:
             html.write(folder, identify_report.document(self.found, self.joint, self.hashes[0]), self.report)
             if self.rejected:
                 write_unread(self.rig, folder / "rig_rejected.yaml", [f"{remark}{self.joint.name}.", self.rejected])
@@ -98,8 +106,8 @@ class EpisodesIdentifyResult:
         return _table({**self.found.values, **regulators})
 
 
-@dataclass(frozen=True, eq=False)
-class EpisodesDiagnoseResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class EpisodesDiagnoseResult(Shown):
     """Effects that the model of a joint lacks, from episodes.
 
     Attributes:
@@ -111,6 +119,10 @@ class EpisodesDiagnoseResult:
     found: EpisodeDiagnosis
     joint: PressureDriven
     hashes: tuple[str, ...]
+
+    @override
+    def _brief(self) -> str:
+        return f"{self.joint.name}: {self.sentence}"
 
     @property
     def report(self) -> Mapping[str, Any]:
@@ -146,12 +158,13 @@ class EpisodesDiagnoseResult:
         """The tables that the command prints."""
         return terminal.render(diagnosis_report.summary(self.found, self.joint))
 
-    def save(self, path: str | Path, figures: bool = True) -> Path:
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``), if it is the better one.
 
         Args:
             path: of a new folder.
             figures: False leaves the figure of the drift out of the page.
+            overwrite: True replaces an earlier result there.
 
         Returns:
             The folder.
@@ -160,7 +173,7 @@ class EpisodesDiagnoseResult:
             BadInput: the folder exists, or cannot be written.
         """
         about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
-        with output_folder(Path(path)) as folder:
+        with output_folder(Path(path), overwrite=overwrite) as folder:
             html.write(
                 folder, diagnosis_report.document(self.found, self.joint, self.hashes, figures), self.report
             )  # fmt: skip

@@ -6,25 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from pam_antagonist.recording import Recording, read_bag
+import numpy as np
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording, plausible, read_bag
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.recording import Recording as _Recording
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig import Rig
 
 RigGiven: TypeAlias = Rig | str | Path
 """A rig, the name of a rig of the package, or the path of a rig file."""
 Bag: TypeAlias = _Recording | str | Path
 """A recording, or the path of a rosbag2."""
-
-
-def as_rig(rig: RigGiven, regulators: bool = False) -> Rig:
-    """The rig itself.
-
-    Args:
-        rig: a rig, its name, or its file.
-        regulators: as for :func:`load_rig`.
-    """
-    return rig if isinstance(rig, Rig) else load_rig(rig, regulators)
 
 
 def calibration(rig: Rig) -> Corrections:
@@ -43,8 +36,17 @@ def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
         bag: a recording or its bag.
         rig: of the recording.
         also: required further signals.
+
+    Raises:
+        BadInput: neither a recording nor the path of a bag, or a bag that cannot be read.
     """
-    return bag if isinstance(bag, _Recording) else read_bag(bag, corrections=calibration(rig), also=also)
+    if isinstance(bag, _Recording):
+        return bag
+    if isinstance(bag, (str, Path)):
+        return read_bag(bag, corrections=calibration(rig), also=also)
+    raise BadInput(
+        f"recording: found a value of type {type(bag).__name__}, expected a recording or the path of its bag"
+    )
 
 
 def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ()) -> list[Recording]:
@@ -55,7 +57,10 @@ def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ())
         rig: of the recordings.
         also: required further signals of each.
     """
-    return [as_recording(bag, rig, also) for bag in _several(bags)]
+    recordings = [as_recording(bag, rig, also) for bag in _several(bags)]
+    for recording in recordings:
+        _judge(recording)
+    return recordings
 
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:
@@ -69,4 +74,19 @@ def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:
 
 
 def _several(bags: Bag | Sequence[Bag]) -> Sequence[Bag]:
-    return [bags] if isinstance(bags, (_Recording, str, Path)) else bags
+    return bags if isinstance(bags, Sequence) and not isinstance(bags, str) else [bags]
+
+
+def _judge(recording: Recording) -> None:
+    """Refuse values in other units; a bag's were judged while it was read."""
+    where, issues = str(recording.path), list[str]()
+    judges = (
+        ("pressure", plausible.check_pressure, recording.pressure),
+        ("commands", plausible.check_voltage if recording.drive == "valve" else plausible.check_pressure,
+         recording.voltage),
+        ("angle", plausible.check_angle, recording.angle),
+        ("torque", plausible.check_torque, recording.torque),
+    )  # fmt: skip
+    for name, judge, values in judges:
+        if values is not None and np.isfinite(values).any():
+            judge(where, name, values, issues)

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from typing_extensions import override
+
 from pam_antagonist.api import episodes
 from pam_antagonist.api.episodes import EpisodesIdentifyResult
-from pam_antagonist.api.given import Bag, RigGiven, as_recordings, as_rig
+from pam_antagonist.api.given import Bag, RigGiven, as_recordings
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed import SealedIdentified, identify_sealed
@@ -30,8 +32,9 @@ from pam_antagonist.report import identify_sealed as sealed
 from pam_antagonist.report.held_out import Judged, judge
 from pam_antagonist.report.identify_entries import IdentifyReport
 from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, as_rig
 from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
+from pam_antagonist.shown import Shown
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -39,8 +42,8 @@ if TYPE_CHECKING:
 _Named = tuple[Recording, JointCondition, str]
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifyResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifyResult(Shown):
     """An identified rig.
 
     Attributes:
@@ -63,6 +66,11 @@ class IdentifyResult:
     recordings: tuple[_Named, ...]
     seed: int = 0
 
+    @override
+    def _brief(self) -> str:
+        names = ", ".join(name for _, _, name in self.recordings)
+        return f"rig {self.rig.name} from {names}; {len(self.warnings)} warnings; .summary() has the errors"
+
     @property
     def rejected(self) -> str:
         """Why the identified rig should not be used, in a sentence; empty if it may."""
@@ -79,7 +87,7 @@ class IdentifyResult:
             return terminal.render(sealed.summary(self.report))
         return terminal.render(identify_document.summary(self.report))
 
-    def save(self, path: str | Path, figures: bool = True) -> Path:
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write ``rig.yaml``, ``report.html`` and ``report.json``, and ``rig_1.yaml`` ... for several recordings.
 
         A rejected rig is written as ``rig_rejected.yaml`` alone, of several recordings none.
@@ -87,6 +95,7 @@ class IdentifyResult:
         Args:
             path: of a new folder.
             figures: False leaves the figures out of the page.
+            overwrite: True replaces an earlier result there.
 
         Returns:
             The folder.
@@ -94,7 +103,7 @@ class IdentifyResult:
         Raises:
             BadInput: the folder exists, or cannot be written.
         """
-        with output_folder(Path(path)) as folder:
+        with output_folder(Path(path), overwrite=overwrite) as folder:
             self._write_rigs(folder)
             if isinstance(self.report, sealed.SealedReport):
                 sealed.write_report(folder, self.report, self.judged, with_figures=figures)
@@ -195,6 +204,8 @@ def identify(
     """
     chosen = as_rig(rig, regulators=True)
     given = as_recordings(recordings, chosen)
+    if not given:
+        raise BadInput("no recording: expected one at least")
     if episodes.are_given(given, chosen):
         return episodes.identified(given, chosen, [*free, *freeze], holdout, jobs, progress)
     read = [

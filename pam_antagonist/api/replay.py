@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pam_antagonist.api.given import Bag, RigGiven, as_recording, as_rig
+from pam_antagonist.api.given import Bag, RigGiven, as_recording
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.replays import Replay
@@ -15,12 +15,13 @@ from pam_antagonist.replays import replay as _replay
 from pam_antagonist.replays.table import columns, write_estimate
 from pam_antagonist.report import terminal
 from pam_antagonist.report.replay import summary, write_report
+from pam_antagonist.rig import as_rig
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ReplayResult(Replay):
     """A replayed recording.
 
@@ -39,13 +40,14 @@ class ReplayResult(Replay):
         """The tables that the command prints."""
         return terminal.render(summary(self))
 
-    def save(self, path: str | Path, figures: bool = True) -> Path:
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write the report or the estimates.
 
         Args:
             path: of a new folder for ``report.html`` and ``report.json``, or of a new file ``*.csv`` or ``*.mcap`` for
                 the estimates.
             figures: False leaves the figures out of the page.
+            overwrite: True replaces an earlier result there.
 
         Returns:
             The path.
@@ -55,9 +57,9 @@ class ReplayResult(Replay):
         """
         path = Path(path)
         if path.suffix in (".csv", ".mcap"):
-            write_estimate(path, self)
+            write_estimate(path, self, overwrite)
         else:
-            with output_folder(path) as folder:
+            with output_folder(path, overwrite=overwrite) as folder:
                 write_report(folder, [self], with_figures=figures)
         return path
 

@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.api.given import RigGiven, as_rig
-from pam_antagonist.errors import BadInput
+from pam_antagonist.api.given import RigGiven
+from pam_antagonist.errors import BadInput, number
+from pam_antagonist.estimation import possible
 from pam_antagonist.recording import Recording
+from pam_antagonist.rig import as_rig
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
+
+_LONGEST = 86400.0
+"""[s] Longest simulation: a day."""
 
 FIRST_STAMP_NS = 1_000_000_000_000_000_000
 """First stamp (in 2001), constant so that the same arguments give the same recording."""
@@ -63,13 +68,22 @@ def simulate(
         (2000, (2000, 2))
     """
     chosen = as_rig(rig, regulators=True)
+    lock_angle, mismatch = number("lock_angle", lock_angle), number("mismatch", mismatch)
+    seed = int(number("seed", seed, 0.0, 2.0**63))
     if voltage is None:
         if profile not in excitation.PROFILES:
             raise BadInput(f"profile {profile!r}: expected one of {', '.join(excitation.PROFILES)}")
+        duration = number("duration", duration, chosen.sample_period, _LONGEST)
         voltage = excitation.for_rig(chosen, profile, duration, seed)
-    given = np.asarray(voltage, dtype=np.float64)
+    try:
+        given = np.asarray(voltage, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BadInput("voltage: expected numbers of shape (N, 2)") from None
     if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
         raise BadInput(f"voltage has shape {given.shape}, expected (N, 2)")
+    wrong = possible.complaint(possible.bounds(chosen), chosen.drive, np.full(given.shape, np.nan), given)
+    if wrong:
+        raise BadInput(wrong)
     # Regulators start at the first command; the voltage of a valve does not determine a pressure.
     before = None if chosen.drive == "valve" else (float(given[0, 0]), float(given[0, 1]))
     plant = Plant(chosen, joint, lock_angle, seed, mismatch=mismatch, noise=noise, initial_pressure=before)

@@ -12,10 +12,12 @@ that is missing is to be typed, one that makes it wrong is to be left out.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.checks import numbers, regulators, samples, wiring
 from pam_antagonist.checks.delay import delay_of_voltages
@@ -33,6 +35,7 @@ from pam_antagonist.recording.resets import resets
 from pam_antagonist.recording.units import UNITS
 from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 from pam_antagonist.rig import NO_ENCODER, Rig
+from pam_antagonist.shown import Shown
 
 Floats = NDArray[np.float64]
 
@@ -47,8 +50,8 @@ _LONGEST = 120.0
 _NONE = Corrections()
 
 
-@dataclass(frozen=True)
-class Checked:
+@dataclass(frozen=True, repr=False)
+class Checked(Shown):
     """A checked recording.
 
     Attributes:
@@ -60,6 +63,12 @@ class Checked:
     findings: tuple[Finding, ...]
     corrections: Corrections
     joint: str
+
+    @override
+    def _brief(self) -> str:
+        counts = Counter(finding.status for finding in self.findings)
+        first = f"; {self.findings[0].text}" if self.findings else ""
+        return f"joint {self.joint}, {', '.join(f'{count} {status}' for status, count in counts.items())}{first}"
 
     @property
     def wrong(self) -> tuple[Finding, ...]:

@@ -17,6 +17,7 @@ from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import Shown
 
 Verdict = Literal["effect", "none", "unexplained"]
 MODELS = ("as_configured", "recalibrated", "extended")
@@ -145,8 +146,8 @@ class PartVerdict:
         return {"name": self.name, "verdict": self.verdict, "share_explained": self.share}
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
+@dataclass(frozen=True, eq=False, repr=False)
+class Judged(Shown):
     """A group of experiments with the verdict on it.
 
     Attributes:
@@ -176,8 +177,8 @@ class Judged:
     calibrations: tuple[FoundCalibration, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOutComparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class HeldOutComparison(Shown):
     """A recording, or a part of it, with the three models; what was held out of it judges them.
 
     Attributes:
@@ -266,8 +267,8 @@ class SizeProfile:
     flat: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Shown):
     """The result of a diagnosis.
 
     Attributes:

@@ -4,11 +4,12 @@ A sample may have a reading z = ψ + offset + e. Its noise is independent of tha
 after theirs (:func:`pam_antagonist.estimation.ukf.update_angle`) is exact. As for the pressures, a reading beyond the
 gate is left out. After ``PATIENCE`` such readings in a row the filter is taken to be wrong: readings are used again.
 
-Three faults are not outliers. The filter then goes on without the encoder:
+Four faults are not outliers. The filter then goes on without the encoder:
 
 * The encoder **jumped**: from one reading to the next by more than a joint can move, and stayed there.
 * It is **frozen**: it reads the same bits, although its declared noise or the pressures say that the joint moves.
 * It has the **wrong sign**: the pressures say that the joint moves in the other direction.
+* It is **beyond** all angles of a joint, for more than ``PATIENCE`` readings: it counts degrees or steps.
 
 The pressures show the motion whatever torque acts from outside. Equation (4) is linear in the velocity,
 Ṗ_i = f_i(P, u) + g_i(ψ, P) ψ̇, and the model gives f_i and g_i. So over 50 ms
@@ -28,19 +29,21 @@ import numpy as np
 
 from pam_antagonist._jit import in_place, merged
 from pam_antagonist.estimation import push, ukf
+from pam_antagonist.estimation.possible import FURTHEST
 from pam_antagonist.estimation.stamps import PATIENCE
 from pam_antagonist.model import dynamics, sensor
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELOCITY
 
-FINE, JUMPED, FROZEN, WRONG_SIGN = range(4)
+FINE, JUMPED, FROZEN, WRONG_SIGN, BEYOND = range(5)
 """Verdicts on an encoder."""
 (
     VERDICT, SIZE_OF_JUMP, REJECTED, WITHOUT, _LAST, _SAME_FOR, _WAITING, _BEFORE, _PRESSURE_1, _PRESSURE_2, _SPAN_TIME,
     _MOTION, _FLOW, _BEGAN, _STILL_MM, _STILL_V, _STILL_SPANS, _EE, _EM, _EEV,
 ) = range(20)  # fmt: skip
 MEMORY = 20
-"""Numbers in the memory of an encoder: the verdict, the jump [rad], rejected readings in a row, the time without a
-reading [s], and the sums that the verdict needs (products of E, M and V; ``_STILL``: of spans with equal readings)."""
+"""Numbers in the memory of an encoder: the verdict, the jump or the reading beyond all angles [rad], rejected readings
+in a row, the time without a reading [s], and the sums that the verdict needs (products of E, M and V; ``_STILL``: of
+spans with equal readings)."""
 
 _FASTEST = 30.0
 """[rad/s] At this velocity a joint would cross its whole range in 30 ms."""
@@ -104,6 +107,11 @@ def complaint(memory: np.ndarray) -> str:
         return (
             "the encoder has the wrong sign, by the motion that the pressures show: "
             "let the driver publish the negative angle (positive where muscle 1 shortens), then call ~/reset"
+        )
+    if verdict == BEYOND:
+        return (
+            f"the encoder reads {memory[SIZE_OF_JUMP]:.4g} rad, expected within ±{FURTHEST:.4g} rad: "
+            "let the driver publish rad (degrees times 0.0174533), then call ~/reset"
         )
     return ""
 
@@ -209,6 +217,12 @@ def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step
     """
     elapsed += encoder[WITHOUT]
     encoder[WITHOUT] = 0.0
+    if abs(reading) > FURTHEST:
+        encoder[WITHOUT] = elapsed
+        encoder[REJECTED] += 1.0
+        if encoder[REJECTED] > PATIENCE and encoder[VERDICT] == FINE:
+            encoder[VERDICT], encoder[SIZE_OF_JUMP] = BEYOND, reading
+        return False
     behind = (_pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p))
     if math.isnan(encoder[_LAST]):
         encoder[_LAST], encoder[_BEGAN] = reading, reading

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import checkpoint as checkpoints
-from pam_antagonist.estimation import encoder, push, stamps, ukf
+from pam_antagonist.estimation import encoder, possible, push, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
 from pam_antagonist.estimation.memory import ESTIMATE_DTYPE, Settings, make_memory
@@ -17,13 +19,12 @@ from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
 from pam_antagonist.model.effects.external_torque import UNBOUNDED
-from pam_antagonist.rig import NO_ENCODER, Rig, Tuning, fingerprint
+from pam_antagonist.rig import NO_ENCODER, Rig, Tuning, fingerprint, load_rig
 from pam_antagonist.rig.physical import varied
+from pam_antagonist.shown import Shown
 
-# Limits of set_state: velocity [rad/s] and absolute pressures [Pa]. The gauge pressure of a vented muscle is below.
 _FASTEST = 100.0
-_PRESSURES = (50e3, 2e6)
-
+"""[rad/s] Limit of set_state."""
 
 ANGLE_SENSORS = ("none", "encoder")
 """Choices of the sensor that measures the angle for a filter."""
@@ -60,8 +61,8 @@ class Counts:
     angles_refused: int = 0
 
 
-@dataclass(frozen=True)
-class EstimateRun:
+@dataclass(frozen=True, repr=False)
+class EstimateRun(Shown):
     """Estimates over a recording.
 
     Attributes:
@@ -167,31 +168,43 @@ def _results(samples: int, states: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     return np.zeros(samples, ESTIMATE_DTYPE), np.zeros((samples, states)), indices[0], indices[1]
 
 
+def _samples(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """An array for the kernel: a copy, because numba would compile the filter once more for a read-only one."""
+    try:
+        out = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        raise BadInput(f"{name}: expected numbers of shape {shape}") from None
+    if out.shape != shape:
+        raise BadInput(f"{name} has shape {out.shape}, expected {shape}")
+    return out
+
+
 class Estimator:
     """The unscented Kalman filter of a rig, on pressures and valve voltages.
 
     For a rig with pressure regulators, commanded pressures [Pa] take the place of the voltages.
 
     Args:
-        rig: the rig.
+        rig: the rig, its name or its file.
         tuning: name of one of its tunings.
         joint: ``free``, or ``locked`` where the joint is held.
         lock_angle: angle [rad] at which a locked joint is held.
         angle_sensor: ``none``, or ``encoder`` where each sample may have a measured angle beside the pressures.
 
     Raises:
-        BadInput: a tuning, joint condition or angle sensor that does not exist, or an encoder that the rig file does
-            not declare.
+        BadInput: a rig, tuning, joint condition or angle sensor that does not exist, or an encoder that the rig file
+            does not declare.
     """
 
     def __init__(
         self,
-        rig: Rig,
+        rig: Rig | str | Path,
         tuning: str = "default",
         joint: str = "free",
         lock_angle: float = 0.0,
         angle_sensor: str = "none",
     ) -> None:
+        rig = rig if isinstance(rig, Rig) else load_rig(rig, regulators=True)
         chosen = rig.tuning(tuning)
         sets = parameter_sets(rig, chosen, joint, lock_angle)
         n, m = int(sets[0, par.STATES]), (len(sets) - 1) // 2
@@ -208,6 +221,7 @@ class Estimator:
             kappa=chosen.kappa,
             gate=chosen.gate,
             lock_angle=lock_angle,
+            possible=possible.bounds(rig),
             **_angle_sensor(rig, angle_sensor),
         )
         self._added = par.added_states(sets[0])
@@ -229,13 +243,15 @@ class Estimator:
         self._row = rows[0]
         # numpy copies a record field by field, which takes longer than the filter's step.
         self._bytes = rows.view(f"V{ESTIMATE_DTYPE.itemsize}")
+        self._drive = rig.drive
         self._compile(4e5 if rig.drive == "regulator" else 5.0)
 
     def _compile(self, command: float) -> None:
         """Compile, or load from the cache, everything that a sample needs, so that the loop compiles nothing."""
         for stamp in (1, 1_000_001):
-            self.step(stamp, 4e5, 4e5, command, command)
+            self.step_in_place(stamp, 4e5, 4e5, command, command)
         self.reset()
+        self._pressure[:] = self._voltage[:] = np.nan
         self._memory.counts[:] = 0
 
     def _used(self, angles: np.ndarray) -> np.ndarray | None:
@@ -256,6 +272,19 @@ class Estimator:
     def encoder_complaint(self) -> str:
         """Why the encoder is refused, and what to do; empty where it is not."""
         return encoder.complaint(self._memory.encoder)
+
+    @property
+    def complaint(self) -> str:
+        """What is not possible of the last sample, and what was expected; empty if nothing is.
+
+        The filter takes such a value for missing and flags it as ``OUTLIER`` as well.
+        """
+        return possible.complaint(self.possible, self._drive, self._pressure, self._voltage)
+
+    @property
+    def possible(self) -> np.ndarray:
+        """Least and largest possible value of both pressures [Pa] and both voltages [V] (4, 2)."""
+        return self._settings.possible
 
     def set_state(
         self, stamp_ns: int, angle: float, velocity: float, pressure: tuple[float, float], voltage: tuple[float, float]
@@ -287,8 +316,7 @@ class Estimator:
             raise BadInput(f"angle {angle:g} rad: expected within ±{bound:g} rad")
         if not abs(velocity) <= _FASTEST:
             raise BadInput(f"velocity {velocity:g} rad/s: expected within ±{_FASTEST:g} rad/s")
-        low, high = _PRESSURES
-        for value in pressure:
+        for value, (low, high) in zip(pressure, self._settings.possible[:2], strict=True):
             if not low <= value <= high:
                 raise BadInput(f"pressure {value:g} Pa: expected {low:g} to {high:g} Pa, absolute")
         if not all(math.isfinite(value) for value in voltage):
@@ -340,9 +368,16 @@ class Estimator:
             u2: voltage on valve 2, likewise.
             angle: reading of the encoder [rad], NaN where missing.
 
+        A value that is not possible on the rig (kPa in place of Pa, a pressure far above the supply's, percent in place
+        of volts) counts as missing; :attr:`complaint` says what was expected.
+
         Returns:
             The estimate (an ``ESTIMATE_DTYPE``), or None: the sample was not newer than the last one, or the filter is
-            not started yet.
+            not started yet. ``flags`` are those of ``JointEstimate.msg``; ``stiffness`` is that of the muscles,
+            −∂τ/∂ψ, positive where they pull the joint back.
+
+        Raises:
+            BadInput: no numbers, or stamps that are not in ns.
 
         Example:
             >>> from pam_antagonist import Estimator, load_rig
@@ -351,7 +386,14 @@ class Estimator:
             >>> abs(float(row["angle"])) < 0.01, row["covariance"].shape
             (True, (3, 3))
         """
-        if self.step_in_place(stamp_ns, p1, p2, u1, u2, angle) is None:
+        stamp = stamps.whole_ns(stamp_ns)
+        try:
+            row = self.step_in_place(stamp, p1, p2, u1, u2, angle)
+        except (TypeError, ValueError, OverflowError):
+            raise BadInput(f"sample {stamp}, {p1}, {p2}, {u1}, {u2}, {angle}: expected numbers") from None
+        if self.started_ns is not None:
+            stamps.refuse_other_units(self._memory.clock)
+        if row is None:
             return None
         return self._bytes.copy().view(ESTIMATE_DTYPE)[0]
 
@@ -386,16 +428,18 @@ class Estimator:
             pressure: pressures (N, 2) [Pa], NaN where missing.
             voltage: voltages (N, 2) [V], NaN where missing.
             angle: readings of the encoder (N,) [rad], NaN where missing; None: no readings.
+
+        Raises:
+            BadInput: stamps that are not in ns, no numbers, or arrays of other shapes.
         """
-        angles = np.full(len(stamp_ns), np.nan) if angle is None else np.array(angle, dtype=np.float64)
-        rows, states, index, started = _results(len(stamp_ns), len(self._memory.x))
-        # A copy, because numba would compile the filter once more for a read-only array.
-        stamps = np.array(stamp_ns, dtype=np.int64)
+        own = stamps.all_ns(stamp_ns)
+        size = len(own)
+        rows, states, index, started = _results(size, len(self._memory.x))
         count = kernels.process_all(
-            stamps,
-            np.array(pressure, dtype=np.float64, order="C"),
-            np.array(voltage, dtype=np.float64, order="C"),
-            self._used(angles),
+            own,
+            _samples("pressure", pressure, (size, 2)),
+            _samples("voltage", voltage, (size, 2)),
+            self._used(np.full(size, np.nan) if angle is None else _samples("angle", angle, (size,))),
             self._effects,
             *self._fields,
             rows,
@@ -406,7 +450,7 @@ class Estimator:
         return EstimateRun(
             rows=rows[:count],
             added={name: states[:count, par.BASE_STATES + k] for k, name in enumerate(self._added)},
-            stamp_ns=stamps[index[:count]],
+            stamp_ns=own[index[:count]],
             index=index[:count],
             started_ns=started[:count],
             counts=self.counts,

@@ -10,8 +10,9 @@ arrival:
 * a stamp older by more than ``RESTART_AFTER_NS``: the clock was set back, and the filter starts again;
 * an interval longer than the stream's own period: samples are missing. The filter predicts over the gap with the last
   known voltages, up to ``LONGEST_GAP_NS``; after a longer gap it starts again;
-* a pressure that is not finite: only the other one is used, or none (prediction only);
-* voltages that are not finite: the last known ones are held;
+* a pressure that is not finite, or not possible on the rig (:mod:`~pam_antagonist.estimation.possible`): only the other
+  one is used, or none (prediction only);
+* voltages that are not finite or not possible: the last known ones are held;
 * a joint with pressure regulators: commanded pressures take the place of the voltages. At a start, a commanded pressure
   also replaces a missing measured one;
 * a measured angle, where the filter uses one: see :mod:`~pam_antagonist.estimation.encoder`;
@@ -144,7 +145,7 @@ def _write(row, effects, memory, settings, nis, flags, work):
         row.innovation[i] = memory.innovation[i]
     row.covariance[2, 2] = moments[1]
     row.force[0], row.force[1] = _forces(x, p, effects)
-    row.stiffness = _torque_slope(x, p, effects)
+    row.stiffness = -_torque_slope(x, p, effects)
     row.nis = nis
     row.subsystem = _subsystem(x, p, effects)
     row.flags = flags
@@ -245,23 +246,23 @@ def _advance(elapsed, period, u, known_u, effects, memory, settings, work):
 
 
 @merged
-def _gate(y, finite_1, finite_2, memory, settings):
+def _gate(y, usable_1, usable_2, memory, settings):
     """Innovation of the pressures. Returns which pressures to use, and whether one was left out as an outlier."""
     innovation, covariance = memory.innovation, memory.innovation_covariance
     p = settings.parameter_sets[0]
     for i in range(2):
         innovation[i] = _pressure_behind(i, y[i], p)
     _innovate(memory.x, memory.covariance, innovation, settings.measurement_noise, innovation, covariance)
-    use_1, use_2 = _select(innovation, covariance, finite_1, finite_2, settings.gate)
-    if finite_1 and finite_2 and _jumped(_distance(innovation, covariance), p):
+    use_1, use_2 = _select(innovation, covariance, usable_1, usable_2, settings.gate)
+    if usable_1 and usable_2 and _jumped(_distance(innovation, covariance), p):
         _widen(memory.covariance, p)
     clock = memory.clock
-    if use_1 == finite_1 and use_2 == finite_2:
+    if use_1 == usable_1 and use_2 == usable_2:
         clock[REJECTED] = 0
         return use_1, use_2, False
     clock[REJECTED] += 1
     if clock[REJECTED] > _PATIENCE:
-        return finite_1, finite_2, False
+        return usable_1, usable_2, False
     return use_1, use_2, True
 
 
@@ -291,13 +292,19 @@ def _correct(use_1, use_2, memory, settings, work):
     return nis
 
 
+@inlined
+def _possible(value, bounds):
+    """Whether a value is one that the rig can have; NaN and infinite ones are not."""
+    return bounds[0] <= value <= bounds[1]
+
+
 @in_place
-def _flagged(finite_1, finite_2, known_u, outlier, gap, repaired, counts):
+def _flagged(usable_1, usable_2, known_u, outlier, gap, repaired, counts):
     """Flags of an estimate; also counts its sample by outcome."""
     flags = 0
-    if not finite_1:
+    if not usable_1:
         flags |= MISSING_PRESSURE_1
-    if not finite_2:
+    if not usable_2:
         flags |= MISSING_PRESSURE_2
     if not known_u:
         flags |= MISSING_VALVE
@@ -334,14 +341,15 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         True if ``row`` holds an estimate; False if the sample was dropped, or could not start the filter.
     """
     clock, counts = memory.clock, memory.counts
-    finite_1 = math.isfinite(y[0])
-    finite_2 = math.isfinite(y[1])
-    known_u = math.isfinite(u[0]) and math.isfinite(u[1])
+    bounds = settings.possible
+    usable_1 = _possible(y[0], bounds[0])
+    usable_2 = _possible(y[1], bounds[1])
+    known_u = _possible(u[0], bounds[2]) and _possible(u[1], bounds[3])
     p = settings.parameter_sets[0]
     regulated = p[_REGULATED] > 0.0 and p[_REGULATED + 1] > 0.0
-    complete = known_u and (regulated or (finite_1 and finite_2))
+    complete = known_u and (regulated or (usable_1 and usable_2))
     # At rest a regulator holds its commanded pressure, which can replace a missing measured one.
-    at_rest = (y[0] if finite_1 else u[0], y[1] if finite_2 else u[1])
+    at_rest = (y[0] if usable_1 else u[0], y[1] if usable_2 else u[1])
     memory.innovation[:] = np.nan
     memory.innovation_covariance[:] = np.nan
     elapsed = stamp - clock[LAST]
@@ -364,11 +372,17 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         counts[_RESTARTS] += 1
         return complete and _begin(stamp, at_rest, u, angles, k, effects, memory, settings, work, row)
 
-    use_1, use_2, outlier = _gate(y, finite_1, finite_2, memory, settings)
+    use_1, use_2, outlier = _gate(y, usable_1, usable_2, memory, settings)
     nis = _correct(use_1, use_2, memory, settings, work)
-    flags = _flagged(finite_1, finite_2, known_u, outlier, gap, repaired > 0, counts)
+    if not (usable_1 and usable_2 and known_u):
+        # What is finite was there, but cannot be true.
+        outlier = (
+            outlier or (not usable_1 and math.isfinite(y[0])) or (not usable_2 and math.isfinite(y[1]))
+            or (not known_u and math.isfinite(u[0]) and math.isfinite(u[1]))
+        )  # fmt: skip
+    flags = _flagged(usable_1, usable_2, known_u, outlier, gap, repaired > 0, counts)
     if angles is not None:
-        flags |= _angle(angles[k], elapsed * 1e-9, y, finite_1 and finite_2, effects, memory, settings, work)
+        flags |= _angle(angles[k], elapsed * 1e-9, y, usable_1 and usable_2, effects, memory, settings, work)
     counts[_PROCESSED] += 1
     return _write(row, effects, memory, settings, nis, flags, work)
 

@@ -54,6 +54,8 @@ class Settings(NamedTuple):
         kappa: κ, the scaling of the sigma points [-].
         gate: largest Mahalanobis distance of a pressure that is used [-].
         lock_angle: angle of a locked joint [rad].
+        possible: bounds of both pressures [Pa] and both voltages [V] (4, 2), see
+            :func:`pam_antagonist.estimation.possible.bounds`.
         angle_noise: variance of a measured angle [rad²]; 0: no angle is used.
         angle_offset: of the measured angle [rad], positive if it reads too high.
         angle_step: of the angle's converter [rad]; 0: none.
@@ -69,6 +71,7 @@ class Settings(NamedTuple):
     kappa: float
     gate: float
     lock_angle: float
+    possible: np.ndarray
     angle_noise: float = 0.0
     angle_offset: float = 0.0
     angle_step: float = 0.0

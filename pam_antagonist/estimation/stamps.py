@@ -7,9 +7,12 @@ rig's nominal period if the median is near it.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, SupportsFloat
+
+import numpy as np
 
 from pam_antagonist._jit import in_place, merged
+from pam_antagonist.errors import BadInput
 
 RESTART_AFTER_NS = 500_000_000
 """[ns] If a stamp is older than the last one by more, the clock was set back; otherwise the sample is late."""
@@ -30,6 +33,56 @@ CLOCK_SIZE = _FIRST_DISTANCE + _DISTANCES
 number of intervals seen, and the last intervals [ns]."""
 
 
+_SHORTEST_NS = 50_000
+"""[ns] A stream at more than 20 kHz has stamps in another unit."""
+_FEW = 5
+"""Intervals of a stream that are enough to know the unit of its stamps."""
+
+
+def whole_ns(stamp_ns: SupportsFloat) -> int:
+    """A stamp [ns] as an integer.
+
+    Raises:
+        BadInput: it is no whole number.
+    """
+    if isinstance(stamp_ns, (int, np.integer)):
+        return int(stamp_ns)
+    if isinstance(stamp_ns, float) and stamp_ns.is_integer():
+        return int(stamp_ns)
+    raise BadInput(f"stamp_ns {stamp_ns!r}: expected a whole number of ns; of seconds, give round(1e9 * seconds)")
+
+
+def all_ns(stamp_ns: Any) -> np.ndarray:
+    """Stamps (N,) [ns] as integers, in an array of their own.
+
+    Raises:
+        BadInput: they are no whole numbers, or too close for ns.
+    """
+    given = np.array(stamp_ns)
+    try:
+        stamps = given.astype(np.int64)
+        whole = given.ndim == 1 and bool((stamps == given).all())
+    except (TypeError, ValueError):
+        whole = False
+    if not whole:
+        raise BadInput("stamp_ns: expected (N,) whole numbers of ns; of seconds, give np.rint(1e9 * seconds)")
+    check_unit(np.diff(stamps))
+    return stamps
+
+
+def check_unit(intervals: np.ndarray) -> None:
+    """Refuse stamps that cannot be in ns.
+
+    Args:
+        intervals: between them (M,) [ns].
+
+    Raises:
+        BadInput: most of them are shorter than that of any stream.
+    """
+    if len(intervals) >= _FEW and abs(middle := float(np.median(intervals))) < _SHORTEST_NS:
+        raise BadInput(f"stamp_ns: the stamps are {middle:g} ns apart; expected ns, not seconds, ms or us")
+
+
 @in_place
 def start(clock, stamp):
     """Set the clock (CLOCK_SIZE,) of a filter that starts at a stamp [ns]."""
@@ -38,6 +91,20 @@ def start(clock, stamp):
     clock[STARTED] = stamp
     clock[REJECTED] = 0
     clock[_SEEN] = 0
+
+
+def refuse_other_units(clock: np.ndarray) -> None:
+    """Refuse the first stamps of a stream if they cannot be in ns.
+
+    Args:
+        clock: of a running filter (CLOCK_SIZE,).
+
+    Raises:
+        BadInput: they are not in ns.
+    """
+    seen = int(clock[_SEEN])
+    if seen <= _DISTANCES:
+        check_unit(clock[_FIRST_DISTANCE : _FIRST_DISTANCE + seen])
 
 
 def started_ns(clock: Any) -> int | None:

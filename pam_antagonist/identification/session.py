@@ -23,6 +23,7 @@ from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, check, make_tri
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import Shown
 
 Floats = NDArray[np.float64]
 
@@ -90,8 +91,8 @@ class Start:
     best: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Identified:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identified(Shown):
     """An identified rig and how it was found.
 
     Attributes:

@@ -353,8 +353,8 @@ def _put(model: Any, path: list[str], value: float) -> Any:
         inner = _put(model.get(key, {}), rest, value) if rest else value
         return {**model, key: inner}
     if len(path) == 1:
-        return model.replaced(**{path[0]: value})
-    return model.replaced(**{path[0]: _put(getattr(model, path[0]), path[1:], value)})
+        return model.unchecked(**{path[0]: value})
+    return model.unchecked(**{path[0]: _put(getattr(model, path[0]), path[1:], value)})
 
 
 _SPREAD = 4.0

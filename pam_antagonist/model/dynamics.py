@@ -104,7 +104,7 @@ def torque(x, p, effects=True):
 
 @inlined
 def torque_slope(x, p, effects=True):
-    """Joint stiffness ∂τ/∂ψ [N m/rad] at constant pressures, from (2), (6), (7) and (9).
+    """Slope ∂τ/∂ψ of the torque [N m/rad], minus the stiffness, at constant pressures, from (2), (6), (7), (9).
 
     Args:
         x: state (n,).

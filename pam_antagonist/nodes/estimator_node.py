@@ -265,6 +265,8 @@ class EstimatorNode(PamNode):
         consistency = Health(Level.OK, "plausible")
         if nis.count and rejected > 0.05 * nis.count:
             consistency = Health(Level.WARN, f"{rejected} pressures were too far from the expected ones")
+        if self._estimator.complaint:
+            consistency = Health(Level.ERROR, f"{self._estimator.complaint}: taken for missing")
         return {
             **self._encoder_health(counts, counts_before),
             "samples": Health(

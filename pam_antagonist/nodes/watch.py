@@ -155,7 +155,7 @@ class PipelineWatch:
         estimate = self._fresh("joint_estimate", now)
         if estimate is not None:
             values |= {"angle": estimate.angle, "torque": estimate.torque, "nis": estimate.nis}
-            values |= {"flags": estimate.flags, "stiffness": -estimate.stiffness}
+            values |= {"flags": estimate.flags, "stiffness": estimate.stiffness}
             values["external_torque"] = estimate.external_torque
             variances = {name: estimate.covariance[place] for name, place in (("angle_std", 0), ("torque_std", 8))}
             variances["external_torque_std"] = estimate.external_torque_covariance[3]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import BadInput, number
 from pam_antagonist.recording import Recording
 
 _STILL = math.radians(0.5)
@@ -61,6 +61,7 @@ def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float
     condition, source = (joint, "command line") if joint != "auto" else _detected(recording)
     if condition == "free":
         return JointCondition("free", 0.0, source)
+    lock_angle = None if lock_angle is None else number("lock_angle", lock_angle)
     if lock_angle is None:
         lock_angle = _live_lock(recording)
     if lock_angle is None:

@@ -104,6 +104,8 @@ def read_bag(
         >>> len(recording), round(recording.duration_s, 3), recording.pressure.shape
         (30000, 29.999, (30000, 2))
     """
+    if not isinstance(path, (str, Path)):
+        raise BadInput(f"bag: found a value of type {type(path).__name__}, expected its path")
     try:
         recording = _read(
             Path(path), topics, namespace, joint_name, restarts, recover, corrections or Corrections(), judge, also

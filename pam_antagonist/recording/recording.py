@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from ..errors import BadInput
+from ..errors import BadInput, number
 from ..optional import needs
+from ..shown import Shown
 from .checkpoints import RecordedCheckpoint
 from .notes import Issue
 from .signals import FurtherSignal
@@ -43,10 +45,16 @@ class Arrival(NamedTuple):
 
 def _frozen(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
     """A read-only array of the given type and shape; None in the shape means any length."""
-    array = np.array(value, dtype)
+    try:
+        given = np.array(value)
+        array = given.astype(dtype)
+    except (TypeError, ValueError):
+        raise BadInput(f"{name}: expected numbers") from None
+    if dtype is np.int64 and not np.array_equal(array, given):
+        raise BadInput(f"{name}: expected whole numbers of ns; of seconds, give np.rint(1e9 * seconds)")
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
         expected = ", ".join("any" if n is None else str(n) for n in shape)
-        raise ValueError(f"{name} has shape {array.shape}, expected ({expected})")
+        raise BadInput(f"{name} has shape {array.shape}, expected ({expected})")
     array.setflags(write=False)
     return array
 
@@ -54,7 +62,7 @@ def _frozen(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) ->
 def _check_increasing(stamp_ns: Stamps, name: str) -> None:
     if np.any(np.diff(stamp_ns) <= 0):
         index = int(np.argmax(np.diff(stamp_ns) <= 0)) + 1
-        raise ValueError(f"{name} is not strictly increasing at index {index}")
+        raise BadInput(f"{name} is not strictly increasing at index {index}")
 
 
 ESTIMATE_SHAPES: Mapping[str, tuple[int, ...]] = MappingProxyType(
@@ -71,8 +79,8 @@ _ROUNDING = 1.0
 """[Pa] Largest difference between a pressure and a command that was logged in its place."""
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedEstimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordedEstimate(Shown):
     """The estimator's output (M samples), named as in ``pam_antagonist_msgs/msg/JointEstimate``.
 
     Attributes:
@@ -84,7 +92,7 @@ class RecordedEstimate:
         covariance: Of angle, velocity and torque (M, 3, 3).
         pressure: (M, 2) [Pa absolute].
         force: (M, 2) [N].
-        stiffness: (M,) [N m/rad].
+        stiffness: -dτ/dψ (M,) [N m/rad].
         innovation: (M, 2) [Pa].
         innovation_covariance: (M, 2, 2) [Pa^2].
         nis: (M,).
@@ -139,8 +147,8 @@ class RecordedEstimate:
         return RecordedEstimate(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedReference:
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordedReference(Shown):
     """References of the joint (K messages, in the order of reception).
 
     Attributes:
@@ -171,8 +179,8 @@ class RecordedReference:
         return RecordedReference(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Shown):
     """A recording of one rig: N samples, one stamp each, NaN where a value is missing.
 
     Attributes:
@@ -220,9 +228,9 @@ class Recording:
     drive: str = "valve"
 
     def __post_init__(self) -> None:
-        size = len(self.stamp_ns)
+        size = np.size(self.stamp_ns)
         if size == 0:
-            raise ValueError("a recording needs a sample at least")
+            raise BadInput("a recording needs a sample at least")
         object.__setattr__(self, "path", Path(self.path))
         object.__setattr__(self, "stamp_ns", _frozen(self.stamp_ns, np.int64, (size,), "stamp_ns"))
         _check_increasing(self.stamp_ns, "stamp_ns")
@@ -250,6 +258,13 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
+
+    @override
+    def _brief(self) -> str:
+        named = {"angle": self.angle, "torque": self.torque, "encoder": self.angle_sensor, "estimate": self.estimate}
+        also = ", ".join(["pressures", f"{self.drive} commands", *(name for name in named if named[name] is not None)])
+        rate = f" at {1.0 / self.sample_period_s:.4g} Hz" if len(self) > 1 else ""
+        return f"{self.path}, {len(self)} samples{rate}, {self.duration_s:.3f} s: {also}"
 
     @property
     def logged_commands(self) -> tuple[int, ...]:
@@ -348,8 +363,9 @@ class Recording:
         """The samples of ``start_s <= time < stop_s``, counted in seconds from the first sample.
 
         Raises:
-            ValueError: No sample lies in this time.
+            BadInput: No sample lies in this time.
         """
+        start_s, stop_s = number("start_s", start_s), number("stop_s", stop_s)
         first = int(self.stamp_ns[0])
         low, high = (first + round(t * 1e9) if np.isfinite(t) else t for t in (start_s, stop_s))
 
@@ -358,7 +374,7 @@ class Recording:
 
         mask = inside(self.stamp_ns)
         if not np.any(mask):
-            raise ValueError(f"no sample between {start_s} and {stop_s} s of {self.duration_s:.3f} s in {self.path}")
+            raise BadInput(f"no sample between {start_s} and {stop_s} s of {self.duration_s:.3f} s in {self.path}")
         arrays: dict[str, Any] = {
             name: None if getattr(self, name) is None else getattr(self, name)[mask]
             for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque", "angle_sensor")

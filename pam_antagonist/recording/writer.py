@@ -267,6 +267,10 @@ def write_bag(
     Raises:
         BadInput: The path exists already, or cannot be made.
     """
+    if not isinstance(path, (str, Path)):
+        raise BadInput(f"bag: found a value of type {type(path).__name__}, expected the path of a new folder")
+    if not isinstance(recording, Recording):
+        raise BadInput(f"recording: found a value of type {type(recording).__name__}, expected a Recording")
     blocks = _blocks(recording, recording.estimate if estimate is None else estimate, frame_id, pressure_variance)
     with BagWriter(path, storage=storage, compression=compression) as bag:
         items: list[Item] = []

@@ -36,15 +36,16 @@ class LiveInput(NamedTuple):
     lacked: NDArray[np.bool_]
 
 
-def as_live(recording: Recording) -> LiveInput:
+def as_live(recording: Recording, impossible: NDArray[np.bool_]) -> LiveInput:
     """The inputs that the live filter had, where its estimates were recorded.
 
     The recorder may have got a message that the estimator got too late, or not at all. Values that the live filter
-    flagged as missing are left out of the replay, too. So are samples without an estimate between the first and the
-    last recorded estimate.
+    flagged as missing are left out of the replay, too, except those that no filter uses. So are samples without an
+    estimate between the first and the last recorded estimate.
 
     Args:
         recording: the recording.
+        impossible: which pressures and voltages the filter itself takes for missing (N, 4).
     """
     pressure, voltage = recording.pressure.copy(), recording.voltage.copy()
     had = np.ones(len(recording.stamp_ns), dtype=bool)
@@ -57,9 +58,10 @@ def as_live(recording: Recording) -> LiveInput:
     had[between] = False
     had[at] = True
     flags = live.flags[at_live].astype(np.int64)
-    for bit, values in ((MISSING_PRESSURE_1, pressure[:, 0]), (MISSING_PRESSURE_2, pressure[:, 1])):
-        values[at[(flags & bit) != 0]] = np.nan
-    voltage[at[(flags & MISSING_VALVE) != 0]] = np.nan
+    odd = impossible[at]
+    for bit, column in ((MISSING_PRESSURE_1, 0), (MISSING_PRESSURE_2, 1)):
+        pressure[at[((flags & bit) != 0) & ~odd[:, column]], column] = np.nan
+    voltage[at[((flags & MISSING_VALVE) != 0) & ~odd[:, 2:].any(axis=1)]] = np.nan
     angle[at[(flags & NO_ANGLE) != 0]] = np.nan
     lost = ~had
     for ours, theirs in ((pressure, recording.pressure), (voltage, recording.voltage)):

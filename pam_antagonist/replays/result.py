@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.estimation import Counts, EstimateRun
 from pam_antagonist.estimation.errors import FilterErrors, ModelErrors
@@ -20,6 +21,7 @@ from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.live import LiveComparison
 from pam_antagonist.replays.segments import Plan
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import Shown
 
 FloatArray = NDArray[np.float64]
 
@@ -137,8 +139,8 @@ class Timing:
     total_s: float
 
 
-@dataclass(frozen=True)
-class ReplayReport:
+@dataclass(frozen=True, repr=False)
+class ReplayReport(Shown):
     """The numbers of one replayed recording.
 
     Attributes:
@@ -170,8 +172,8 @@ class ReplayReport:
     timing: Timing
 
 
-@dataclass(frozen=True, eq=False)
-class ModelTrack:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModelTrack(Shown):
     """The model alone at the samples with an estimate: angle (M,) [rad], torque (M,) [N m], pressure (M, 2) [Pa].
 
     Attributes:
@@ -185,8 +187,8 @@ class ModelTrack:
     pressure: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Replay:
+@dataclass(frozen=True, eq=False, repr=False)
+class Replay(Shown):
     """A replayed recording.
 
     Attributes:
@@ -208,6 +210,22 @@ class Replay:
     model: ModelTrack
     report: ReplayReport
     plan: Plan
+
+    @override
+    def _brief(self) -> str:
+        report = self.report
+        errors = [
+            f"{name} RMSE {filtered.rmse:.3g}{unit} (model alone {alone.rmse:.3g}{unit})"
+            for name, unit, filtered, alone in (
+                ("angle", "°", report.ukf.angle, report.model_alone.angle),
+                ("torque", " N m", report.ukf.torque, report.model_alone.torque),
+            )
+            if filtered is not None and alone is not None
+        ]
+        return (
+            f"{self.name}, {report.duration_s:.1f} s, joint {self.joint.condition}, rig {self.rig.name}; "
+            f"{', '.join(errors) or 'neither angle nor torque was measured'}"
+        )
 
     @property
     def name(self) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import COMPILING
-from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import EstimateRun, Estimator, metrics, simulate_model
+from pam_antagonist.errors import BadInput, number
+from pam_antagonist.estimation import EstimateRun, Estimator, metrics, possible, simulate_model
 from pam_antagonist.estimation.errors import (
     ChannelErrors,
     FilterErrors,
@@ -22,7 +22,7 @@ from pam_antagonist.estimation.errors import (
 from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
-from pam_antagonist.recording.notes import sealed_muscles
+from pam_antagonist.recording.notes import Issue, sealed_muscles
 from pam_antagonist.replays.live import Apart, LiveComparison, LiveInput, as_live, compare_with_live, ended, taken
 from pam_antagonist.replays.result import (
     FilterFacts,
@@ -81,15 +81,26 @@ def replay(
     begin = _clock()
     recording.driven_by(rig.drive)
     progress = progress or (lambda samples: None)
-    begin_ns = None if begin_s is None else _stamp_at(recording, begin_s)
+    begin_ns = None if begin_s is None else _stamp_at(recording, number("begin_s", begin_s))
     state = joint_condition(recording, joint, lock_angle)
     sensor_used = _angle_sensor(recording, angle_sensor)
     estimator = Estimator(rig, tuning, state.condition, state.lock_angle, sensor_used)
-    given = as_live(recording)
+    impossible = possible.impossible(estimator.possible, recording.pressure, recording.voltage)
+    given = as_live(recording, impossible)
+    complaint = possible.complaint(estimator.possible, rig.drive, recording.pressure, recording.voltage)
+    if complaint:
+        recording = dataclasses.replace(
+            recording,
+            issues=(*recording.issues, Issue(f"{complaint}: taken for missing")),
+            pressure=np.where(impossible[:, :2], np.nan, recording.pressure),
+            voltage=np.where(impossible[:, 2:], np.nan, recording.voltage),
+        )
     planned = plan(recording, estimator, begin_ns)
     progress(planned.skipped)
     run = _estimate(recording, given, estimator, planned, progress)
     if len(run.rows) == 0:
+        if complaint:
+            raise BadInput(f"{recording.path}: {complaint}; so no filter can be started")
         needed = "both pressures and valve voltages" if rig.drive == "valve" else "what both regulators were asked for"
         raise BadInput(f"{recording.path}: no sample has {needed}, so no filter can be started")
     filtered = _clock()

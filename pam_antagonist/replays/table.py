@@ -52,22 +52,23 @@ def columns(replay: Replay) -> dict[str, NDArray[np.generic]]:
     return out | {name: values for name, values in measured.items() if values is not None}
 
 
-def check_estimate(path: Path) -> None:
+def check_estimate(path: Path, overwrite: bool = False) -> None:
     """Refuse a file name that :func:`write_estimate` would refuse, before the replay runs.
 
     Args:
         path: of the file.
+        overwrite: whether a file may be there.
 
     Raises:
         BadInput: it exists, or ends with neither ``.csv`` nor ``.mcap``.
     """
     if path.suffix not in (".csv", ".mcap"):
         raise BadInput(f"{path}: expected a name that ends with .csv or .mcap")
-    if path.exists():
+    if path.exists() and not (overwrite and path.is_file()):
         raise BadInput(f"{path}: exists; expected a new file, nothing is overwritten")
 
 
-def write_estimate(path: Path, replay: Replay) -> None:
+def write_estimate(path: Path, replay: Replay, overwrite: bool = False) -> None:
     """Write the estimates of a replay.
 
     A bag holds ``joint_estimate`` (estimate, covariance, innovations, stamps) beside the recording's own topics, with
@@ -76,11 +77,12 @@ def write_estimate(path: Path, replay: Replay) -> None:
     Args:
         path: of a new file, ``*.csv`` or ``*.mcap``.
         replay: of a recording.
+        overwrite: True replaces a file that is there.
 
     Raises:
         BadInput: the file exists, has another ending, or cannot be written.
     """
-    check_estimate(path)
+    check_estimate(path, overwrite)
     try:
         with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as aside:
             partial = Path(aside) / path.name

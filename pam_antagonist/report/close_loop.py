@@ -31,6 +31,7 @@ from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report.assumption import assumption
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import Shown
 from pam_antagonist.software import versions
 
 
@@ -114,8 +115,8 @@ class Settings:
     explained_share: float
 
 
-@dataclass(frozen=True)
-class CloseLoopReport:
+@dataclass(frozen=True, repr=False)
+class CloseLoopReport(Shown):
     """All numbers of a diagnosis.
 
     Attributes:

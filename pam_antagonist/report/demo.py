@@ -339,7 +339,7 @@ def _stiffness(replay: Replay) -> tuple[FloatArray, FloatArray]:
     """Reference and estimate of the stiffness at the estimates (N,) each [N m/rad]."""
     reference = replay.recording.reference
     assert reference is not None  # follow() has checked it
-    return held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness), -replay.run.rows["stiffness"]
+    return held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness), replay.run.rows["stiffness"]
 
 
 def _stiffness_figure(demo: Demo) -> Figure:

@@ -7,13 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.model import parameters as par
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.schema import Rig
-from pam_antagonist.strict_yaml import read_mapping, validated
+from pam_antagonist.strict_yaml import names, read_mapping, unknown, validated
 
 _LONGEST_CHAIN = 4
 _SWITCHES = ("consider", "sealed")
+_DOTTED = ("uncertainty", "priors", "bounds", "directions")
+_OPEN = (*_DOTTED, "effects", "signals", "encoder")
+"""Parts of a rig file to which keys may be added."""
 
 
 def rig_names() -> list[str]:
@@ -41,18 +45,71 @@ def load_rig(name_or_path: str | Path, regulators: bool = False) -> Rig:
         >>> rig.sample_period, rig.value("joint.inertia")
         (0.001, 0.0004263)
     """
+    if not isinstance(name_or_path, (str, Path)):
+        kind = type(name_or_path).__name__
+        raise BadInput(f"rig: found a value of type {kind}, expected a rig, its name, or the path of its file")
     path = _locate(str(name_or_path), Path())
-    content = _read_with_base(path)
-    rig = validated(Rig, content, str(path), _SWITCHES)
+    rig = checked(_read_with_base(path), str(path))
     if rig.drive == "regulator" and not regulators:
         raise BadInput(
             f"{path}: a rig with pressure regulators (drive: regulator), expected one with valves; "
             "the nodes, simulate, check, replay, identify and close_loop take such a rig"
         )
+    return rig
+
+
+def as_rig(rig: Rig | str | Path, regulators: bool = False) -> Rig:
+    """The rig itself. One that was made in Python is checked as a file is.
+
+    Args:
+        rig: a rig, its name, or its file.
+        regulators: as for :func:`load_rig`.
+
+    Raises:
+        BadInput: as :func:`load_rig`.
+    """
+    return checked(rig.plain(), f"rig {rig.name}") if isinstance(rig, Rig) else load_rig(rig, regulators)
+
+
+def checked(content: dict[str, Any], where: str) -> Rig:
+    """The rig with a content, which is checked.
+
+    Args:
+        content: of a rig file.
+        where: the file, for messages.
+
+    Raises:
+        BadInput: unknown or missing key, a value that is not physical.
+    """
+    rig = validated(Rig, content, where, _SWITCHES)
     complaint = unphysical(rig)
     if complaint:
-        raise BadInput(f"{path}: {complaint}")
+        raise BadInput(f"{where}: {complaint}")
     return rig
+
+
+def with_value(rig: Rig, name: str, value: Any) -> Rig:
+    """A rig with another value, see :meth:`Rig.with_value`.
+
+    Args:
+        rig: the rig.
+        name: dotted, as the file has it.
+        value: new value.
+
+    Raises:
+        BadInput: no such value, or one that the file could not have.
+    """
+    content, (head, *rest) = rig.plain(), name.split(".")
+    known = [*names(content), *map(str, par.INDEX)]
+    if name not in known and head not in _OPEN:
+        raise BadInput(f"rig {rig.name}: {unknown(name, known)}; expected the dotted name of a value in its file")
+    if head in _DOTTED:  # their keys are dotted names themselves
+        inner = 1 if head == "directions" else 0
+        rest = [*rest[:inner], ".".join(rest[inner:])]
+    change = value
+    for key in reversed([head, *rest]):
+        change = {key: change}
+    return checked(_overlaid(content, change), f"rig {rig.name}")
 
 
 def _locate(name_or_path: str, beside: Path) -> Path:

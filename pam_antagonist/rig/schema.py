@@ -13,11 +13,12 @@ from typing import Any, Dict, Literal, NamedTuple, Optional, Tuple  # noqa: UP03
 
 import numpy as np
 from pydantic import Field
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.strict_yaml import Strict
+from pam_antagonist.strict_yaml import Strict, unknown
 
 
 class Form(Strict):
@@ -307,22 +308,51 @@ class Rig(Strict):
     )
     tunings: Dict[str, Tuning]  # noqa: UP006
 
+    @override
+    def __repr__(self) -> str:
+        source = " ".join(self.source.split())[:200]
+        return f"Rig {self.name}: {self.drive} drive, {1.0 / self.sample_period:g} Hz; {source}"
+
+    __str__ = __repr__
+
     def value(self, name: str) -> float:
         """The number at a dotted path, such as ``muscle_1.force.w2``.
 
         Raises:
-            KeyError: no such number.
+            BadInput: no such number.
         """
-        if name.startswith("effects."):
-            _, effect, item = name.split(".")
-            known = next(entry for entry in CATALOGUE[effect].parameters if entry.name == item)
-            return float(self.effects.get(effect, {}).get(item, known.neutral))
         node: Any = self
-        for part in name.split("."):
-            if not hasattr(node, part):
-                raise KeyError(name)
-            node = getattr(node, part)
-        return math.inf if node is None else float(node)
+        head, *rest = name.split(".")
+        try:
+            if head == "effects":
+                effect, item = rest
+                known = next(entry for entry in CATALOGUE[effect].parameters if entry.name == item)
+                return float(self.effects.get(effect, {}).get(item, known.neutral))
+            for part in (head, *rest):
+                node = getattr(node, part)
+            return math.inf if node is None else float(node)
+        except (AttributeError, KeyError, StopIteration, TypeError, ValueError):
+            raise BadInput(f"rig {self.name}: {unknown(name, par.INDEX)}; expected the name of a number") from None
+
+    def with_value(self, name: str, value: Any) -> Rig:
+        """This rig with another value, checked as a rig file is.
+
+        Args:
+            name: dotted, as the file has it: ``muscle_1.force.w2``, ``effects.leak.area_1``, ``sensors.pressure_std``,
+                ``uncertainty.joint.inertia``.
+            value: new value, in the unit of the file; None where the file may have null.
+
+        Raises:
+            BadInput: no such value (the message names the nearest one), or one that the file could not have.
+
+        Example:
+            >>> from pam_antagonist import load_rig
+            >>> load_rig("shin2022").with_value("joint.inertia", 0.02).value("joint.inertia")
+            0.02
+        """
+        from pam_antagonist.rig.load import with_value  # which imports this module
+
+        return with_value(self, name, value)
 
     @property
     def command_limits(self) -> tuple[float, float]:

@@ -4,18 +4,36 @@ from __future__ import annotations
 
 import csv
 import doctest
+import html
 import importlib
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pam_antagonist
-from pam_antagonist import BadInput, Estimator, Recording, ReplayResult, check, load_rig, read_bag, replay, simulate
+from pam_antagonist import (
+    BadInput,
+    Estimator,
+    Recording,
+    ReplayResult,
+    check,
+    diagnose,
+    identify,
+    load_rig,
+    read_bag,
+    replay,
+    simulate,
+    write_bag,
+)
 from pam_antagonist.api import given
+from pam_antagonist.replays.table import columns
 from pam_antagonist.rig import Rig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -101,6 +119,93 @@ def test_a_replay_is_saved_as_report_table_and_bag(replayed: ReplayResult, tmp_p
         with pytest.raises(BadInput, match="exists"):
             replayed.save(tmp_path / path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["estimate.csv", "estimate.mcap", "report"]
+
+
+def test_an_earlier_result_is_replaced_where_that_is_typed(replayed: ReplayResult, tmp_path: Path) -> None:
+    for _ in range(2):
+        replayed.save(tmp_path / "estimate.csv", overwrite=True)
+        replayed.save(tmp_path / "report", figures=False, overwrite=True)
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(BadInput, match="exists"):
+        replayed.save(tmp_path / "mine", overwrite=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["estimate.csv", "mine", "report"]
+
+
+def test_results_are_short_in_a_console_and_tables_in_a_notebook(replayed: ReplayResult, free: Recording) -> None:
+    for item in (replayed, replayed.report, replayed.run, free, replayed.rig):
+        assert len(repr(item)) <= 500 and "\n" not in repr(item)
+    assert re.match(r"ReplayResult: .*joint free, rig shin2022; angle RMSE 0\.\d+° \(model alone", repr(replayed))
+    assert replayed._repr_html_() == f"<pre>{html.escape(replayed.summary())}</pre>"
+
+
+def test_a_value_of_a_rig_is_changed_and_checked_as_in_its_file(rig: Rig) -> None:
+    assert rig.with_value("joint.inertia", 0.02).joint == rig.joint.replaced(inertia=0.02)
+    assert rig.with_value("effects.leak.area_1", 1e-9).effects == {"leak": {"area_1": 1e-9}}
+    assert rig.with_value("uncertainty.friction.shaft", 1e-3).uncertainty["friction.shaft"] == 1e-3
+    assert rig.with_value("muscle_1.force.w1", -500.0).muscle_2 == rig.muscle_2
+    for name, value, said in (
+        ("joint.inertia", -5.0, "joint.inertia: .* greater than"),
+        ("joint.inertia", True, "yes or no"),
+        ("joint.inertai", 0.02, "did you mean 'joint.inertia'"),
+        ("joint__inertia", 0.02, "did you mean 'joint.inertia'"),
+        ("inertia", 0.02, "did you mean 'joint.inertia'"),
+        ("effects.leek.area_1", 1e-9, "did you mean 'leak'"),
+        ("effects.leak.area1", 1e-9, "did you mean 'area_1'"),
+        ("effects.leak.area_1", 1.0, "expected 0 to 5e-08 m2"),
+        ("uncertainty.joint.inertai", 1e-5, "did you mean 'joint.inertia'"),
+        ("supply.pressure", 100e3, "supply.pressure"),
+        ("tunings.default.gat", 6.0, "did you mean 'tunings.default.gate'"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            rig.with_value(name, value)
+    for change, said in (({"joint__inertia": 0.5}, "joint.inertia.*with_value"), ({"joints": 0.5}, "'joint'")):
+        with pytest.raises(BadInput, match=said):
+            rig.replaced(**change)
+    with pytest.raises(BadInput, match="Joint.replaced: inertia: .* greater than"):
+        rig.joint.replaced(inertia=-5.0)
+    with pytest.raises(BadInput, match="joint.inertia"):
+        simulate(rig.unchecked(joint=rig.joint.unchecked(inertia=-5.0)), duration=0.1)
+
+
+def test_stiffness_has_one_sign(replayed: ReplayResult) -> None:
+    """Positive where the muscles pull back, as on pages and in references."""
+    assert columns(replayed)["stiffness_Nm_rad"].min() > 1.0
+
+
+def _wrong_arguments() -> dict[str, tuple[Callable[[Recording, Rig], object], str]]:
+    return {
+        "replay swapped": (lambda bag, rig: replay(rig, bag), "rig: found a value of type Recording"),
+        "replay an array": (lambda bag, rig: replay(bag.pressure, rig), "recording: found a value of type ndarray"),
+        "replay a list": (lambda bag, rig: replay([bag], rig), "recording: found a value of type list"),
+        "replay kPa": (lambda bag, rig: replay(replace(bag, pressure=bag.pressure / 1e3), rig), "looks like kPa"),
+        "replay percent": (lambda bag, rig: replay(replace(bag, voltage=bag.voltage * 10), rig), "percent"),
+        "replay from": (lambda bag, rig: replay(bag, rig, begin_s="a"), "begin_s 'a': expected a number"),
+        "lock angle": (lambda bag, rig: replay(bag, rig, joint="locked", lock_angle="a"), "lock_angle 'a'"),
+        "identify nothing": (lambda bag, rig: identify([], rig), "no recording"),
+        "identify None": (lambda bag, rig: identify(None, rig), "recording: found a value of type NoneType"),
+        "identify kPa": (lambda bag, rig: identify(replace(bag, pressure=bag.pressure / 1e3), rig), "looks like kPa"),
+        "diagnose degrees": (lambda bag, rig: diagnose(replace(bag, angle=90.0 + 0.0 * bag.angle), rig), "degrees"),
+        "check a number": (lambda bag, rig: check(5, rig), "bag: found a value of type int"),
+        "estimator": (lambda bag, rig: Estimator(bag), "rig: found a value of type Recording"),
+        "read": (lambda bag, rig: read_bag(None), "bag: found a value of type NoneType"),
+        "load": (lambda bag, rig: load_rig(rig), "rig: found a value of type Rig"),
+        "voltages": (lambda bag, rig: simulate(rig, "steps"), "voltage: expected numbers"),
+        "percent": (lambda bag, rig: simulate(rig, np.full((5, 2), 55.0)), "voltage 1 is 55"),
+        "duration": (lambda bag, rig: simulate(rig, duration=-1.0), "duration -1.0: expected 0.001"),
+        "seed": (lambda bag, rig: simulate(rig, duration=0.1, seed=-1), "seed -1"),
+        "slice": (lambda bag, rig: bag.slice("a", 1.0), "start_s 'a'"),
+        "no sample": (lambda bag, rig: bag.slice(70.0, 80.0), "no sample"),
+        "seconds": (lambda bag, rig: Recording("x", bag.time_s, bag.pressure, bag.voltage), "whole numbers of ns"),
+        "write": (lambda bag, rig: write_bag("x", rig), "recording: found a value of type Rig"),
+    }
+
+
+@pytest.mark.parametrize("what", _wrong_arguments())
+def test_a_wrong_argument_is_refused_in_one_sentence(what: str, free: Recording, rig: Rig) -> None:
+    call, said = _wrong_arguments()[what]
+    with pytest.raises(BadInput, match=said) as refusal:
+        call(free.slice(0.0, 2.0), rig)
+    assert "\n" not in str(refusal.value)
 
 
 def test_results_are_tables(replayed: ReplayResult, free: Recording) -> None:

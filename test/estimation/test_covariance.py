@@ -28,6 +28,7 @@ def test_stays_finite_and_definite_whatever_the_sensors_say(samples, tuning, joi
     pressure = np.array([(a, b) for a, b, _, _ in samples])
     pressure[0] = 4e5
     voltage = np.array([(u, 10.0 - u) for _, _, u, _ in samples])
+    voltage[0] = 5.0
     run = Estimator(RIG, tuning, joint).run(stamps, pressure, voltage)
     assert len(run.rows) > 0
     for row in run.rows:
@@ -66,8 +67,8 @@ def test_stiffness_and_forces_belong_to_the_estimate() -> None:
     left[0] -= 1e-6
     right[0] += 1e-6
     slope = (dynamics.torque(right, p) - dynamics.torque(left, p)) / 2e-6
-    assert row["stiffness"] == pytest.approx(slope, rel=1e-6)
-    assert row["stiffness"] < 0.0  # muscles pull back
+    assert row["stiffness"] == pytest.approx(-slope, rel=1e-6)
+    assert row["stiffness"] > 0.0  # muscles pull back
 
 
 def test_intervals_cover_the_truth_of_scattered_plants() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import transcription as paper
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import load_rig
 
@@ -84,6 +85,12 @@ def test_derived_constants_follow_a_change(rig):
     assert changed[par.CRITICAL_RATIO] == pytest.approx((2 / 2.667) ** (1.667 / 0.667), rel=1e-14)
     helium = {**paper.CORRECTED, "k": 1.667, "R": 2077.0}
     assert changed[par.CHOKED_FLOW] * 7e5 == pytest.approx(paper.nozzle(helium, 7e5, 1e5), rel=1e-12)
+
+
+def test_a_number_that_does_not_exist_is_refused_with_the_nearest_one(rig):
+    for name, nearest in (("joint.inertai", "joint.inertia"), ("effects.leak.area1", "effects.leak.area_1")):
+        with pytest.raises(BadInput, match=f"unknown '{name}'.*did you mean '{nearest}'"):
+            rig.value(name)
 
 
 def test_changes_leave_the_rig_alone(rig):

@@ -260,7 +260,7 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
             health = probe.node.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
             probe.until(lambda: all(map(probe.matched, names)) and health.get_subscription_count() > 0, 20.0, "a page")
             assert watch.look() == "" and watch.report()["absent"] == ""
-            estimate = probe.publisher("joint_estimate").msg_type(angle=0.2, torque=1.5, nis=2.0, stiffness=-6.0)
+            estimate = probe.publisher("joint_estimate").msg_type(angle=0.2, torque=1.5, nis=2.0, stiffness=6.0)
             estimate.external_torque, estimate.external_torque_covariance[3] = 0.3, 0.04
             estimate.covariance[0], estimate.covariance[8] = 0.0004, 0.01
             messages = {

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 
 STAMPS = np.arange(5) * 10**6 + 10**18
@@ -33,16 +34,18 @@ def estimate(stamps=STAMPS) -> RecordedEstimate:
         ({"angle": np.ones((5, 1))}, r"angle has shape \(5, 1\), expected \(5\)"),
         ({"stamp_ns": STAMPS[[0, 1, 1, 2, 3]]}, "stamp_ns is not strictly increasing at index 2"),
         ({"stamp_ns": STAMPS[:0]}, "needs a sample"),
+        ({"stamp_ns": np.arange(5) * 1e-3}, "stamp_ns: expected whole numbers of ns; of seconds, give"),
+        ({"pressure": [["a", "b"]] * 5}, "pressure: expected numbers"),
         ({"received_ns": {"pressure_1": Arrival(STAMPS, STAMPS[:3])}}, r"received_ns\['pressure_1'\].stamp_ns"),
     ],
 )
 def test_inconsistent_arrays_are_refused(changes, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(BadInput, match=said):
         recording(**changes)
 
 
 def test_estimate_is_validated() -> None:
-    with pytest.raises(ValueError, match="estimate.stamp_ns is not strictly increasing"):
+    with pytest.raises(BadInput, match="estimate.stamp_ns is not strictly increasing"):
         estimate(STAMPS[::-1])
 
 
@@ -86,7 +89,7 @@ def test_slice_cuts_everything_at_the_same_times() -> None:
     np.testing.assert_array_equal(part.received_ns["pressure_1"].log_ns, STAMPS[1:3] + 9)
     assert part.torque is None
     np.testing.assert_array_equal(whole.slice(0.0, np.inf).stamp_ns, STAMPS)
-    with pytest.raises(ValueError, match="no sample between 7"):
+    with pytest.raises(BadInput, match="no sample between 7"):
         whole.slice(7.0, 8.0)
 
 

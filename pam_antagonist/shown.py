@@ -1,0 +1,43 @@
+"""How results look in a console and in a notebook."""
+
+from __future__ import annotations
+
+import html
+import reprlib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+from typing_extensions import override
+
+_LONGEST = 500
+_VALUE = 40
+
+
+class Shown:
+    """A result with a short ``repr``, and its tables in a notebook. Its dataclass needs ``repr=False``."""
+
+    def _brief(self) -> str:
+        """What the result is, in a line or a few; fields with their values, or with the size of what they hold."""
+        return ", ".join(f"{item.name} {_short(getattr(self, item.name))}" for item in fields(self))  # type: ignore[arg-type]
+
+    @override
+    def __repr__(self) -> str:
+        text = f"{type(self).__name__}: {self._brief()}"
+        return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 4]} ..."
+
+    def _repr_html_(self) -> str:
+        """The tables of the command, for a notebook."""
+        summary = getattr(self, "summary", None)
+        return f"<pre>{html.escape(repr(self) if summary is None else summary())}</pre>"
+
+
+def _short(value: Any) -> str:
+    shape = getattr(value, "shape", ())
+    if shape:
+        return f"({', '.join(map(str, shape))})"
+    if value is None or isinstance(value, (str, int, float)):
+        return reprlib.repr(value)[:_VALUE]
+    if isinstance(value, (Sequence, Mapping)):
+        return f"[{len(value)}]"
+    return type(value).__name__
