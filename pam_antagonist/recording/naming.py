@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from ..errors import BadInput
 from .messages import stores_of
+from .notes import Issue
 from .raw import Channel, RawTopic
 from .storage import RawBag
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
@@ -62,8 +63,8 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
             chosen[name] = bag.topics[actual]
         elif needed:
             raise BadInput(f"{bag.path}: {problem}{_hint(bag, topic, actual, namespace)}")
-        elif actual in bag.topics and len(bag.topics[actual].log_ns):
-            bag.issues.append(f"{problem}: left out")
+        elif actual in bag.topics and (len(bag.topics[actual].log_ns) or name.startswith("measured")):
+            bag.issues.append(Issue(f"{problem}: left out", "missing"))
     return chosen
 
 

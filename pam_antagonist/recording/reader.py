@@ -138,6 +138,9 @@ def _read(
     if restarts == "last":
         _cut(chosen, bag.issues)
     for topic in chosen.values():
+        if corrections.align_clocks and not np.any(topic.stamp_ns):
+            topic.stamp_ns = topic.log_ns.copy()
+            bag.issues.append(Issue(f"{topic.actual} without stamps: took the times of reception", "clock"))
         _sort(path, topic, bag.issues)
     _one_clock(path, chosen, bag.issues, corrections.align_clocks)
     drive = "valve" if "valve_state" in chosen else "regulator"
@@ -224,17 +227,19 @@ def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
 
 
 def _one_clock(path: Path, chosen: Mapping[str, _Topic], issues: list[str], align: bool) -> None:
-    """Judge whether one clock stamps all topics that a recording is made from; shift those of another clock."""
+    """Judge whether one clock stamps all topics that a recording is made from; pair topics as asked."""
     names = [name for name in (*_COMPARED, "measured_joint_states", "angle_sensor")
              if name in chosen and len(chosen[name].keep)]  # fmt: skip
     times = {chosen[name].actual: (chosen[name].arrival.log_ns, chosen[name].arrival.stamp_ns) for name in names}
     shifts = stamps.clock_shifts(str(path), times, issues, align)
     samples = chosen[names[0]].arrival.stamp_ns
-    for topic in (chosen[name] for name in names if chosen[name].actual in shifts):
-        topic.stamp_ns = topic.stamp_ns + shifts[topic.actual]
+    for topic in (chosen[name] for name in names[1:] if align):
+        its = topic.arrival.stamp_ns + shifts.get(topic.actual, 0)
         if not topic.name.startswith("measured") and len(samples) > 1:
-            topic.stamp_ns[topic.keep] = stamps.nearest(topic.arrival.stamp_ns, samples)
-            topic.keep = topic.keep[np.diff(topic.arrival.stamp_ns, prepend=0) > 0]
+            its = stamps.nearest(its, samples)
+        topic.stamp_ns = topic.stamp_ns.copy()
+        topic.stamp_ns[topic.keep] = its
+        topic.keep = topic.keep[np.diff(its, prepend=0) > 0]
 
 
 @dataclass(frozen=True)
@@ -355,6 +360,10 @@ def _choose_joint(bag: RawBag, topic: _Topic, joint: str | None, chosen: Mapping
             its = np.ones(len(group.rows), bool)
             if not unnamed:
                 its = group.columns[f"name[{index}]"] == (joint or names[0]).encode()
+            if np.any(there[group.rows[its]]):
+                raise BadInput(
+                    f"{bag.path}: {topic.actual} names {joint or names[0]} twice in one message, expected once"
+                )
             there[group.rows[its]] = True
             for field, values in result.items():
                 if index < group.counts[field]:
@@ -404,10 +413,13 @@ def _validation(
             text = f"{alone} values of {what} on {topic.actual} belong to no sample: left out"
             bag.issues.append(Issue(text, "dropped", alone))
         return stamps.spread(samples, stamp_ns, values)
+    result = stamps.interpolate(samples, stamp_ns, values)
+    if not np.any(np.isfinite(result)):
+        bag.issues.append(Issue(f"no sample has a value of {what} on {topic.actual}", "missing", len(samples)))
+        return None
     text = f"{what} on {topic.actual} has stamps of its own: interpolated at the samples"
     bag.issues.append(Issue(text, "resampled", len(stamp_ns)))
-    result = stamps.interpolate(samples, stamp_ns, values)
-    return result if np.any(np.isfinite(result)) else None
+    return result
 
 
 def _estimate(topic: _Topic) -> RecordedEstimate:
