@@ -16,7 +16,7 @@ from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
 from .messages import stores_of
-from .naming import READ_TOPICS, choose_topics, joints_in
+from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
 from .notes import Issue
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
@@ -25,9 +25,6 @@ from .storage import RawBag, read_raw, unpack_messages
 from .topics import STATE_TOPICS, TOPICS
 
 Floats = NDArray[np.float64]
-
-_MOST_RIGS = 100  # messages of the topic rig that are read, the last ones; each restart of a node adds one
-_TEXT_HEAD = 8  # [bytes] of a std_msgs/String in CDR before its text: encapsulation, and length with the closing zero
 
 
 @dataclass
@@ -132,9 +129,10 @@ def _read(
     types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
     bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
     chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
-    for name in ("measured_joint_states", "angle_sensor"):
-        if name in chosen:
-            _choose_joint(bag, chosen[name], joint_name, chosen)
+    live = chosen["joint_states"].decoded if "joint_states" in chosen else None
+    for topic in (chosen[name] for name in ("measured_joint_states", "angle_sensor") if name in chosen):
+        topic.joint, there = values_of_joint(bag, topic.actual, topic.decoded, joint_name, live)
+        topic.keep = topic.keep[there[topic.keep]]
     if restarts == "last":
         _cut(chosen, bag.issues)
     for topic in chosen.values():
@@ -155,7 +153,7 @@ def _read(
     angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, convert)
     external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
     estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
-    sensor = chosen.get("angle_sensor")
+    sensor, further = chosen.get("angle_sensor"), signals.read_signals(bag, beside, samples, also)
     return Recording(
         path=path,
         stamp_ns=samples,
@@ -170,10 +168,10 @@ def _read(
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
         issues=Issue.sorted(bag.issues),
-        rigs=_rig_texts(bag, chosen[state].actual),
+        rigs=signals.rig_texts(bag, beside),
         checkpoints=() if remembered is None else checkpoints.read(remembered.decoded, remembered.keep),
         namespace=_own_namespace(bag, state, chosen[state].actual),
-        signals=signals.read_signals(bag, beside, samples, also),
+        signals=further,
         episode_ns=episode_ns,
         drive=drive,
     )
@@ -332,56 +330,6 @@ def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Flo
     return stamps.spread(samples, stamp_ns, topic.values("position"))
 
 
-def _choose_joint(bag: RawBag, topic: _Topic, joint: str | None, chosen: Mapping[str, _Topic]) -> None:
-    """Reduce a JointState topic to the messages and values of one joint."""
-    names = _joint_names(topic.decoded)
-    listed = ", ".join(names) or "no names"
-    if joint is not None and joint not in names:
-        raise BadInput(f"{bag.path}: {topic.actual} has no joint {joint!r}; it has {listed}")
-    if joint is None and len(names) > 1:
-        live = _joint_names(chosen["joint_states"].decoded) if "joint_states" in chosen else []
-        if len(live) != 1 or live[0] not in names:
-            raise BadInput(
-                f"{bag.path}: {topic.actual} holds {len(names)} joints ({listed}), expected to know which one it is; "
-                f"type --joint-name with one of these names, such as --joint-name {names[0]}"
-            )
-        joint = live[0]
-        text = f"{topic.actual} holds {len(names)} joints ({listed}): took {joint}, the joint of the estimator"
-        bag.issues.append(Issue(text, size=len(names)))
-    result = {"position": np.full(topic.decoded.size, np.nan), "effort": np.full(topic.decoded.size, np.nan)}
-    there = np.zeros(topic.decoded.size, bool)
-    for group in topic.decoded.groups:
-        unnamed = group.counts["name"] == 0
-        if unnamed and (many := max(group.counts[field] for field in result)) > 1:
-            raise BadInput(
-                f"{bag.path}: {topic.actual} holds {many} joints without names, expected names that tell which is which"
-            )
-        for index in range(max(1, group.counts["name"])):
-            its = np.ones(len(group.rows), bool)
-            if not unnamed:
-                its = group.columns[f"name[{index}]"] == (joint or names[0]).encode()
-            if np.any(there[group.rows[its]]):
-                raise BadInput(
-                    f"{bag.path}: {topic.actual} names {joint or names[0]} twice in one message, expected once"
-                )
-            there[group.rows[its]] = True
-            for field, values in result.items():
-                if index < group.counts[field]:
-                    values[group.rows[its]] = group.columns[field][its, index]
-    topic.joint, topic.keep = result, topic.keep[there[topic.keep]]
-
-
-def _joint_names(decoded: Decoded) -> list[str]:
-    """Joint names, sorted."""
-    found = {
-        name
-        for group in decoded.groups
-        for index in range(group.counts["name"])
-        for name in np.unique(group.columns[f"name[{index}]"]).tolist()
-    }
-    return sorted(name.decode(errors="replace") for name in found)
-
-
 _SHOWN = {"position": "angle (field position)", "effort": "torque (field effort)"}
 """Fields of a JointState in words, for messages."""
 
@@ -431,31 +379,3 @@ def _estimate(topic: _Topic) -> RecordedEstimate:
 def _reference(topic: _Topic) -> RecordedReference:
     further = (topic.values_or_nan(name) for name in ("stiffness", "damping"))
     return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"), *further)
-
-
-def _rig_texts(bag: RawBag, valve_state: str) -> tuple[str, ...]:
-    """Texts of the topic ``rig``, in the order of reception; none where the topic is missing or not readable.
-
-    Args:
-        bag: the bag.
-        valve_state: the bag's name of the topic ``valve_state`` or ``pressure_state``, whose namespace ``rig`` shares.
-    """
-    topic = TOPICS["rig"]
-    raw = bag.topics.get(valve_state.rpartition("/")[0] + f"/{topic.relative}")
-    if raw is None or raw.channel.msgtype != topic.type or raw.channel.encoding != "cdr":
-        return ()
-    try:
-        payloads = unpack_messages(raw).payloads
-    except CompressionError:
-        return ()
-    if payloads is None:
-        return ()
-    texts: dict[str, None] = {}
-    stop = payloads.length.cumsum().tolist()
-    for k in raw.log_ns.argsort(kind="stable")[-_MOST_RIGS:].tolist():
-        message = payloads.data[stop[k] - int(payloads.length[k]) : stop[k]].tobytes()
-        order = "little" if message[1:2] == b"\x01" else "big"
-        size = int.from_bytes(message[4:_TEXT_HEAD], order)  # type: ignore[arg-type]
-        if 0 < size <= len(message) - _TEXT_HEAD:
-            texts[message[_TEXT_HEAD : _TEXT_HEAD + size - 1].decode(errors="replace")] = None
-    return tuple(texts)
