@@ -17,7 +17,7 @@ from .compression import CompressionError
 from .corrections import Corrections
 from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
-from .notes import Issue
+from .notes import Issue, noted_issues
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
@@ -128,6 +128,8 @@ def _read(
         raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
     types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
     bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
+    if path.is_dir():
+        bag.issues += noted_issues(path)
     chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
     live = chosen["joint_states"].decoded if "joint_states" in chosen else None
     for topic in (chosen[name] for name in ("measured_joint_states", "angle_sensor") if name in chosen):
@@ -299,9 +301,9 @@ def _samples(
         values = convert.of(topic.actual, what, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
         others = [other.arrival.stamp_ns for other in chosen.values() if other is not topic]
-        paired = np.isin(stamp_ns, np.concatenate(others)) if others else np.ones(len(stamp_ns), bool)
-        if np.count_nonzero(~paired) > 0.1 * len(stamp_ns) and np.any(paired):
-            for column in values.reshape(len(values), -1).T:
+        if others and len(stamp_ns) > 1.1 * min(map(len, others)):
+            paired = np.isin(stamp_ns, np.concatenate(others))
+            for column in values.reshape(len(values), -1).T if np.any(paired) else ():
                 stamps.judge_publishers(where, topic.actual, stamp_ns, column, paired)
         columns[name] = np.column_stack(
             [stamps.spread(samples, stamp_ns, column) for column in values.reshape(len(values), -1).T]
