@@ -16,7 +16,7 @@ from .csv_map import ALSO, CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
 from .notes import REGULATOR, SEALED, Issue
-from .plausible import unwrapped
+from .plausible import NO_VALUE, unwrapped
 from .recording import Recording
 from .resets import resets
 from .signals import FurtherSignal
@@ -191,7 +191,7 @@ def _signals(
             continue
         entry = mapping.entry(name)
         values = cells[keep] * entry.scale + entry.offset
-        infinite = np.isinf(values)
+        infinite = np.abs(values) >= NO_VALUE
         if np.any(infinite):
             issues.append(f"{np.count_nonzero(infinite)} cells of {table.labels[name]} are infinite: left out")
             values[infinite] = np.nan
