@@ -108,7 +108,7 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
         return recording
     try:
         return recording.slice(begin, float("inf") if end is None else end)
-    except ValueError:
+    except BadInput:
         raise BadInput(
             f"{where}: no row from time.begin {begin:g} to time.end {end}, the file has {recording.duration_s:.3f} s"
         ) from None
