@@ -17,7 +17,7 @@ from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map_names
-from pam_antagonist.recording.notes import write_notes
+from pam_antagonist.recording.notes import issues_note, write_notes
 
 _DESCRIPTION = """\
 Convert a file with columns to a recording: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
@@ -67,7 +67,7 @@ def _main(arguments: argparse.Namespace) -> int:
         if len(recording) >= _LONG and sys.stderr.isatty():
             print(f"writing {len(recording):,} samples ...", file=sys.stderr)
         write_bag(folder, recording)
-        write_notes(folder, notes(arguments.file, mapping))
+        write_notes(folder, notes(arguments.file, mapping) | issues_note(recording.issues))
     print(_summary(recording, mapping, arguments))
     return common.DONE
 

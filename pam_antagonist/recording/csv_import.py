@@ -16,7 +16,7 @@ from .csv_map import ALSO, CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
 from .notes import REGULATOR, SEALED, Issue
-from .plausible import unwrapped
+from .plausible import NO_VALUE, unwrapped
 from .recording import Recording
 from .resets import resets
 from .signals import FurtherSignal
@@ -108,7 +108,7 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
         return recording
     try:
         return recording.slice(begin, float("inf") if end is None else end)
-    except ValueError:
+    except BadInput:
         raise BadInput(
             f"{where}: no row from time.begin {begin:g} to time.end {end}, the file has {recording.duration_s:.3f} s"
         ) from None
@@ -191,7 +191,7 @@ def _signals(
             continue
         entry = mapping.entry(name)
         values = cells[keep] * entry.scale + entry.offset
-        infinite = np.isinf(values)
+        infinite = np.abs(values) >= NO_VALUE
         if np.any(infinite):
             issues.append(f"{np.count_nonzero(infinite)} cells of {table.labels[name]} are infinite: left out")
             values[infinite] = np.nan

@@ -299,6 +299,8 @@ class _Reader:
             return "; dates and times of day are not read: give time: {rate: ROWS_PER_SECOND} in place of the column"
         if other and other not in ("','", "space"):
             return f"; is the delimiter {other}?"
+        if self.head.names is not None and cell.strip() in self.head.names:
+            return "; the header again, as of several recordings in one file? cut it there"
         if first and self.head.names is not None:
             return "; a line of units? give file.skip_after_header: 1"
         return "; a cell that means no value can be listed under file.missing"

@@ -189,7 +189,8 @@ def _check_period(where: str, label: str, unit: str, cells: NDArray[np.float64])
         return
     fits = {name: abs(np.log(step * factor / _USUAL_PERIOD)) for name, factor in UNITS["time"].items()
             if _SHORTEST_PERIOD <= step * factor <= _LONGEST_PERIOD}  # fmt: skip
-    hint = f"; steps of {step:.4g} look like {min(fits, key=lambda name: fits[name])}" if fits else ""
+    names = " or ".join(sorted(fits, key=lambda name: fits[name])[:2])
+    hint = f"; steps of {step:.4g} look like {names}" if fits else ""
     counter = "; if it only counts rows, give time: {rate: ROWS_PER_SECOND} in place of it" if step == 1.0 else ""
     raise BadInput(
         f"{where}: {label} declared in {unit} makes {period:.4g} s between rows, expected {_SHORTEST_PERIOD:g} to "

@@ -1,14 +1,21 @@
-"""Find the package's topics in a bag: namespaces, other names, missing topics and wrong types."""
+"""Find the package's topics in a bag, and its joint in a topic: namespaces, names, missing topics, wrong types."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..errors import BadInput
+from .cdr import Decoded
 from .messages import stores_of
+from .notes import Issue
 from .raw import Channel, RawTopic
 from .storage import RawBag
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
+
+Floats = NDArray[np.float64]
 
 READ_TOPICS = tuple(name for name in TOPICS if name not in ("diagnostics", "rig", "external_torque"))
 """Logical names of the topics that a recording is made from."""
@@ -62,8 +69,8 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
             chosen[name] = bag.topics[actual]
         elif needed:
             raise BadInput(f"{bag.path}: {problem}{_hint(bag, topic, actual, namespace)}")
-        elif actual in bag.topics and len(bag.topics[actual].log_ns):
-            bag.issues.append(f"{problem}: left out")
+        elif actual in bag.topics and (len(bag.topics[actual].log_ns) or name.startswith("measured")):
+            bag.issues.append(Issue(f"{problem}: left out", "missing"))
     return chosen
 
 
@@ -192,3 +199,65 @@ def _list(bag: RawBag) -> str:
     names = [f"{name} ({raw.channel.msgtype})" for name, raw in sorted(bag.topics.items())]
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return f"the topics in it are {', '.join(names[:_LISTED])}{more}"
+
+
+def values_of_joint(
+    bag: RawBag, topic: str, decoded: Decoded, joint: str | None, live: Decoded | None
+) -> tuple[dict[str, Floats], NDArray[np.bool_]]:
+    """Values of one joint of a JointState topic, by its name.
+
+    Args:
+        bag: The bag; its issues tell which of several joints was taken.
+        topic: Name of the topic in the bag.
+        decoded: Its messages.
+        joint: Name of the joint; None for the only one, or for that of the estimator.
+        live: Messages of the estimator's ``joint_states``, or None.
+
+    Returns:
+        Position [rad] and effort [N m] of all messages, NaN where a message has none, and which messages name it.
+
+    Raises:
+        BadInput: No such joint, or several, of which none was chosen or some have no name of their own.
+    """
+    names = _joint_names(decoded)
+    listed = ", ".join(names) or "no names"
+    if joint is not None and joint not in names:
+        raise BadInput(f"{bag.path}: {topic} has no joint {joint!r}; it has {listed}")
+    if joint is None and len(names) > 1:
+        estimated = [] if live is None else _joint_names(live)
+        if len(estimated) != 1 or estimated[0] not in names:
+            raise BadInput(
+                f"{bag.path}: {topic} holds {len(names)} joints ({listed}), expected to know which one it is; type "
+                f"--joint-name with one of these names, such as --joint-name {names[0]}"
+            )
+        joint = estimated[0]
+        text = f"{topic} holds {len(names)} joints ({listed}): took {joint}, the joint of the estimator"
+        bag.issues.append(Issue(text, size=len(names)))
+    result = {"position": np.full(decoded.size, np.nan), "effort": np.full(decoded.size, np.nan)}
+    there = np.zeros(decoded.size, bool)
+    for group in decoded.groups:
+        unnamed = group.counts["name"] == 0
+        if unnamed and (many := max(group.counts[field] for field in result)) > 1:
+            raise BadInput(f"{bag.path}: {topic} holds {many} joints without names, expected a name for each")
+        for index in range(max(1, group.counts["name"])):
+            its = np.ones(len(group.rows), bool)
+            if not unnamed:
+                its = group.columns[f"name[{index}]"] == (joint or names[0]).encode()
+            if np.any(there[group.rows[its]]):
+                raise BadInput(f"{bag.path}: {topic} names {joint or names[0]} twice in one message, expected once")
+            there[group.rows[its]] = True
+            for field, values in result.items():
+                if index < group.counts[field]:
+                    values[group.rows[its]] = group.columns[field][its, index]
+    return result, there
+
+
+def _joint_names(decoded: Decoded) -> list[str]:
+    """Joint names, sorted."""
+    found = {
+        name
+        for group in decoded.groups
+        for index in range(group.counts["name"])
+        for name in np.unique(group.columns[f"name[{index}]"]).tolist()
+    }
+    return sorted(name.decode(errors="replace") for name in found)

@@ -65,6 +65,38 @@ distinguishes these voltages from those of closed valves. No command of this pac
 what drives the joint."""
 
 
+ISSUES = "pam_antagonist.issues"
+"""Name of the note that lists what was found when a table was imported: a line with kind, size and text for each."""
+_IN_THE_BAG = ("hole", "missing")  # found again when the bag is read
+
+
+def issues_note(issues: Iterable[Issue]) -> dict[str, str]:
+    """The note of what the import found and a bag does not show; none where there is nothing.
+
+    Args:
+        issues: of the imported recording.
+    """
+    lines = [f"{issue.kind} {issue.size} {issue}" for issue in issues if issue.kind not in _IN_THE_BAG]
+    return {ISSUES: "\n".join(lines)} if lines else {}
+
+
+def noted_issues(path: Path) -> list[Issue]:
+    """What the import of a bag found, according to its note.
+
+    Args:
+        path: folder of the bag.
+
+    Raises:
+        BadInput: The metadata cannot be read.
+    """
+    lines = [line.split(" ", 2) for line in read_notes(path).get(ISSUES, "").splitlines()]
+    return [
+        Issue(f"import: {line[2]}", line[0], int(line[1]))
+        for line in lines
+        if len(line) == 3 and line[0] in KINDS and line[1].isdecimal()
+    ]
+
+
 def write_notes(path: Path, notes: Mapping[str, str]) -> None:
     """Add notes to a bag.
 

@@ -26,6 +26,10 @@ MAX_TORQUE = 1e3
 """Largest plausible joint torque [N m]."""
 
 
+NO_VALUE = 1e30
+"""Instruments write a larger number, such as 9.91e37, where there is no value."""
+
+
 def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Floats:
     """Values with NaN for everything that is not finite.
 
@@ -35,7 +39,7 @@ def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Flo
         values: any numbers (N,) or (N, 2).
         issues: gets a sentence where values were left out.
     """
-    bad = ~np.isfinite(values)
+    bad = ~(np.abs(values) < NO_VALUE)
     if not np.any(bad):
         return values
     issues.append(f"{np.count_nonzero(bad)} of {values.size} values of {what} on {topic} are not finite: left out")

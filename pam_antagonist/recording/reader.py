@@ -16,8 +16,8 @@ from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
 from .messages import stores_of
-from .naming import READ_TOPICS, choose_topics, joints_in
-from .notes import Issue
+from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
+from .notes import Issue, noted_issues
 from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
@@ -25,9 +25,6 @@ from .storage import RawBag, read_raw, unpack_messages
 from .topics import STATE_TOPICS, TOPICS
 
 Floats = NDArray[np.float64]
-
-_MOST_RIGS = 100  # messages of the topic rig that are read, the last ones; each restart of a node adds one
-_TEXT_HEAD = 8  # [bytes] of a std_msgs/String in CDR before its text: encapsulation, and length with the closing zero
 
 
 @dataclass
@@ -133,13 +130,19 @@ def _read(
         raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
     types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
     bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
+    if path.is_dir():
+        bag.issues += noted_issues(path)
     chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
-    for name in ("measured_joint_states", "angle_sensor"):
-        if name in chosen:
-            _choose_joint(bag, chosen[name], joint_name, chosen)
+    live = chosen["joint_states"].decoded if "joint_states" in chosen else None
+    for topic in (chosen[name] for name in ("measured_joint_states", "angle_sensor") if name in chosen):
+        topic.joint, there = values_of_joint(bag, topic.actual, topic.decoded, joint_name, live)
+        topic.keep = topic.keep[there[topic.keep]]
     if restarts == "last":
         _cut(chosen, bag.issues)
     for topic in chosen.values():
+        if corrections.align_clocks and not np.any(topic.stamp_ns):
+            topic.stamp_ns = topic.log_ns.copy()
+            bag.issues.append(Issue(f"{topic.actual} without stamps: took the times of reception", "clock"))
         _sort(path, topic, bag.issues)
     _one_clock(path, chosen, bag.issues, corrections.align_clocks)
     drive = "valve" if "valve_state" in chosen else "regulator"
@@ -154,7 +157,7 @@ def _read(
     angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, convert)
     external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
     estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
-    sensor = chosen.get("angle_sensor")
+    sensor, further = chosen.get("angle_sensor"), signals.read_signals(bag, beside, samples, also)
     return Recording(
         path=path,
         stamp_ns=samples,
@@ -169,10 +172,10 @@ def _read(
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
         issues=Issue.sorted(bag.issues),
-        rigs=_rig_texts(bag, chosen[state].actual),
+        rigs=signals.rig_texts(bag, beside),
         checkpoints=() if remembered is None else checkpoints.read(remembered.decoded, remembered.keep),
         namespace=_own_namespace(bag, state, chosen[state].actual),
-        signals=signals.read_signals(bag, beside, samples, also),
+        signals=further,
         episode_ns=episode_ns,
         drive=drive,
     )
@@ -226,17 +229,19 @@ def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
 
 
 def _one_clock(path: Path, chosen: Mapping[str, _Topic], issues: list[str], align: bool) -> None:
-    """Judge whether one clock stamps all topics that a recording is made from; shift those of another clock."""
+    """Judge whether one clock stamps all topics that a recording is made from; pair topics as asked."""
     names = [name for name in (*_COMPARED, "measured_joint_states", "angle_sensor")
              if name in chosen and len(chosen[name].keep)]  # fmt: skip
     times = {chosen[name].actual: (chosen[name].arrival.log_ns, chosen[name].arrival.stamp_ns) for name in names}
     shifts = stamps.clock_shifts(str(path), times, issues, align)
     samples = chosen[names[0]].arrival.stamp_ns
-    for topic in (chosen[name] for name in names if chosen[name].actual in shifts):
-        topic.stamp_ns = topic.stamp_ns + shifts[topic.actual]
+    for topic in (chosen[name] for name in names[1:] if align):
+        its = topic.arrival.stamp_ns + shifts.get(topic.actual, 0)
         if not topic.name.startswith("measured") and len(samples) > 1:
-            topic.stamp_ns[topic.keep] = stamps.nearest(topic.arrival.stamp_ns, samples)
-            topic.keep = topic.keep[np.diff(topic.arrival.stamp_ns, prepend=0) > 0]
+            its = stamps.nearest(its, samples)
+        topic.stamp_ns = topic.stamp_ns.copy()
+        topic.stamp_ns[topic.keep] = its
+        topic.keep = topic.keep[np.diff(its, prepend=0) > 0]
 
 
 @dataclass(frozen=True)
@@ -298,9 +303,9 @@ def _samples(
         values = convert.of(topic.actual, what, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
         others = [other.arrival.stamp_ns for other in chosen.values() if other is not topic]
-        paired = np.isin(stamp_ns, np.concatenate(others)) if others else np.ones(len(stamp_ns), bool)
-        if np.count_nonzero(~paired) > 0.1 * len(stamp_ns) and np.any(paired):
-            for column in values.reshape(len(values), -1).T:
+        if others and len(stamp_ns) > 1.1 * min(map(len, others)):
+            paired = np.isin(stamp_ns, np.concatenate(others))
+            for column in values.reshape(len(values), -1).T if np.any(paired) else ():
                 stamps.judge_publishers(where, topic.actual, stamp_ns, column, paired)
         columns[name] = np.column_stack(
             [stamps.spread(samples, stamp_ns, column) for column in values.reshape(len(values), -1).T]
@@ -327,52 +332,6 @@ def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Flo
     if alone:
         bag.issues.append(Issue(f"{alone} angles on {topic.actual} belong to no sample: left out", "dropped", alone))
     return stamps.spread(samples, stamp_ns, topic.values("position"))
-
-
-def _choose_joint(bag: RawBag, topic: _Topic, joint: str | None, chosen: Mapping[str, _Topic]) -> None:
-    """Reduce a JointState topic to the messages and values of one joint."""
-    names = _joint_names(topic.decoded)
-    listed = ", ".join(names) or "no names"
-    if joint is not None and joint not in names:
-        raise BadInput(f"{bag.path}: {topic.actual} has no joint {joint!r}; it has {listed}")
-    if joint is None and len(names) > 1:
-        live = _joint_names(chosen["joint_states"].decoded) if "joint_states" in chosen else []
-        if len(live) != 1 or live[0] not in names:
-            raise BadInput(
-                f"{bag.path}: {topic.actual} holds {len(names)} joints ({listed}), expected to know which one it is; "
-                f"type --joint-name with one of these names, such as --joint-name {names[0]}"
-            )
-        joint = live[0]
-        text = f"{topic.actual} holds {len(names)} joints ({listed}): took {joint}, the joint of the estimator"
-        bag.issues.append(Issue(text, size=len(names)))
-    result = {"position": np.full(topic.decoded.size, np.nan), "effort": np.full(topic.decoded.size, np.nan)}
-    there = np.zeros(topic.decoded.size, bool)
-    for group in topic.decoded.groups:
-        unnamed = group.counts["name"] == 0
-        if unnamed and (many := max(group.counts[field] for field in result)) > 1:
-            raise BadInput(
-                f"{bag.path}: {topic.actual} holds {many} joints without names, expected names that tell which is which"
-            )
-        for index in range(max(1, group.counts["name"])):
-            its = np.ones(len(group.rows), bool)
-            if not unnamed:
-                its = group.columns[f"name[{index}]"] == (joint or names[0]).encode()
-            there[group.rows[its]] = True
-            for field, values in result.items():
-                if index < group.counts[field]:
-                    values[group.rows[its]] = group.columns[field][its, index]
-    topic.joint, topic.keep = result, topic.keep[there[topic.keep]]
-
-
-def _joint_names(decoded: Decoded) -> list[str]:
-    """Joint names, sorted."""
-    found = {
-        name
-        for group in decoded.groups
-        for index in range(group.counts["name"])
-        for name in np.unique(group.columns[f"name[{index}]"]).tolist()
-    }
-    return sorted(name.decode(errors="replace") for name in found)
 
 
 _SHOWN = {"position": "angle (field position)", "effort": "torque (field effort)"}
@@ -406,10 +365,13 @@ def _validation(
             text = f"{alone} values of {what} on {topic.actual} belong to no sample: left out"
             bag.issues.append(Issue(text, "dropped", alone))
         return stamps.spread(samples, stamp_ns, values)
+    result = stamps.interpolate(samples, stamp_ns, values)
+    if not np.any(np.isfinite(result)):
+        bag.issues.append(Issue(f"no sample has a value of {what} on {topic.actual}", "missing", len(samples)))
+        return None
     text = f"{what} on {topic.actual} has stamps of its own: interpolated at the samples"
     bag.issues.append(Issue(text, "resampled", len(stamp_ns)))
-    result = stamps.interpolate(samples, stamp_ns, values)
-    return result if np.any(np.isfinite(result)) else None
+    return result
 
 
 def _estimate(topic: _Topic) -> RecordedEstimate:
@@ -421,31 +383,3 @@ def _estimate(topic: _Topic) -> RecordedEstimate:
 def _reference(topic: _Topic) -> RecordedReference:
     further = (topic.values_or_nan(name) for name in ("stiffness", "damping"))
     return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"), *further)
-
-
-def _rig_texts(bag: RawBag, valve_state: str) -> tuple[str, ...]:
-    """Texts of the topic ``rig``, in the order of reception; none where the topic is missing or not readable.
-
-    Args:
-        bag: the bag.
-        valve_state: the bag's name of the topic ``valve_state`` or ``pressure_state``, whose namespace ``rig`` shares.
-    """
-    topic = TOPICS["rig"]
-    raw = bag.topics.get(valve_state.rpartition("/")[0] + f"/{topic.relative}")
-    if raw is None or raw.channel.msgtype != topic.type or raw.channel.encoding != "cdr":
-        return ()
-    try:
-        payloads = unpack_messages(raw).payloads
-    except CompressionError:
-        return ()
-    if payloads is None:
-        return ()
-    texts: dict[str, None] = {}
-    stop = payloads.length.cumsum().tolist()
-    for k in raw.log_ns.argsort(kind="stable")[-_MOST_RIGS:].tolist():
-        message = payloads.data[stop[k] - int(payloads.length[k]) : stop[k]].tobytes()
-        order = "little" if message[1:2] == b"\x01" else "big"
-        size = int.from_bytes(message[4:_TEXT_HEAD], order)  # type: ignore[arg-type]
-        if 0 < size <= len(message) - _TEXT_HEAD:
-            texts[message[_TEXT_HEAD : _TEXT_HEAD + size - 1].decode(errors="replace")] = None
-    return tuple(texts)

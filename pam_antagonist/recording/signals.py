@@ -17,8 +17,9 @@ from ..errors import BadInput
 from . import stamps
 from .cdr import CdrError, Decoded, decode, encode
 from .compression import CompressionError
+from .notes import Issue
 from .storage import RawBag, unpack_messages
-from .topics import Topic
+from .topics import TOPICS, Topic
 
 if TYPE_CHECKING:
     from .recording import Recording
@@ -36,6 +37,8 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "sensor_msgs/msg/Temperature": ("temperature", "degC"),
 }
 """Message type -> field that holds the signal, and its unit."""
+_MOST_RIGS = 100  # messages of the topic rig that are read, the last ones; each restart of a node adds one
+_TEXT_HEAD = 8  # [bytes] of a std_msgs/String in CDR before its text: encapsulation, and length with the closing zero
 _TYPE_OF = {unit: kind for kind, (_, unit) in KINDS.items()}
 
 
@@ -123,14 +126,17 @@ def _read(bag: RawBag, topic: str, samples: Stamps) -> FurtherSignal:
     except KeyError:
         raise BadInput(f"{bag.path}: {topic} holds no {field}") from None
     if values.ndim > 1:
-        if values.shape[1] == 0:
-            raise BadInput(f"{bag.path}: {topic} holds no {field}")
+        if values.shape[1] != 1:
+            raise BadInput(f"{bag.path}: {topic} holds {field} of {values.shape[1]} joints, expected one")
         values = values[:, 0]
     stamp_ns = decoded.stamp_ns("header.stamp")[order]
     own = np.isin(stamp_ns, samples, assume_unique=True)
     if 2 * np.count_nonzero(own) >= len(own):
         return FurtherSignal(stamps.spread(samples, stamp_ns, values), unit)
-    return FurtherSignal(stamps.interpolate(samples, stamp_ns, values), unit)
+    values = stamps.interpolate(samples, stamp_ns, values)
+    if not np.any(np.isfinite(values)):
+        bag.issues.append(Issue(f"no sample has a value of {topic}: it has another clock", "missing", len(samples)))
+    return FurtherSignal(values, unit)
 
 
 def _decoded(bag: RawBag, topic: str, path: str) -> tuple[Decoded, NDArray[np.intp]]:
@@ -166,3 +172,31 @@ def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None
     first = first[first < len(samples)]
     # The samples before the first mark are an episode as well.
     return samples[np.union1d([0], first)] if len(first) else None
+
+
+def rig_texts(bag: RawBag, namespace: str) -> tuple[str, ...]:
+    """Texts of the topic ``rig``, in the order of reception; none where the topic is missing or not readable.
+
+    Args:
+        bag: the bag.
+        namespace: of the joint.
+    """
+    topic = TOPICS["rig"]
+    raw = bag.topics.get(f"{namespace}/{topic.relative}")
+    if raw is None or raw.channel.msgtype != topic.type or raw.channel.encoding != "cdr":
+        return ()
+    try:
+        payloads = unpack_messages(raw).payloads
+    except CompressionError:
+        return ()
+    if payloads is None:
+        return ()
+    texts: dict[str, None] = {}
+    stop = payloads.length.cumsum().tolist()
+    for k in raw.log_ns.argsort(kind="stable")[-_MOST_RIGS:].tolist():
+        message = payloads.data[stop[k] - int(payloads.length[k]) : stop[k]].tobytes()
+        order = "little" if message[1:2] == b"\x01" else "big"
+        size = int.from_bytes(message[4:_TEXT_HEAD], order)  # type: ignore[arg-type]
+        if 0 < size <= len(message) - _TEXT_HEAD:
+            texts[message[_TEXT_HEAD : _TEXT_HEAD + size - 1].decode(errors="replace")] = None
+    return tuple(texts)

@@ -63,7 +63,10 @@ def order(
     """
     keep = np.flatnonzero(stamp_ns != 0)
     if len(keep) == 0:
-        raise BadInput(f"{where}: no message of {topic} carries a stamp (all are 0), expected the time of the sample")
+        raise BadInput(
+            f"{where}: no message of {topic} carries a stamp (all are 0), expected the time of the sample; type "
+            "--align-clocks to use the times of reception"
+        )
     if len(keep) < len(stamp_ns):
         unset = len(stamp_ns) - len(keep)
         issues.append(Issue(f"{unset} messages of {topic} without a stamp: dropped", "unstamped", unset))
@@ -121,9 +124,9 @@ def _contradictions(
 def _two_publishers(where: str, topic: str, seen: str) -> BadInput:
     """The refusal of a topic with two publishers that contradict each other."""
     return BadInput(
-        f"{where}: {topic} seems to have two publishers that contradict each other: {seen}; expected one publisher and "
-        f"one message a stamp. 'ros2 topic info --verbose {topic}' lists the publishers: stop one or remap its topic, "
-        "and record again"
+        f"{where}: {topic} seems to have two publishers that contradict each other, or stamps that are too coarse for "
+        f"its rate: {seen}; expected one publisher and one message a stamp. 'ros2 topic info --verbose {topic}' lists "
+        "the publishers: stop one or remap its topic, and record again"
     )
 
 
@@ -163,10 +166,11 @@ def judge_publishers(
 
 def clock_shifts(
     where: str, times: Mapping[str, tuple[NDArray[np.int64], NDArray[np.int64]]], issues: list[str], align: bool
-) -> dict[str, int]:
-    """How much later each topic's stamps should be to be those of the first topic's clock [ns].
+) -> dict[str, NDArray[np.int64]]:
+    """By how much to shift the stamps of each topic with another clock than the first topic's (K,) [ns].
 
-    Messages of one moment are received together. So the delays of reception tell how far two clocks are apart.
+    Messages of one moment are received together. So the delays of reception tell how far two clocks are apart, at the
+    beginning and at the end.
 
     Args:
         where: The bag, for messages.
@@ -179,11 +183,13 @@ def clock_shifts(
     """
     (first, (log_ns, stamp_ns)), *others = times.items()
     shifts = {}
+    live = any(_received_live(*its) for its in times.values())
     for topic, (its_log, its_stamp) in others:
         together = its_stamp.max() >= stamp_ns.min() and its_stamp.min() <= stamp_ns.max()
-        live = _received_live(log_ns, stamp_ns) and _received_live(its_log, its_stamp)
-        apart = (np.median(log_ns - stamp_ns) - np.median(its_log - its_stamp)) * 1e-9 if live else 0.0
-        if abs(apart) <= CLOCKS_APART:
+        apart = _delay(log_ns, stamp_ns, its_log) - _delay(its_log, its_stamp, its_log) if live else np.zeros(1)
+        begin, end = float(apart[0]) * 1e-9, float(apart[-1]) * 1e-9
+        largest = max(begin, end, key=abs)
+        if abs(largest) <= CLOCKS_APART:
             if not together:
                 away = (its_stamp.min() - stamp_ns.min()) * 1e-9
                 text = (
@@ -192,18 +198,24 @@ def clock_shifts(
                 )
                 issues.append(Issue(text, "clock", len(its_stamp), length_s=away))
             continue
+        much = f"{abs(largest):.4g} s {'later' if largest > 0.0 else 'earlier'}"
+        if abs(end - begin) > CLOCKS_APART:
+            much = f"{begin:+.4g} s at the beginning and {end:+.4g} s at the end later"
         text = (
-            f"{topic} is stamped {abs(apart):.4g} s {'later' if apart > 0.0 else 'earlier'} than {first} for messages "
-            "that came at the same time: they are stamped by different clocks"
+            f"{topic} is stamped {much} than {first} for messages that came at the same time: they are stamped by "
+            "different clocks"
         )
         if align:
-            shifts[topic] = -round(apart * 1e9)
+            shifts[topic] = -np.rint(apart).astype(np.int64)
+            late = its_log - its_stamp - shifts[topic] - _delay(log_ns, stamp_ns, its_log)
+            if float(np.quantile(np.abs(late), 0.9)) > CLOCKS_APART * 1e9:
+                raise BadInput(f"{where}: {topic} has a clock that jumps, which --align-clocks cannot mend: {text}")
             text += "; its stamps were shifted by that, which is exact to some milliseconds (--align-clocks)"
         else:
             text += "; type --align-clocks to shift its stamps by that"
-            if abs(apart) > LARGEST_DELAY or not together:
+            if abs(largest) > LARGEST_DELAY or not together:
                 raise BadInput(f"{where}: {text}, or record again with all topics stamped by one clock")
-        issues.append(Issue(text, "clock", len(its_stamp), length_s=apart))
+        issues.append(Issue(text, "clock", len(its_stamp), length_s=largest))
     return shifts
 
 
@@ -213,8 +225,21 @@ def _received_live(log_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64]) -> bo
     return len(stamp_ns) > 1 and abs(lasted - stamped) <= _SAME_PACE * stamped
 
 
+def _delay(log_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], at_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Delay of reception at some times (K,) [ns]: a line through its medians in the first and the last fifth."""
+    delay, part = log_ns - stamp_ns, max(1, len(log_ns) // 5)
+    if len(log_ns) < 2 * _FEWEST:
+        return np.full(len(at_ns), np.median(delay))
+    begin, end = (float(np.median(log_ns[its] - log_ns[0])) for its in (slice(part), slice(-part, None)))
+    low, high = float(np.median(delay[:part])), float(np.median(delay[-part:]))
+    drift = (high - low) / (end - begin) if end > begin else 0.0
+    drift = drift if abs(drift * (end - begin)) > CLOCKS_APART * 1e9 else 0.0
+    middle = low if drift else float(np.median(delay))
+    return np.asarray(middle + drift * (at_ns - log_ns[0] - begin))
+
+
 def nearest(stamp_ns: NDArray[np.int64], samples: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps (K,) that were shifted from another clock, each moved to the nearest sample within half a period.
+    """Stamps (K,), each moved to the nearest sample within half a period.
 
     Args:
         stamp_ns: stamps, sorted (K,) [ns].
@@ -290,12 +315,13 @@ def judge_pairing(
         BadInput: The two pressures rarely share a stamp.
     """
     first, second = list(present)[0], list(present)[min(1, len(present) - 1)]
-    together = int(np.count_nonzero(present[first] & present[second]))
-    if together < _MIN_TOGETHER * len(samples):
-        raise BadInput(
-            f"{where}: {first} and {second} share a stamp in {together} of {len(samples)} samples, expected one and "
-            "the same stamp on all messages of a sample"
-        )
+    for other, there in present.items():
+        together = int(np.count_nonzero(present[first] & there))
+        if together < _MIN_TOGETHER * (len(samples) if other == second else np.count_nonzero(there)):
+            raise BadInput(
+                f"{where}: {first} and {other} share a stamp in {together} of {len(samples)} samples, expected one and "
+                "the same stamp on all messages of a sample; type --align-clocks to pair nearest stamps of a bag"
+            )
     for topic, there in present.items():
         missing = len(samples) - int(np.count_nonzero(there))
         if missing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _EXPECTED = "expected a folder with metadata.yaml, a .mcap or a .db3 file"
+_LISTED = 5
 MAX_UNPACKED = 4 << 30
 """Largest file that is unpacked from zstd [bytes]."""
 
@@ -152,7 +154,12 @@ def _locate(path: Path) -> _Files:
     if information is None:
         found = [file for file in path.iterdir() if file.name.endswith(_SUFFIXES) and file.is_file()]
         if not found:
-            raise BadInput(f"{path}: not a rosbag2, {_EXPECTED}")
+            bags = sorted(file.parent.name for file in path.glob(f"*/{metadata.NAME}"))[:_LISTED]
+            inside = f"; folders in it are: {', '.join(bags)}" if bags else ""
+            raise BadInput(f"{path}: not a rosbag2, {_EXPECTED}{inside}")
+        if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", r".\2", file.name) for file in found}) > 1:
+            several = ", ".join(sorted(file.name for file in found)[:_LISTED])
+            raise BadInput(f"{path}: has no metadata.yaml, and files of several bags ({several}); expected one of them")
         issue = f"{path} has no metadata.yaml, as after a recording that was not closed"
         return _Files(metadata.in_order(found), {}, [issue], closed=False)
     names = metadata.file_names(path, information)
@@ -230,13 +237,14 @@ def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str],
     """Join the pieces of each topic."""
     by_topic: dict[str, dict[str, list[RawTopic]]] = {}
     for part in parts:
-        by_topic.setdefault(part.channel.topic, {}).setdefault(part.channel.msgtype, []).append(part)
+        name = f"/{part.channel.topic.lstrip('/')}"  # a converted bag may lack the slash
+        by_topic.setdefault(name, {}).setdefault(part.channel.msgtype, []).append(part)
     for topic, by_type in by_topic.items():
         if len(by_type) > 1:
             bag.conflicts[topic] = tuple(sorted(by_type))
         msgtype, pieces = max(by_type.items(), key=lambda item: sum(len(piece.log_ns) for piece in item[1]))
         channel = pieces[0].channel
-        channel = replace(channel, digest=channel.digest or digests.get((topic, msgtype), ""))
+        channel = replace(channel, topic=topic, digest=channel.digest or digests.get((topic, msgtype), ""))
         raw = pieces[0] if len(pieces) == 1 else RawTopic.joined(channel, pieces)
         bag.topics[topic] = replace(raw, channel=channel)
 

@@ -12,7 +12,7 @@ from ..errors import BadInput
 # psi: one pound-force (0.45359237 kg at 9.80665 m/s²) on a square inch (0.0254 m); exact by definition, like lbf.
 _POUND_FORCE = 0.45359237 * 9.80665
 _TABLE = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "pressure": {
         "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5, "psi": _POUND_FORCE / 0.0254**2,
     },

@@ -220,6 +220,8 @@ def check_voltage(where: str, signal: Signal, issues: list[str]) -> None:
         tiny = True
     if tiny:
         hint = _looks_like(signal, "voltage", plausible.check_voltage, 5.0)
+        if signal.unit == "V" and 24.0 < _top(np.abs(volt)) <= 100.0:
+            hint = f"; {_top(np.abs(volt)):.3g} looks like percent: give scale: 0.1"
         raise BadInput(
             f"{where}: {signal.label} goes from {signal.span}, expected 0 to 10 V"
             f"{hint or '; give scale and offset where a column holds something else, such as percent'}"

@@ -56,12 +56,14 @@ def test_a_report_is_the_same(
     command: Callable[[list[str]], int], options: list[str], scheduler: str, bags: Path, tmp_path: Path
 ) -> None:
     bag, *further = options
-    reports = []
+    reports, statuses = [], []
     for name, where in (("here", []), ("there", ["--dask", scheduler])):
         arguments = [str(bags / bag), "--rig", "shin2022", "--out", str(tmp_path / name), "--no-figures", *further]
-        assert command([*arguments, *where]) == 0
+        statuses.append(command([*arguments, *where]))
         reports.append(without_times(tmp_path / name / "report.json"))
     assert reports[0] == reports[1]
+    # So little data may give no better rig, which is status 1.
+    assert statuses in ([0, 0], [1, 1])
 
 
 def test_cases_of_a_battery_are_the_same(scheduler: str, tmp_path: Path) -> None:

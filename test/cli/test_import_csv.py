@@ -202,3 +202,15 @@ def test_an_interrupt_leaves_nothing(as_csv: Path, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(import_csv, "write_notes", interrupted)
     assert main(arguments(as_csv, tmp_path / "out")) == 130
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_what_the_import_found_is_known_to_who_reads_the_bag(as_csv: Path, tmp_path: Path) -> None:
+    lines = as_csv.read_text().splitlines(keepends=True)
+    as_csv.write_text("".join([*lines[:500], lines[400], *lines[500:]]))
+    text = (as_csv.parent / "map.yaml").read_text()
+    assert "unit: ms" in text
+    (as_csv.parent / "map.yaml").write_text(text.replace("unit: ms", "unit: ms, out_of_order: drop"))
+    assert main(arguments(as_csv, tmp_path / "out")) == 0
+    (found,) = read_bag(tmp_path / "out").issues
+    assert found == "import: 1 rows are not later than those before them, the first in line 501: dropped"
+    assert (found.kind, found.size) == ("dropped", 1)

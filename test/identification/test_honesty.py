@@ -7,6 +7,7 @@ import os
 import numpy as np
 import pytest
 from plants import scattered, trial
+from scipy.stats import binom
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.stages import run_stages
@@ -41,7 +42,9 @@ def test_intervals_hold_the_truth_in_nine_cases_of_ten() -> None:
         found = identified(truth, truth, seed)
         for name, value in found.values.items():
             inside.append(abs(value - truth.value(name)) <= 1.96 * found.std[name])
-    assert np.mean(inside) >= 0.90, f"{np.mean(inside):.3f} of {len(inside)} (parameter, seed) pairs"
+    # Fewer than this are found once in a hundred times where 95 % are right. (0.954 of 152 pairs, of eight seeds.)
+    fewest = binom.ppf(0.01, len(inside), 0.95)
+    assert np.sum(inside) >= fewest, f"{np.mean(inside):.3f} of {len(inside)} (parameter, seed) pairs"
 
 
 @pytest.mark.slow

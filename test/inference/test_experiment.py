@@ -79,7 +79,7 @@ def test_a_locked_joint_tells_nothing_of_friction(rig, recorded, experiment_of) 
 def test_a_model_that_runs_away_is_wrong_and_finite(recorded, experiment_of) -> None:
     experiment = experiment_of(recorded(seconds=20.0), "locked")
     far = Point(experiment.origin.theta, {"effects.thermal.share_1": 0.5, "effects.thermal.time": 1e-9})
-    assert not np.all(np.isfinite(experiment.simulated(far)))
+    assert np.max(np.abs(experiment.simulated(far))) > 1e9
     assert np.all(np.isfinite(experiment.residual(far)))
 
 

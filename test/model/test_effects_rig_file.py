@@ -118,5 +118,5 @@ def test_what_is_written_is_what_was_there(tmp_path):
         assert effect.meaning in text
         assert all(f"{item.meaning} [{item.unit}]" in text for item in effect.parameters)
     # The estimator takes it as it is.
-    row = Estimator(again).step(1, 450e3, 450e3, 5.5, 5.5)
+    row = Estimator(again).step(1, 450e3, 450e3, 450e3, 450e3)
     assert row is not None and np.isfinite(row["torque"])

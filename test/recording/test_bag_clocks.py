@@ -66,6 +66,50 @@ def test_different_clocks_are_named_and_can_be_aligned(
     assert any("--align-clocks" in issue for issue in recording.issues)
 
 
+def test_a_clock_that_drifts_is_aligned_and_one_that_jumps_is_refused(rig: FakeRig, tmp_path: Path) -> None:
+    since = rig.stamp_ns - rig.stamp_ns[0]
+    drift, jump = 5 * 10**9 + since // 2, 3 * 10**9 * (since > since[300])
+    for name, shift in (("drift", drift), ("jump", jump)):
+        streams = rig.streams()
+        streams[JOINT].items = [
+            rig.joint_message(stamp + late, [angle], [0.0], log_ns=int(stamp) + 150_000)
+            for stamp, late, angle in zip(rig.stamp_ns, shift, rig.angle, strict=True)
+        ]
+        rig.write(tmp_path / name, streams)
+        with pytest.raises(BadInput, match="s at the beginning and .* s at the end later than .*type --align-clocks"):
+            read_bag(tmp_path / name)
+    aligned = read_bag(tmp_path / "drift", corrections=Corrections(align_clocks=True))
+    np.testing.assert_allclose(aligned.angle[2:-2], rig.angle[2:-2], atol=1e-4)
+    with pytest.raises(BadInput, match="has a clock that jumps"):
+        read_bag(tmp_path / "jump", corrections=Corrections(align_clocks=True))
+
+
+@pytest.mark.parametrize("topic", ["/pam/pressure_2", "/pam/valve_state", JOINT])
+@pytest.mark.parametrize("shift_ns", [200_000, None])
+def test_topics_without_shared_stamps_are_paired_on_request(
+    rig: FakeRig, tmp_path: Path, topic: str, shift_ns: int | None
+) -> None:
+    streams = rig.streams()
+    if shift_ns is None:  # never stamped
+        other = FakeRig(0)
+        for name in ("angle", "torque", "pressure", "voltage"):
+            setattr(other, name, getattr(rig, name))
+        other.stamp_ns = np.zeros(rig.size, np.int64)
+        streams[topic].items = [
+            (int(stamp) + 150_000, data) for stamp, (_, data) in zip(rig.stamp_ns, items(other, topic), strict=True)
+        ]
+    else:
+        streams[topic].items = items(rig, topic, shift_ns)
+    bag = rig.write(tmp_path / "bag", streams)
+    if shift_ns is None or topic != JOINT:
+        with pytest.raises(BadInput, match="type --align-clocks"):
+            read_bag(bag)
+    recording = read_bag(bag, corrections=Corrections(align_clocks=True))
+    np.testing.assert_array_equal(recording.pressure, rig.pressure)
+    np.testing.assert_array_equal(recording.voltage, rig.voltage)
+    np.testing.assert_allclose(recording.angle[2:-2], rig.angle[2:-2], atol=1e-3)
+
+
 def test_a_bag_without_times_of_reception_names_another_clock(rig: FakeRig, tmp_path: Path) -> None:
     streams = rig.streams()
     streams[JOINT].items = [(log - 10**18, data) for log, data in items(rig, JOINT, -(10**18))]
@@ -98,7 +142,7 @@ def test_two_publishers_with_stamps_of_their_own(rig: FakeRig, tmp_path: Path, t
         streams[topic].items = items(rig, topic, first_ns) + items(rig, topic, PERIOD_NS // 2, add=add)
         bag = rig.write(tmp_path / f"bag_{add}", streams)
         if refused:
-            with pytest.raises(BadInput, match="two publishers that contradict each other: messages that follow"):
+            with pytest.raises(BadInput, match="two publishers that contradict each other.*: messages that follow"):
                 read_bag(bag)
         else:
             read_bag(bag)
@@ -110,5 +154,5 @@ def test_issues_are_sorted_by_weight(rig: FakeRig, tmp_path: Path) -> None:
     streams["/pam/pressure_1"].items.insert(0, rig.pressure_message(0, 4e5, log_ns=int(rig.stamp_ns[0])))
     streams[JOINT].items = items(rig, JOINT, 400_000_000)
     found = read_bag(rig.write(tmp_path / "bag", streams)).issues
-    assert [issue.kind for issue in found] == ["clock", "hole", "unstamped", "resampled", "resampled"]
+    assert [issue.kind for issue in found] == ["clock", "hole", "missing", "missing", "unstamped"]
     assert (found[1].size, round(found[1].start_s, 3), round(found[1].length_s, 3)) == (1000, 0.299, 1.001)

@@ -227,3 +227,26 @@ def test_vented_and_full_muscles_are_fine(rig: FakeRig, tmp_path: Path) -> None:
     recording = read_bag(rig.write(tmp_path / "bag", rig.streams()))
     rig.assert_same(recording)
     assert recording.issues == ()
+
+
+def test_files_of_several_bags_in_one_folder_are_no_bag(rig: FakeRig, tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        rig.write(tmp_path / name, rig.streams())
+    with pytest.raises(BadInput, match="expected a folder with metadata.yaml.*folders in it are: monday, tuesday"):
+        read_bag(tmp_path)
+    for name in ("monday", "tuesday"):
+        (tmp_path / name / f"{name}.mcap").rename(tmp_path / f"{name}.mcap")
+    with pytest.raises(BadInput, match=r"files of several bags \(monday.mcap, tuesday.mcap\)"):
+        read_bag(tmp_path)
+
+
+def test_a_joint_that_is_named_twice_is_refused(rig: FakeRig, tmp_path: Path) -> None:
+    streams = rig.streams()
+    streams["/pam/measured/joint_states"].items[0] = rig.joint_message(rig.stamp_ns[0], [0.1, 0.2], [], ("a", "a"))
+    with pytest.raises(BadInput, match="names a twice in one message"):
+        read_bag(rig.write(tmp_path / "bag", streams), joint_name="a")
+
+
+def test_names_without_a_slash_are_those_of_a_converted_bag(rig: FakeRig, tmp_path: Path) -> None:
+    streams = {topic.lstrip("/"): stream for topic, stream in rig.streams().items()}
+    rig.assert_same(read_bag(rig.write(tmp_path / "bag", streams)))

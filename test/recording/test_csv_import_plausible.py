@@ -131,7 +131,7 @@ def test_a_torque_in_newton_millimetres(lab: Lab, quantity: str) -> None:
     [
         (4000, 6000, "V", "looks like mV"),
         (4, 6, "mV", "looks like V"),
-        (30, 70, "V", "looks like mV"),
+        (30, 70, "V", "looks like percent: give scale: 0.1"),
         (-8, 20e6, "V", "give scale and offset"),
     ],
 )

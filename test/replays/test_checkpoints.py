@@ -238,7 +238,12 @@ def test_without_a_live_estimate_a_part_is_cut_out_of_the_whole(rig: Rig, free: 
     assert part.run.rows.tobytes() == replay(free, rig).run.rows[2000:].tobytes()
 
 
-@pytest.mark.parametrize("begin_s", [-1.0, 6.5, float("nan"), float("inf")])
+@pytest.mark.parametrize("begin_s", [-1.0, 6.5, float("inf")])
 def test_a_time_that_is_not_in_the_recording_is_refused(rig: Rig, free: Recording, begin_s: float) -> None:
     with pytest.raises(BadInput, match=r"cannot begin at .* s, expected 0 to 5\.999 s, its length"):
         replay(free, rig, begin_s=begin_s)
+
+
+def test_a_time_that_is_no_number_is_refused(rig: Rig, free: Recording) -> None:
+    with pytest.raises(BadInput, match="begin_s nan: expected a number"):
+        replay(free, rig, begin_s=float("nan"))

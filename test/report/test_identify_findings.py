@@ -83,5 +83,5 @@ def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: st
     found: Any = SimpleNamespace(rig=rig, errors=errors)
     rejected = identify_episodes.rejection(found)
     assert said in rejected and bool(rejected) == bool(said)
-    found.rig = rig.replaced(joint=rig.joint.replaced(inertia=-1.0))
+    found.rig = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
     assert "impossible (joint.inertia" in identify_episodes.rejection(found)

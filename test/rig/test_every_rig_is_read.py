@@ -111,7 +111,7 @@ def test_only_one_module_writes_rig_files() -> None:
 def test_a_rig_that_its_reader_refuses_is_not_written(
     rig: Rig, tmp_path: Path, section: str, field: str, value: float, said: str
 ) -> None:
-    wrong = rig.replaced(**{section: getattr(rig, section).replaced(**{field: value})})
+    wrong = rig.unchecked(**{section: getattr(rig, section).unchecked(**{field: value})})
     with pytest.raises(RefusedRig, match=said) as refused:
         write_rig(wrong, tmp_path / "rig.yaml")
     assert isinstance(refused.value, BadInput) and str(tmp_path) not in str(refused.value)

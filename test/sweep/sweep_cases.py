@@ -19,6 +19,7 @@ from pam_antagonist.cli import new_rig
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.excitation import for_rig
 
@@ -168,15 +169,17 @@ def _true(rig: Rig, case: Case, further: float) -> Rig:
         }  # fmt: skip
         rig = rig.replaced(effects={**rig.effects, **effects})
     off = further + (0.12 if case.lacks == "far off" else 0.0)
-    if off:
-        scale = 1.0 + off * np.random.default_rng(case.seed).choice((-1.0, 1.0), 2)
+    for share in (1.0, 0.5, 0.25) if off else ():
+        scale = 1.0 + share * off * np.random.default_rng(case.seed).choice((-1.0, 1.0), 2)
         maps = {
             f"muscle_{i}": muscle.replaced(
                 force=muscle.force.replaced(v1=muscle.force.v1 * factor, w2=muscle.force.w2 * factor)
             )
             for i, muscle, factor in ((1, rig.muscle_1, scale[0]), (2, rig.muscle_2, scale[1]))
         }
-        rig = rig.replaced(**maps)
+        # The linear map's terms nearly cancel: some draws are no muscle.
+        if not unphysical(changed := rig.replaced(**maps)):
+            return changed
     return rig
 
 
