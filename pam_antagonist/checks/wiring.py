@@ -90,7 +90,7 @@ def unit_tolerance(rig: Rig, quantity: str) -> float:
         quantity: ``pressure``, ``angle`` or ``torque``.
     """
     stds = rig.uncertainty if rig.identified else {**rig.uncertainty, **rig.priors}
-    names = ("inflow_area", "outflow_area") if quantity == "pressure" else ("force.v1",)
+    names = ("inflow_area", "outflow_area") if quantity == "pressure" else ("force.v1", "force.c1")
     shares = [std / abs(rig.value(name)) for name, std in stds.items() if name.endswith(names) and rig.value(name)]
     return _SAME_UNIT * (1.0 + max(shares, default=0.0))
 

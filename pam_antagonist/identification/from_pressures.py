@@ -30,6 +30,7 @@ from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.replays import Replay, after, replay
 from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
 
 Floats = NDArray[np.float64]
 
@@ -144,8 +145,13 @@ class FromPressures:
 
 
 def is_for(rig: Rig) -> bool:
-    """Whether a rig is identified in this way: its muscles have the force ``braided``, and its chambers are open."""
-    return rig.model.force == "braided" and not rig.valves.sealed
+    """Whether a rig is identified in this way: its muscles are braided ones or of a data sheet, its chambers open."""
+    return (rig.model.force == "braided" or is_from_data_sheet(rig)) and not rig.valves.sealed
+
+
+def base_model(rig: Rig) -> Rig:
+    """The rig with the laws that are fitted; values of a data sheet become those of the laws."""
+    return with_base_laws(rig) if is_from_data_sheet(rig) else rig
 
 
 def identify(
@@ -177,8 +183,9 @@ def identify(
     if not any(state.condition == "free" and recording.angle is not None for recording, state, _ in recordings):
         raise BadInput("no recording has a joint that moves and a measured angle: expected one at least, to fit")
     ends = fitted_until(recordings, holdout, whole)
-    joint = fit_joint(rig, parts_of(recordings, ends), starts=starts, seed=seed, jobs=jobs, progress=progress)
-    own, corrected = with_joint(rig, joint, recordings)
+    model = base_model(rig)
+    joint = fit_joint(model, parts_of(recordings, ends), starts=starts, seed=seed, jobs=jobs, progress=progress)
+    own, corrected = with_joint(model, joint, recordings)
     air = fit_air(own, parts_of(corrected, ends), 0.0, jobs=jobs, progress=progress)
     return concluded(recordings, ends, rig, joint, air, jobs, progress)
 
@@ -222,7 +229,7 @@ def concluded(
         progress: called with a text about each step.
     """
     progress = progress or (lambda text: None)
-    own, corrected = with_joint(rig, joint, recordings)
+    own, corrected = with_joint(base_model(rig), joint, recordings)
     if air is not None:
         own = moved(own, air.parameters)
     parts = _cut(corrected, ends)

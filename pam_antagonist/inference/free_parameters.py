@@ -133,9 +133,7 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
 
 
 def _by_default(rig: Rig) -> set[str]:
-    linear = rig.model.force == "linear"
-    coefficients = LINEAR_FORCE if linear else tuple(f"c{k}" for k in range(1, par.COEFFICIENTS + 1))
-    names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in coefficients if rig.value(f"muscle_{i}.force.{c}")}
+    names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in _coefficients(rig) if rig.value(f"muscle_{i}.force.{c}")}
     names |= set(_FRICTION[rig.model.friction])
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
     present = {name for name, item in EFFECT_PARAMETERS.items() if item.is_size and rig.value(name)}
@@ -145,6 +143,15 @@ def _by_default(rig: Rig) -> set[str]:
         names |= {"effects.regulator_lag.damping"}
         present -= {name for name in present if name.startswith("effects.regulator_") and name[-1] not in "12"}
     return {name for name in names if rig.value(name)} | present | set(expected_sizes(rig))
+
+
+def _coefficients(rig: Rig) -> tuple[str, ...]:
+    """Coefficients of the force map that recordings can determine."""
+    if rig.model.force == "linear":
+        return LINEAR_FORCE
+    return (
+        ("c1", "c2", "c3") if rig.model.force == "braided" else tuple(f"c{k}" for k in range(1, par.COEFFICIENTS + 1))
+    )
 
 
 def _prior(name: str, start: float) -> float:
@@ -247,7 +254,7 @@ def _single(rig: Rig, path: str, free_only: bool = False) -> FreeDirection:
 
 def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
     if rig.model.force != "linear":
-        return [_single(rig, f"{path}c{k}") for k in range(1, par.COEFFICIENTS + 1)]
+        return [_single(rig, f"{path}{name}") for name in _coefficients(rig)]
     middle = rig.geometry.length
     directions = []
     for slope, intercept in (("v1", "v2"), ("w1", "w2")):

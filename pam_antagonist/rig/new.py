@@ -278,6 +278,56 @@ def _force(facts: Facts, length: float, gauge: float) -> float:
     return (force["v1"] * length + force["v2"]) * pressure + force["w1"] * length + force["w2"]
 
 
+_SHARE, _STEEPNESS, _REST, _BEND = 0.19, 15.0, 0.007, 0.005
+"""Of the braided force map: rubber as a share of F_n; s ε_n; ε_0; w as a share of F_n. The first two are within a tenth
+of the best fit to a measured map (Martens and Boblan 2017, DMSP-20)."""
+
+
+def is_from_data_sheet(rig: Rig) -> bool:
+    """Whether the force maps of a rig are still those that :func:`force_map` made of a data sheet."""
+    return rig.model.force == "linear" and rig.source.startswith("new_rig") and not rig.identified
+
+
+def with_base_laws(rig: Rig) -> Rig:
+    """A rig from data sheets with the laws that real joints have: braided muscles, valves with a closed centre.
+
+    The data sheet's numbers follow from the linear map of :func:`force_map`. In the middle of its voltages a
+    proportional valve lets no air pass, unless its curve is known to be another one.
+
+    Args:
+        rig: made by :func:`starting_point`.
+    """
+    muscles = {}
+    for name in ("muscle_1", "muscle_2"):
+        part = getattr(rig, name)
+        area, stretched = part.force.v1, part.force.v2
+        rubber, offset = part.force.w1 + area * ATMOSPHERE, part.force.w2 + stretched * ATMOSPHERE
+        # F_n/p_n (1 − k) = v2 and F_n/p_n k/L_n = v1; the rubber's part gives F_n.
+        closing = (-_RUBBER_SLOPE * offset * area / rubber - _RUBBER * stretched) / (_RUBBER + _RUBBER_SLOPE)
+        gain = stretched + closing
+        force, contraction = (
+            rubber / area * gain / _RUBBER_SLOPE,
+            (1.0 - _RUBBER) * gain / closing / (1.0 + _RUBBER_SLOPE),
+        )
+        map_ = {
+            "c1": gain * 1e5, "c2": (1.0 - _SHARE) / contraction, "c3": _SHARE * force, "c4": _STEEPNESS / contraction,
+            "c5": _REST, "c6": closing / area, "c7": _BEND * force,
+        }  # fmt: skip
+        muscles[name] = part.replaced(force=part.force.replaced(**_rounded(map_)))
+    valves = {}
+    for name in ("valve_1", "valve_2"):
+        valve = getattr(rig, name)
+        if len(valve.curve.voltage) <= _GUESSED_POINTS:
+            ends = (valve.curve.voltage[0], valve.curve.voltage[-1])
+            valves[name] = valve.replaced(overlap=0.5, curve=valve.curve.replaced(voltage=ends, open_rate=(0.0, 1.0)))
+    friction = rig.friction.replaced(muscle=0.0)
+    return rig.replaced(**muscles, **valves, friction=friction, model=rig.model.replaced(force="braided"))
+
+
+_GUESSED_POINTS = 4
+"""A valve curve of so few points is the guess for a valve with a closed centre, or a straight line."""
+
+
 def volume_map(facts: Facts) -> dict[str, float]:
     """D_1, D_2, D_3 of equation (3): the best fit to the braid's volume over the joint's range."""
     thread = facts.nominal_length / math.cos(_THREAD_ANGLE)

@@ -19,7 +19,7 @@ SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
     *(
         tuple(f"muscle_{i}.{quantity}.{name}" for name in names)
         for i in (1, 2)
-        for quantity, names in (("volume", ("d1", "d2", "d3")), ("force", ("v1", "v2", "w1", "w2")))
+        for quantity, names in (("volume", ("d1", "d2", "d3")), ("force", ("v1", "v2", "w1", "w2", "c1", "c3")))
     ),
     ("valve_1.inflow_area",),
     ("valve_1.outflow_area",),
