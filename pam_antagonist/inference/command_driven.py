@@ -133,7 +133,8 @@ class CommandDriven(Episodes):
         p = par.changed(self.rig.parameters("locked", 0.0), self.values(point))
         start = np.ascontiguousarray(self.pressure[self.first[:-1]])
         longest = min(self.longest_step, _LONGEST_STEP)
-        return np.asarray(pressures(self.first, start, self.time, self.command, self._motion, p, longest, np.ones(len(start), bool)))
+        anew = np.ones(len(start), dtype=bool)
+        return np.asarray(pressures(self.first, start, self.time, self.command, self._motion, p, longest, anew))
 
     @override
     def as_if(self, model: Point) -> CommandDriven:

@@ -59,9 +59,9 @@ def _errors(found: FromPressures) -> Table:
 
 
 def _values(title: str, fit: Fit) -> Table:
-    stds = fit.stds
+    stds, common = fit.stds, {item.name for item in fit.unknowns if len(item.paths) > 1}
     rows = tuple(
-        (name, number(start), number(value, 4), number(std, 2), _determined(share))
+        (name + " (both)" * (name in common), number(start), number(value, 4), number(std, 2), _determined(share))
         for name, start, value, std, share in _rows(fit, stds)
     )
     return Table(("Value [SI]", "start", "found", "std", "determined"), rows, title)
@@ -105,6 +105,8 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
     verdict, *rest = summary(found)
     drawn = [Section(item.name, (_figure(item, found),), anchor=f"held-{k}") for k, item in enumerate(found.held)]
     definitions = (
+        ("Value", "By its name in the rig file, which says beside each number what it is. (both): of both muscles."),
+        ("Std", "Standard deviation that data and prior leave; it does not count errors of the model."),
         ("Held-out", "Data that no step of the identification used."),
         ("Determined", "The data leave less than half of the prior's standard deviation."),
         ("With others only", "The data determine a combination with other values; this one stays near its prior."),
