@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from pam_antagonist.api import episodes
+from pam_antagonist.api import episodes, from_pressures
 from pam_antagonist.api.episodes import EpisodesDiagnoseResult
+from pam_antagonist.api.from_pressures import PressuresDiagnoseResult
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections
 from pam_antagonist.diagnosis import Diagnosis, found_calibrations
 from pam_antagonist.diagnosis import diagnose as _diagnose
@@ -25,6 +26,7 @@ from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.recording import bag_name, recording_hash
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_document import summary, write_report
@@ -169,7 +171,7 @@ def diagnose(
     estimator: bool = True,
     store: Checkpoint | None = None,
     also: Sequence[str] = (),
-) -> DiagnoseResult | EpisodesDiagnoseResult:
+) -> DiagnoseResult | EpisodesDiagnoseResult | PressuresDiagnoseResult:
     """Find the physical effect that a rig's model lacks, as ``close_loop`` does.
 
     Args:
@@ -204,6 +206,12 @@ def diagnose(
     """
     chosen = as_rig(rig, regulators=True)
     fitted, kept = (as_recordings(given, chosen, also) for given in (recordings, held_out))
+    if from_pressures.is_for(chosen):
+        given = [
+            (one.driven_by(chosen.drive), joint_condition(one, joint, lock_angle), bag_name(one.path))
+            for one in (*fitted, *kept)
+        ]
+        return from_pressures.diagnosed(given, chosen, holdout, seed, jobs, progress, len(kept))
     if episodes.are_given((*fitted, *kept), chosen):
         return episodes.diagnosed(fitted, kept, chosen, also, holdout, jobs, progress)
     if also:

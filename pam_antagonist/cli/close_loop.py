@@ -97,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
-    from pam_antagonist.api import episodes
+    from pam_antagonist.api import episodes, from_pressures
     from pam_antagonist.cli.first_start import FITS, compile_first
     from pam_antagonist.diagnosis.checkpoint import Checkpoint
     from pam_antagonist.recording import bag_hash, bag_name
@@ -111,6 +111,8 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     share, bags = _split(arguments.holdout)
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
+    if from_pressures.is_for(rig):
+        return _from_pressures(arguments, rig, share, given.read(arguments, rig, bags))
     recordings = given.read(arguments, rig, bags) if rig.drive == "regulator" else []
     # Without commands, nothing but episodes tells anything of a joint with regulators.
     if episodes.are_given(recordings, rig) or any(recording.drive == "valve" for recording in recordings):
@@ -169,6 +171,30 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordin
         common.announce_report(arguments, arguments.out)
     else:
         given.announce_output(arguments, found.next_rig)
+    return common.DONE
+
+
+def _from_pressures(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording]) -> int:
+    """Diagnose a rig whose muscles have the force of a data sheet."""
+    from pam_antagonist.api.diagnose import diagnose
+    from pam_antagonist.api.from_pressures import PressuresDiagnoseResult
+
+    cluster.refuse_for_episodes(arguments.dask)
+    if arguments.resume:
+        raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
+    fitted, kept = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
+    found = diagnose(
+        fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=kept,
+        jobs=arguments.jobs, seed=arguments.seed, progress=said_by("close_loop"),
+    )  # fmt: skip
+    assert isinstance(found, PressuresDiagnoseResult)
+    found.save(arguments.out, figures=not arguments.no_figures)
+    print(found.summary())
+    if found.next_rig is None:
+        common.announce_report(arguments, arguments.out)
+    else:
+        given.announce_output(arguments, found.next_rig)
+        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / found.next_rig} --out DIR"))
     return common.DONE
 
 

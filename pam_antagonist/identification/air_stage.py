@@ -64,7 +64,7 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
 
     Args:
         run: with commands and a measured angle.
-        p: parameter vector of a locked joint (P,).
+        p: parameter vector of a locked joint (m,).
         zero: reading of the encoder at ψ = 0 [rad].
         horizon: time after which the simulation starts anew from the measurement [s].
     """

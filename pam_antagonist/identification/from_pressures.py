@@ -168,6 +168,7 @@ def identify(
     seed: int = 0,
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
+    whole: int = 0,
 ) -> FromPressures:
     """Identify a rig.
 
@@ -179,6 +180,7 @@ def identify(
         seed: of the further starts.
         jobs: threads.
         progress: called with a text about each step.
+        whole: number of recordings at the end that are held out as a whole, in place of the share.
 
     Raises:
         BadInput: no free joint with a measured angle.
@@ -191,26 +193,64 @@ def identify(
             "no recording of a free joint has commands: expected the voltages of the valves, or the commanded "
             "pressures of the regulators, in one at least"
         )
-    ends = _fitted_until(recordings, holdout)
-    runs = _parts(recordings, ends)
+    ends = fitted_until(recordings, holdout, whole)
+    runs = parts_of(recordings, ends)
     _check_motion(recordings, runs, ends)
     joint = fit_joint(rig, runs, starts=starts, seed=seed, jobs=jobs, progress=progress)
-    values = joint.values
-    found = Corrections(encoder_zero=values[ZERO], delay_angle=-values[DELAY])
-    corrected: list[Given] = [(found.applied(recording), state, name) for recording, state, name in recordings]
-    own = moved(rig, model_values(joint.unknowns, values))
-    runs = _parts(corrected, ends)
-    air = fit_air(own, runs, 0.0, jobs=jobs, progress=progress)
+    own, corrected = with_joint(rig, joint, recordings)
+    air = fit_air(own, parts_of(corrected, ends), 0.0, jobs=jobs, progress=progress)
+    return concluded(recordings, ends, rig, joint, air, jobs, progress)
+
+
+def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, list[Given]]:
+    """The rig with the values of its joint, and the recordings with the zero and the delay that were found.
+
+    Args:
+        rig: as configured.
+        joint: values of joint and muscles.
+        recordings: with the calibration of the rig.
+    """
+    found = _found(joint)
+    return moved(rig, model_values(joint.unknowns, joint.values)), [
+        (found.applied(recording), state, name) for recording, state, name in recordings
+    ]
+
+
+def _found(joint: Fit) -> Corrections:
+    return Corrections(encoder_zero=joint.values[ZERO], delay_angle=-joint.values[DELAY])
+
+
+def concluded(
+    recordings: Sequence[Given],
+    ends: Sequence[float],
+    rig: Rig,
+    joint: Fit,
+    air: Fit | None,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> FromPressures:
+    """Noise and covariance of the filter for values that were found, and its errors on held-out data.
+
+    Args:
+        recordings: each with its joint's condition and a name.
+        ends: of the fitted part of each [s], see :func:`fitted_until`.
+        rig: as configured.
+        joint: values of joint and muscles.
+        air: values of chambers and valves, or regulators; None without commands.
+        jobs: threads.
+        progress: called with a text about each step.
+    """
+    progress = progress or (lambda text: None)
+    own, corrected = with_joint(rig, joint, recordings)
     if air is not None:
         own = moved(own, air.parameters)
     parts = _cut(corrected, ends)
     progress("process noise of the filter")
-    own = with_process_noise(own, parts, jobs)
-    covered = with_unknown_torque(own, parts, jobs, progress)
-    explained = errors(own, runs)
-    calibration = _calibration(rig).followed_by(found).calibration()
+    covered = with_unknown_torque(with_process_noise(own, parts, jobs), parts, jobs, progress)
+    calibration = _calibration(rig).followed_by(_found(joint)).calibration()
     result = covered.rig.replaced(calibration=rig.calibration.replaced(**calibration))
     progress("held-out data")
+    runs = parts_of(corrected, ends)
     line = _linear(runs)
     held = tuple(
         _held(given, before, end, covered.rig, rig, line)
@@ -219,7 +259,7 @@ def identify(
     )
     fitted = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
     notes = (*said(runs), *_notes(joint, air))
-    return FromPressures(rig, result, joint, air, covered, held, fitted, notes, explained)
+    return FromPressures(rig, result, joint, air, covered, held, fitted, notes, errors(own, runs))
 
 
 def _is_free(given: Given) -> bool:
@@ -274,10 +314,18 @@ def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _fitted_until(recordings: Sequence[Given], holdout: float) -> list[float]:
-    """For each recording the end of the part that is fitted [s]; 0 where all of it is held out."""
+def fitted_until(recordings: Sequence[Given], holdout: float, whole: int = 0) -> list[float]:
+    """For each recording the end of the part that is fitted [s]; 0 where all of it is held out.
+
+    Args:
+        recordings: each with its joint's condition and a name.
+        holdout: share of the data that is held out.
+        whole: number of recordings at the end that are held out as a whole, in place of the share.
+    """
     free = [k for k, given in enumerate(recordings) if _is_judged(given)]
     out = [recording.duration_s + 1.0 for recording, _, _ in recordings]
+    if whole:
+        return [*out[:-whole], *[0.0] * whole]
     if len(free) >= _WHOLE_FROM and all(recordings[k][0].duration_s <= _SHORT for k in free):
         every = max(round(1.0 / holdout), 2)
         for k in free[every - 1 :: every]:
@@ -288,11 +336,19 @@ def _fitted_until(recordings: Sequence[Given], holdout: float) -> list[float]:
     return out
 
 
-def _parts(recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:
+def parts_of(recordings: Sequence[Given], ends: Sequence[float], held_out: bool = False) -> list[Run]:
+    """Runs of the fitted parts of recordings, or of the held-out ones of a free joint.
+
+    Args:
+        recordings: each with its joint's condition and a name.
+        ends: of the fitted part of each [s].
+        held_out: which of both.
+    """
     found = []
     for (recording, state, name), end in zip(recordings, ends, strict=True):
-        if end > 0.0:
-            found += [part for run in runs_of(recording, state, name) if (part := run.part(0.0, end)) is not None]
+        span = (end, math.inf) if held_out else (0.0, end)
+        if span[0] < span[1] and not (held_out and (state.condition == "locked" or end > recording.duration_s)):
+            found += [part for run in runs_of(recording, state, name) if (part := run.part(*span)) is not None]
     return found
 
 

@@ -37,7 +37,8 @@ _ANGLE_SHARE, _TORQUE_SHARE = 0.01, 0.02
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _ZERO_STD = math.radians(5.0)
-"""[rad] Of the encoder's zero."""
+"""[rad] Of the encoder's zero, where both muscles are alike."""
+_LARGEST_ZERO_STD = math.radians(30.0)
 _UNLIKE = 0.35
 """Standard deviation of the difference of two muscles' forces, as a share of a force."""
 _START_STD = 0.7
@@ -125,7 +126,7 @@ def middle(runs: Sequence[Run], atmosphere: float) -> tuple[float, float]:
     known = np.isfinite(angle)
     slope, at_equal = np.polyfit(apart[known], angle[known], 1)
     mean = np.mean(np.concatenate([run.pressure.mean(axis=1) for run in moving])) - atmosphere
-    return float(at_equal), math.hypot(_ZERO_STD, _UNLIKE * float(slope * mean))
+    return float(at_equal), min(math.hypot(_ZERO_STD, _UNLIKE * float(slope * mean)), _LARGEST_ZERO_STD)
 
 
 def _positive(rig: Rig, path: str, share: float) -> Unknown:
@@ -152,7 +153,7 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
 
     Args:
         run: of a free joint.
-        p: parameter vector (P,).
+        p: parameter vector (m,).
         zero: reading at ψ = 0 [rad].
         delay: by how much the reading is late [s].
         horizon: time after which the simulation starts anew from the measurement [s].

@@ -131,7 +131,7 @@ def fitted(
 
     Args:
         unknowns: what may move (F).
-        residual: of the data (R,), in standard deviations, for values by name; not finite where a simulation diverged.
+        residual: of the data (N,), in standard deviations, for values by name; not finite where a simulation diverged.
         begin: first amounts (F,); None: the priors' middles.
         evaluations: the most derivatives.
         jobs: threads.

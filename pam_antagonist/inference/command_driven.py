@@ -133,7 +133,7 @@ class CommandDriven(Episodes):
         p = par.changed(self.rig.parameters("locked", 0.0), self.values(point))
         start = np.ascontiguousarray(self.pressure[self.first[:-1]])
         longest = min(self.longest_step, _LONGEST_STEP)
-        anew = np.ones(len(start), dtype=bool)
+        anew = np.ones(len(start), bool)
         return np.asarray(pressures(self.first, start, self.time, self.command, self._motion, p, longest, anew))
 
     @override

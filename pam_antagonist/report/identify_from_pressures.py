@@ -18,6 +18,8 @@ from pam_antagonist.report.table import Comparison, Table, number, percent
 
 _DETERMINED = 0.5
 """A value is determined where the data leave less than half of its prior's standard deviation."""
+_HONEST = 0.85
+"""Share of the measured angles in their 95 % intervals, below which the intervals are called too narrow."""
 _COLUMNS = (
     ("identified", "UKF, identified rig"),
     ("as_configured", "UKF, rig file as configured"),
@@ -44,6 +46,14 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
     alone = found.pooled("model_alone")
     if not found.rejected and alone < now:
         items.append(Finding("warn", f"The model alone errs less, by {number(alone)}°: the pressures add errors here."))
+    if not found.rejected and found.coverage < _HONEST:
+        items.append(
+            Finding(
+                "warn",
+                "The intervals are too narrow for the held-out data. They go where the fitted data did not, or the "
+                "model lacks something there: record more of the joint's range, or run close_loop.",
+            )
+        )
     blocks: list[Block] = [Text(said, "verdict")]
     if items:
         blocks.append(Findings(tuple(items)))
@@ -103,7 +113,7 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
         )
     )
     verdict, *rest = summary(found)
-    drawn = [Section(item.name, (_figure(item, found),), anchor=f"held-{k}") for k, item in enumerate(found.held)]
+    drawn = [Section(one.name, (held_out_figure(one, found),), anchor=f"held-{k}") for k, one in enumerate(found.held)]
     definitions = (
         ("Value", "By its name in the rig file, which says beside each number what it is. (both): of both muscles."),
         ("Std", "Standard deviation that data and prior leave; it does not count errors of the model."),
@@ -120,7 +130,13 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
     )  # fmt: skip
 
 
-def _figure(item: Held, found: FromPressures) -> Figure:
+def held_out_figure(item: Held, found: FromPressures) -> Figure:
+    """Measured and estimated angle of a recording, and the error in its interval.
+
+    Args:
+        item: the recording.
+        found: the result.
+    """
     scale, x = float(np.degrees(1.0)), time(item.whole)
     recorded = item.whole.measured_angle
     assert recorded is not None

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from other_rigs import HANGING, LATE_S, WEIGHT, ZERO_ERROR, described, drawn, recorded
+import yaml
+from other_rigs import HANGING, LATE_S, WEIGHT, ZERO_ERROR, braided, described, drawn, recorded
 
 from pam_antagonist import identify
 from pam_antagonist.cli import identify as command
-from pam_antagonist.cli import replay
+from pam_antagonist.cli import import_csv, new_rig, replay
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, WEIGHT_COS, WEIGHT_SIN, ZERO
@@ -22,6 +23,7 @@ from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
+STRANGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "strangers"
 RIG = described(0.01)
 TRUE = drawn(RIG, 3)
 EXACT = {
@@ -262,3 +264,37 @@ def test_trials_without_commands_help_with_the_joint(trials: list[Recording]) ->
 def test_which_values_are_fitted_cannot_be_chosen(bags: Path, tmp_path: Path) -> None:
     arguments = [str(bags / "free_0"), "--rig", str(bags / "rig.yaml"), "--out", str(tmp_path / "out")]
     assert command.main([*arguments, "--free", "joint.inertia"]) == 2
+
+
+@pytest.mark.slow(20)
+@pytest.mark.parametrize(
+    ("lab", "most", "sheet"), [("elbow", 0.4, (1500.0, 6e5, 0.25)), ("wrist", 1.0, (291.0, 4e5, 0.14))]
+)
+def test_recordings_of_other_laboratories(
+    lab: str, most: float, sheet: tuple[float, float, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their simulators share nothing with this package. The held-out recordings were not given to the command."""
+    if not STRANGERS.is_dir():
+        pytest.skip("the recordings of other laboratories are not part of this repository")
+    known = yaml.safe_load((STRANGERS / lab / "knows.yaml").read_text())
+    assert new_rig.main(["--out", str(tmp_path / "typed.yaml"), *map(str, known["new_rig"])]) == 0
+    typed = load_rig(str(tmp_path / "typed.yaml"), regulators=True)
+    write_rig(typed if typed.model.force == "braided" else braided(typed, *sheet), tmp_path / "rig.yaml", [])
+    use: dict[str, list[str]] = {"fit": [], "held_out": [], "extra": []}
+    for name, about in known["recordings"].items():
+        bag = name.split(".")[0]
+        use[about["use"]].append(bag)
+        if about["use"] != "extra":
+            arguments = [str(STRANGERS / lab / name), "--map", str(STRANGERS / lab / about["map"])]
+            assert import_csv.main([*arguments, "--out", str(tmp_path / bag)]) == 0
+    assert run(tmp_path, use["fit"], tmp_path / "out") == 0
+    errors, covered = [], []
+    for bag in use["held_out"]:
+        out = tmp_path / f"{bag}_replay"
+        assert replay.main([str(tmp_path / bag), "--rig", str(tmp_path / "out" / "rig.yaml"), "--out", str(out)]) == 0
+        angle = json.loads((out / "report.json").read_text())["ukf"]["angle"]
+        errors.append(angle["rmse_deg"])
+        covered.append(angle["coverage95"])
+    capsys.readouterr()
+    assert math.sqrt(np.mean(np.square(errors))) < most
+    assert 0.85 <= np.mean(covered) <= 0.999
