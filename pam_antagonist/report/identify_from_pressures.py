@@ -20,6 +20,8 @@ _DETERMINED = 0.5
 """A value is determined where the data leave less than half of its prior's standard deviation."""
 _HONEST = 0.85
 """Share of the measured angles in their 95 % intervals, below which the intervals are called too narrow."""
+_LARGE = 0.05
+"""Error as a share of the angle's range, from which on it is called large."""
 _COLUMNS = (
     ("identified", "UKF, identified rig"),
     ("as_configured", "UKF, rig file as configured"),
@@ -46,6 +48,15 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
     alone = found.pooled("model_alone")
     if not found.rejected and alone < now:
         items.append(Finding("warn", f"The model alone errs less, by {number(alone)}°: the pressures add errors here."))
+    share = now / max((_moved_deg(item) for item in found.held), default=np.nan)
+    if not found.rejected and share > _LARGE:
+        items.append(
+            Finding(
+                "warn",
+                f"The error is {percent(share)} of the angle's range: the joint is no plain pair of muscles, or the "
+                "model lacks something. Run close_loop.",
+            )
+        )
     if not found.rejected and found.coverage < _HONEST:
         items.append(
             Finding(
@@ -58,6 +69,13 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
     if items:
         blocks.append(Findings(tuple(items)))
     return (*blocks, _errors(found), _values("Joint and muscles", found.joint), *_air(found))
+
+
+def _moved_deg(item: Held) -> float:
+    """Range of the held-out angle [deg]."""
+    recorded = item.whole.measured_angle
+    assert recorded is not None
+    return float(np.degrees(np.nanmax(recorded) - np.nanmin(recorded)))
 
 
 def _errors(found: FromPressures) -> Table:
