@@ -24,6 +24,10 @@ Give recordings of a joint that moves (free) and of one that is held (locked), w
 where you can. The end of each is not fitted but kept to judge the result by. A rig with pressure regulators (drive:
 regulator) takes many short episodes in one recording as well (import_csv), of which whole ones are held out.
 
+A rig with model.force: braided (muscles of a data sheet) is identified from its measured pressures: first joint and
+muscles, then valves or regulators, then the filter's noise. It needs a free joint with its angle, a few minutes or a
+dozen trials of 5 to 20 s. Of four trials or more, every third is kept whole to judge the result by.
+
 Writes DIR/rig.yaml, which every command and node takes, DIR/report.html and DIR/report.json; of several
 recordings also DIR/rig_1.yaml, rig_2.yaml ..., each with one recording's own values. A rig that should not be used (the
 model diverges with it, the search ended at a bound, or it is worse on held-out data than the rig file) is written as
@@ -36,6 +40,7 @@ examples:
   {run} identify my_bag --rig my_rig.yaml --out identified --freeze muscle_1.force --freeze muscle_2.force
   {run} identify my_bag --rig my_rig.yaml --out identified --free joint.stiffness --starts 4 --seed 7
   {run} identify sealed_bag --rig sealed_joint --out identified     (valves.sealed: true in the rig file)
+  {run} identify trial_* --rig my_rig.yaml --out identified     (model.force: braided in the rig file)
   {run} replay another_bag --rig identified/rig.yaml --out check
 """
 

@@ -81,8 +81,25 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
 
 
 def usable(runs: Sequence[Run]) -> list[Run]:
-    """Runs with commands throughout and a measured angle."""
-    return [run for run in runs if np.isfinite(run.command).all() and np.isfinite(run.angle).any()]
+    """Stretches with commands throughout and a measured angle."""
+    return [part for run in runs for part in run.commanded() if np.isfinite(part.angle).any()]
+
+
+def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
+    """Errors of the pressures over the longest horizon, RMS [Pa]: of the model, and of pressures that do not change.
+
+    Args:
+        rig: with the values of joint and air.
+        runs: corrected by the found calibration; :func:`usable` ones count.
+    """
+    p, of_model, of_rest = rig.parameters("locked"), [np.zeros(1)], [np.zeros(1)]
+    for run in usable(runs):
+        shown, starts = simulated(run, p, 0.0, HORIZONS[-1])
+        last = np.maximum.accumulate(np.where(starts, np.arange(len(run)), 0))
+        of_model.append((run.pressure - shown)[~starts].ravel())
+        of_rest.append((run.pressure - run.pressure[last])[~starts].ravel())
+    first, second = (math.sqrt(float(np.mean(np.concatenate(parts) ** 2))) for parts in (of_model, of_rest))
+    return first, second
 
 
 def residual_of(rig: Rig, runs: Sequence[Run], zero: float, horizon: float) -> Callable[..., Floats]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import joint_stage
-from pam_antagonist.identification.air_stage import fit_air
+from pam_antagonist.identification.air_stage import errors, fit_air
 from pam_antagonist.identification.filter_stage import Covered, Given, with_process_noise, with_unknown_torque
 from pam_antagonist.identification.joint_stage import DELAY, ZERO, fit_joint, model_values
 from pam_antagonist.identification.runs import Run, runs_of, said
@@ -38,6 +38,8 @@ _WHOLE_FROM = 4
 """From so many short recordings on, whole ones are held out: they start from rest, as those to come will."""
 _SHORT = 30.0
 """[s] A recording or an episode that is not longer is a trial."""
+_LEAST_MOTION = 1.0
+"""[deg] A joint that moves less tells nothing of its muscles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +99,7 @@ class FromPressures:
         held: errors on held-out data.
         fitted: name of each recording, and the end of its part that was fitted [s].
         notes: for the user.
+        pressures: errors of the pressures in a second from the commands [Pa]: of the model, and if nothing flowed.
     """
 
     start: Rig
@@ -107,6 +110,7 @@ class FromPressures:
     held: tuple[Held, ...]
     fitted: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
+    pressures: tuple[float, float]
 
     def pooled(self, column: str) -> float:
         """Error of the angle over all held-out rows, RMS [deg]; NaN without any.
@@ -139,7 +143,15 @@ class FromPressures:
         if now > (linear := self.pooled("linear")):
             return (
                 f"On the held-out data the filter errs by {now:.3g}°, a linear map of the two pressures by "
-                f"{linear:.3g}°. The recordings do not fit two muscles on one joint, or the joint moved too little."
+                f"{linear:.3g}°. The recordings do not fit two muscles on one joint, the joint moved too little, or it "
+                "hit a stop that the rig file does not have."
+            )
+        model, rest = self.pressures
+        if model > rest:
+            return (
+                f"The commands do not explain the pressures: within a second the model errs by {model / 1e3:.3g} kPa, "
+                f"and by {rest / 1e3:.3g} kPa if nothing flows. The commands are exchanged, or of another joint: run "
+                "check."
             )
         return ""
 
@@ -180,11 +192,18 @@ def identify(
         BadInput: no free joint with a measured angle.
     """
     progress = progress or (lambda text: None)
-    if not any(state.condition == "free" and recording.angle is not None for recording, state, _ in recordings):
+    if not any(_is_free(given) for given in recordings):
         raise BadInput("no recording has a joint that moves and a measured angle: expected one at least, to fit")
+    if not any(_is_judged(given) for given in recordings):
+        raise BadInput(
+            "no recording of a free joint has commands: expected the voltages of the valves, or the commanded "
+            "pressures of the regulators, in one at least"
+        )
     ends = fitted_until(recordings, holdout, whole)
     model = base_model(rig)
-    joint = fit_joint(model, parts_of(recordings, ends), starts=starts, seed=seed, jobs=jobs, progress=progress)
+    runs = parts_of(recordings, ends)
+    _check_motion(recordings, runs, ends)
+    joint = fit_joint(model, runs, starts=starts, seed=seed, jobs=jobs, progress=progress)
     own, corrected = with_joint(model, joint, recordings)
     air = fit_air(own, parts_of(corrected, ends), 0.0, jobs=jobs, progress=progress)
     return concluded(recordings, ends, rig, joint, air, jobs, progress)
@@ -243,10 +262,46 @@ def concluded(
     held = tuple(
         _held(given, before, end, covered.rig, rig, line)
         for given, before, end in zip(corrected, recordings, ends, strict=True)
-        if given[1].condition == "free" and given[0].angle is not None and end < given[0].duration_s
+        if _is_judged(given) and end < given[0].duration_s
     )
     fitted = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
-    return FromPressures(rig, result, joint, air, covered, held, fitted, (*said(runs), *_notes(joint, air)))
+    notes = (*said(runs), *_notes(joint, air))
+    return FromPressures(rig, result, joint, air, covered, held, fitted, notes, errors(own, runs))
+
+
+def _is_free(given: Given) -> bool:
+    recording, state, _ = given
+    return state.condition == "free" and recording.angle is not None and bool(np.isfinite(recording.angle).any())
+
+
+def _is_judged(given: Given) -> bool:
+    """Whether a filter's angle can be compared with the measured one."""
+    return _is_free(given) and bool(np.isfinite(given[0].voltage).all(axis=1).any())
+
+
+def _check_motion(recordings: Sequence[Given], runs: Sequence[Run], ends: Sequence[float]) -> None:
+    """Refuse data that hold too little to fit, or to judge a fit.
+
+    Raises:
+        BadInput: they do.
+    """
+    fitted = [run.angle[np.isfinite(run.angle)] for run in runs if not run.locked]
+    moved_by = math.degrees(float(np.ptp(np.concatenate([np.zeros(0), *fitted])))) if any(map(len, fitted)) else 0.0
+    if moved_by < _LEAST_MOTION:
+        raise BadInput(
+            f"the joint moves by {moved_by:.2g}° in the data to be fitted; expected {_LEAST_MOTION:g}° at least, "
+            "better its whole range"
+        )
+    for given, end in zip(recordings, ends, strict=True):
+        if _is_judged(given) and end < given[0].duration_s and _held_runs(given, end):
+            return
+    raise BadInput("the part that is held out has no second with pressures and angle; expected a longer recording")
+
+
+def _held_runs(given: Given, end: float) -> list[Run]:
+    """The runs of a recording's held-out part that have a measured angle."""
+    parts = [part for run in runs_of(*given) if (part := run.part(end, math.inf)) is not None]
+    return [part for part in parts if np.isfinite(part.angle).any()]
 
 
 def _calibration(rig: Rig) -> Corrections:
@@ -274,7 +329,7 @@ def fitted_until(recordings: Sequence[Given], holdout: float, whole: int = 0) ->
         holdout: share of the data that is held out.
         whole: number of recordings at the end that are held out as a whole, in place of the share.
     """
-    free = [k for k, (one, state, _) in enumerate(recordings) if state.condition == "free" and one.angle is not None]
+    free = [k for k, given in enumerate(recordings) if _is_judged(given)]
     out = [recording.duration_s + 1.0 for recording, _, _ in recordings]
     if whole:
         return [*out[:-whole], *[0.0] * whole]
@@ -305,11 +360,11 @@ def parts_of(recordings: Sequence[Given], ends: Sequence[float], held_out: bool 
 
 
 def _cut(recordings: Sequence[Given], ends: Sequence[float]) -> list[Given]:
-    """The fitted parts of the recordings of a free joint with an angle."""
+    """The fitted parts of the recordings of a free joint with an angle and commands."""
     return [
-        (recording.slice(0.0, end), state, name)
+        (part, state, name)
         for (recording, state, name), end in zip(recordings, ends, strict=True)
-        if end > 0.0 and state.condition == "free" and recording.angle is not None
+        if end > 0.0 and _is_judged((part := recording.slice(0.0, end), state, name))
     ]
 
 
@@ -323,10 +378,10 @@ def _linear(runs: Sequence[Run]) -> Floats:
 
 
 def _held(given: Given, before: Given, end: float, rig: Rig, start: Rig, line: Floats) -> Held:
-    recording, state, name = given
+    recording, _, name = given
     whole, old = (replay(one, by, "default", "free") for one, by in ((recording, rig), (before[0], start)))
     begin = max(end, 0.0)
-    parts = [part for run in runs_of(recording, state, name) if (part := run.part(begin, math.inf)) is not None]
+    parts = _held_runs(given, begin)
     p = par.changed(rig.parameters(), joint_stage.WITHOUT_REGULATORS)
     alone = [joint_stage.simulated(run, p, 0.0, 0.0) - run.angle for run in parts]
     mapped = [np.column_stack([run.pressure, np.ones(len(run))]) @ line - run.angle for run in parts]

@@ -36,6 +36,11 @@ _ANGLE_SHARE, _TORQUE_SHARE = 0.01, 0.02
 """Unit of the residuals, as a share of the measured range."""
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
+_ZERO_STD = math.radians(5.0)
+"""[rad] Of the encoder's zero, where both muscles are alike."""
+_LARGEST_ZERO_STD = math.radians(30.0)
+_UNLIKE = 0.35
+"""Standard deviation of the difference of two muscles' forces, as a share of a force."""
 _START_STD = 0.7
 """Scatter of further starts about the first one, in standard deviations of the prior."""
 _MOVING = 0.05
@@ -92,7 +97,7 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
         # −G sin(ψ − ψ_h) = G sin ψ_h cos ψ − G cos ψ_h sin ψ.
         out.append(Unknown(WEIGHT_COS, (), torque * math.sin(hanging), weight))
         out.append(Unknown(WEIGHT_SIN, (), -torque * math.cos(hanging), weight))
-    out.append(Unknown(ZERO, (), middle(runs), math.radians(5.0)))
+    out.append(Unknown(ZERO, (), *middle(runs, rig.atmosphere.pressure)))
     out.append(Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1))
     return out
 
@@ -104,15 +109,24 @@ def torque_scale(rig: Rig) -> float:
     return abs(float(_torque(x, p)))
 
 
-def middle(runs: Sequence[Run]) -> float:
-    """Angle [rad] at which both pressures are equal, by a straight line through all readings."""
+def middle(runs: Sequence[Run], atmosphere: float) -> tuple[float, float]:
+    """Angle [rad] at which both pressures are equal, by a straight line through all readings, and its distance from 0.
+
+    The distance is a standard deviation: two muscles differ in force, so that equal pressures move the joint off ψ = 0.
+
+    Args:
+        runs: to be fitted.
+        atmosphere: [Pa].
+    """
     moving = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
     if not moving:
-        return 0.0
+        return 0.0, _ZERO_STD
     angle = np.concatenate([run.angle for run in moving])
     apart = np.concatenate([run.pressure[:, 0] - run.pressure[:, 1] for run in moving])
     known = np.isfinite(angle)
-    return float(np.polyfit(apart[known], angle[known], 1)[1])
+    slope, at_equal = np.polyfit(apart[known], angle[known], 1)
+    mean = np.mean(np.concatenate([run.pressure.mean(axis=1) for run in moving])) - atmosphere
+    return float(at_equal), min(math.hypot(_ZERO_STD, _UNLIKE * float(slope * mean)), _LARGEST_ZERO_STD)
 
 
 def _positive(rig: Rig, path: str, share: float) -> Unknown:

@@ -66,7 +66,16 @@ class Run:
         rows = np.flatnonzero((self.time >= begin_s) & (self.time < end_s))
         if len(rows) < 3 or self.time[rows[-1]] - self.time[rows[0]] < _SHORTEST:
             return None
-        cut = slice(int(rows[0]), int(rows[-1]) + 1)
+        return self._rows(slice(int(rows[0]), int(rows[-1]) + 1))
+
+    def commanded(self) -> list[Run]:
+        """The stretches in which all commands are known."""
+        known = np.flatnonzero(np.isfinite(self.command).all(axis=1))
+        stretches = [rows for rows in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(rows) > 2]
+        long = [rows for rows in stretches if self.time[rows[-1]] - self.time[rows[0]] >= _SHORTEST]
+        return [self._rows(slice(int(rows[0]), int(rows[-1]) + 1)) for rows in long]
+
+    def _rows(self, cut: slice) -> Run:
         return replace(
             self, time=self.time[cut], pressure=self.pressure[cut], command=self.command[cut], angle=self.angle[cut],
             torque=self.torque[cut], velocity=self.velocity[cut],

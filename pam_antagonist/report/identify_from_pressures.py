@@ -18,6 +18,10 @@ from pam_antagonist.report.table import Comparison, Table, number, percent
 
 _DETERMINED = 0.5
 """A value is determined where the data leave less than half of its prior's standard deviation."""
+_HONEST = 0.85
+"""Share of the measured angles in their 95 % intervals, below which the intervals are called too narrow."""
+_LARGE = 0.05
+"""Error as a share of the angle's range, from which on it is called large."""
 _COLUMNS = (
     ("identified", "UKF, identified rig"),
     ("as_configured", "UKF, rig file as configured"),
@@ -44,10 +48,34 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
     alone = found.pooled("model_alone")
     if not found.rejected and alone < now:
         items.append(Finding("warn", f"The model alone errs less, by {number(alone)}°: the pressures add errors here."))
+    share = now / max((_moved_deg(item) for item in found.held), default=np.nan)
+    if not found.rejected and share > _LARGE:
+        items.append(
+            Finding(
+                "warn",
+                f"The error is {percent(share)} of the angle's range: the joint is no plain pair of muscles, or the "
+                "model lacks something. Run close_loop.",
+            )
+        )
+    if not found.rejected and found.coverage < _HONEST:
+        items.append(
+            Finding(
+                "warn",
+                "The intervals are too narrow for the held-out data. They go where the fitted data did not, or the "
+                "model lacks something there: record more of the joint's range, or run close_loop.",
+            )
+        )
     blocks: list[Block] = [Text(said, "verdict")]
     if items:
         blocks.append(Findings(tuple(items)))
     return (*blocks, _errors(found), _values("Joint and muscles", found.joint), *_air(found))
+
+
+def _moved_deg(item: Held) -> float:
+    """Range of the held-out angle [deg]."""
+    recorded = item.whole.measured_angle
+    assert recorded is not None
+    return float(np.degrees(np.nanmax(recorded) - np.nanmin(recorded)))
 
 
 def _errors(found: FromPressures) -> Table:
@@ -59,9 +87,9 @@ def _errors(found: FromPressures) -> Table:
 
 
 def _values(title: str, fit: Fit) -> Table:
-    stds = fit.stds
+    stds, common = fit.stds, {item.name for item in fit.unknowns if len(item.paths) > 1}
     rows = tuple(
-        (name, number(start), number(value, 4), number(std, 2), _determined(share))
+        (name + " (both)" * (name in common), number(start), number(value, 4), number(std, 2), _determined(share))
         for name, start, value, std, share in _rows(fit, stds)
     )
     return Table(("Value [SI]", "start", "found", "std", "determined"), rows, title)
@@ -105,6 +133,8 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
     verdict, *rest = summary(found)
     drawn = [Section(one.name, (held_out_figure(one, found),), anchor=f"held-{k}") for k, one in enumerate(found.held)]
     definitions = (
+        ("Value", "By its name in the rig file, which says beside each number what it is. (both): of both muscles."),
+        ("Std", "Standard deviation that data and prior leave; it does not count errors of the model."),
         ("Held-out", "Data that no step of the identification used."),
         ("Determined", "The data leave less than half of the prior's standard deviation."),
         ("With others only", "The data determine a combination with other values; this one stays near its prior."),

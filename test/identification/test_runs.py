@@ -1,0 +1,92 @@
+"""Recordings of every kind become runs without holes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.runs import Run, runs_of, said
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import JointCondition, joint_condition
+
+
+def made(rate: float, seconds: float = 6.0) -> Recording:
+    rng, count = np.random.default_rng(2), round(rate * seconds)
+    stamp = 10**18 + np.rint(np.arange(count) * 1e9 / rate).astype(np.int64)
+    time = (stamp - stamp[0]) * 1e-9
+    pressure = 3e5 + 1e5 * np.sin(np.outer(time, [2.0, 3.0])) + rng.normal(0.0, 300.0, (count, 2))
+    return Recording(
+        path=Path("made"), stamp_ns=stamp, pressure=pressure, voltage=np.full((count, 2), 5.0),
+        angle=0.4 * np.sin(2.0 * time), torque=None,
+    )  # fmt: skip
+
+
+def runs(recording: Recording) -> list[Run]:
+    return runs_of(recording, free(recording), "made")
+
+
+def free(recording: Recording) -> JointCondition:
+    return joint_condition(recording, "free", None)
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0, 2000.0])
+def test_a_recording_of_any_rate_is_one_run_of_at_most_250_rows_a_second(rate: float) -> None:
+    (run,) = runs(made(rate))
+    assert 1.0 / run.period == pytest.approx(min(rate, 250.0), rel=0.02)
+    assert np.abs(run.velocity[5:-5] - 0.8 * np.cos(2.0 * run.time[5:-5])).max() < 0.02
+    assert np.abs(run.angle - 0.4 * np.sin(2.0 * run.time)).max() < 1e-3
+    assert not run.held and not run.locked
+
+
+def test_holes_missing_pressures_and_episodes_divide() -> None:
+    recording = made(100.0)
+    pressure = recording.pressure.copy()
+    pressure[200:230, 1] = np.nan
+    assert [len(run) for run in runs(replace(recording, pressure=pressure))] == [200, 370]
+    keep = np.ones(600, bool)
+    keep[300:320] = False
+    arrays = {name: getattr(recording, name)[keep] for name in ("stamp_ns", "pressure", "voltage", "angle")}
+    assert [len(run) for run in runs(replace(recording, **arrays))] == [300, 280]
+    trials = replace(recording, episode_ns=recording.stamp_ns[[0, 150, 400]])
+    assert [len(run) for run in runs(trials)] == [150, 250, 200]
+
+
+def test_a_single_missing_row_does_not_divide() -> None:
+    pressure = made(100.0).pressure.copy()
+    pressure[200] = np.nan
+    (run,) = runs(replace(made(100.0), pressure=pressure))
+    assert len(run) == 599
+
+
+def test_stretches_under_a_second_are_left_out_and_nothing_else_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"made: no stretch of 1 s without a hole"):
+        runs(made(100.0, 0.8))
+    (run,) = runs(made(100.0))
+    assert run.part(5.5, 9.0) is None
+    cut = run.part(2.0, 4.0)
+    assert cut is not None and cut.time[0] == 2.0 and len(cut) == 200
+
+
+def test_missing_commands_divide_what_the_valves_are_fitted_to() -> None:
+    voltage = np.full((600, 2), 5.0)
+    voltage[250, 0] = np.nan
+    voltage[300, 1] = np.nan
+    (run,) = runs(replace(made(100.0), voltage=voltage))
+    assert [(round(float(part.time[0]), 6), len(part)) for part in run.commanded()] == [(0.0, 250), (3.01, 299)]
+    (silent,) = runs(replace(made(100.0), voltage=np.full((600, 2), np.nan)))
+    assert silent.commanded() == []
+
+
+def test_readings_of_a_slow_sensor_are_joined_by_lines_and_named() -> None:
+    recording = made(50.0)
+    pressure = recording.pressure.copy()
+    pressure[1::2] = pressure[::2]
+    (run,) = runs(replace(recording, pressure=pressure))
+    assert run.held
+    assert np.allclose(run.pressure[1:-1:2], 0.5 * (run.pressure[:-2:2] + run.pressure[2::2]))
+    assert "the sensor is slower than the log" in said([run])[0]
+    assert said(runs(recording)) == ()

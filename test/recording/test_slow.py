@@ -1,0 +1,46 @@
+"""A sensor that is slower than the log is told from a coarse converter and from a pressure at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pam_antagonist.recording.slow import repeated
+
+RNG = np.random.default_rng(4)
+MOVING = 3e5 + np.cumsum(RNG.normal(0.0, 2e3, (600, 2)), axis=0)
+
+
+def held(every: int) -> np.ndarray:
+    return MOVING[(np.arange(600) // every) * every]
+
+
+@pytest.mark.parametrize("every", [2, 3, 4])
+def test_rows_between_the_readings_of_a_slow_sensor_are_found(every: int) -> None:
+    assert np.array_equal(repeated(held(every), 0.02), np.arange(600) % every > 0)
+
+
+def test_a_sensor_as_quick_as_the_log_repeats_nothing() -> None:
+    assert not repeated(MOVING, 0.02).any()
+
+
+def test_a_coarse_converter_is_not_slow() -> None:
+    assert not repeated(np.round(MOVING / 4e3) * 4e3, 0.02).any()
+
+
+def test_a_pressure_at_rest_is_measured() -> None:
+    resting = held(2)
+    resting[200:500] = resting[200]
+    found = repeated(resting, 0.02)
+    assert found[1:200:2].all()
+    assert not found[210:495].any()
+    assert not repeated(np.full((600, 2), 3e5), 0.02).any()
+
+
+def test_at_a_kilohertz_repeats_are_steps_of_a_converter() -> None:
+    assert not repeated(held(2), 0.001).any()
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_a_few_rows_are_no_sensor(rows: int) -> None:
+    assert repeated(MOVING[:rows], 0.02).shape == (rows,)
