@@ -68,6 +68,7 @@ NAVIGATION = {
         "battery",
         "rehearsals",
         "evidence/identification",
+        "evidence/other_rigs",
         "evidence/force_map",
         "paper",
         "faults",

@@ -20,7 +20,8 @@ and :mod:`errors` hold the data that are passed on. :mod:`checkpoint` keeps fini
 
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
 :mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` and :mod:`episode_lines` for
-parameters that drift.
+parameters that drift. A rig of data sheets is diagnosed by :mod:`from_pressures`, in the part of the model in which an
+effect acts.
 """
 
 from pam_antagonist.diagnosis.pipeline import diagnose
