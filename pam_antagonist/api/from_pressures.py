@@ -22,6 +22,7 @@ from pam_antagonist.recording import recording_hash
 from pam_antagonist.report import close_loop_from_pressures as diagnosis_pages
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report import identify_from_pressures as pages
+from pam_antagonist.report.identify_findings import do_not_use
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import refusal, write_rig, write_unread
 from pam_antagonist.shown import Shown
@@ -86,7 +87,7 @@ class PressuresIdentifyResult(Shown):
         names = ", ".join(name for name, _ in self.found.fitted)
         about = [f"By pam_antagonist identify, from rig {self.found.start.name} and {names}."]
         if self.rejected:
-            about.insert(0, f"Do not use this rig. {self.rejected}")
+            about = [*textwrap.wrap(do_not_use(self.rejected), 110), *about]
         with output_folder(Path(path), overwrite=overwrite) as folder:
             html.write(folder, pages.document(self.found, self.hashes, figures), self.report)
             if self.rejected:

@@ -24,9 +24,10 @@ Give recordings of a joint that moves (free) and of one that is held (locked), w
 where you can. The end of each is not fitted but kept to judge the result by. A rig with pressure regulators (drive:
 regulator) takes many short episodes in one recording as well (import_csv), of which whole ones are held out.
 
-A rig with model.force: braided (muscles of a data sheet) is identified from its measured pressures: first joint and
-muscles, then valves or regulators, then the filter's noise. It needs a free joint with its angle, a few minutes or a
-dozen trials of 5 to 20 s. Of four trials or more, every third is kept whole to judge the result by.
+A rig whose muscles have the force of a data sheet (new_rig, or model.force: braided) is identified from its measured
+pressures: first joint and muscles, then valves or regulators, then the filter's noise. It needs a free joint with its
+angle, a few minutes or a dozen trials of 5 to 20 s. Of four trials or more, every third is kept whole to judge the
+result by.
 
 Writes DIR/rig.yaml, which every command and node takes, DIR/report.html and DIR/report.json; of several
 recordings also DIR/rig_1.yaml, rig_2.yaml ..., each with one recording's own values. A rig that should not be used (the
@@ -40,7 +41,7 @@ examples:
   {run} identify my_bag --rig my_rig.yaml --out identified --freeze muscle_1.force --freeze muscle_2.force
   {run} identify my_bag --rig my_rig.yaml --out identified --free joint.stiffness --starts 4 --seed 7
   {run} identify sealed_bag --rig sealed_joint --out identified     (valves.sealed: true in the rig file)
-  {run} identify trial_* --rig my_rig.yaml --out identified     (model.force: braided in the rig file)
+  {run} identify trial_* --rig my_rig.yaml --out identified     (a rig file of new_rig)
   {run} replay another_bag --rig identified/rig.yaml --out check
 """
 
@@ -89,7 +90,7 @@ def _run(arguments: argparse.Namespace) -> int:
     common.lock_angle(arguments)
     for name in ("free", "freeze") if rig.valves.sealed or from_pressures.is_for(rig) else ():
         if getattr(arguments, name):
-            which = "a sealed joint" if rig.valves.sealed else "a rig with model.force: braided"
+            which = "a sealed joint" if rig.valves.sealed else "a rig of data sheets (new_rig)"
             raise BadInput(f"--{name}: which parameters of {which} are fitted cannot be chosen; leave --{name} out")
     recordings = given.read(arguments, rig)
     if not from_pressures.is_for(rig) and episodes.are_given(recordings, rig):

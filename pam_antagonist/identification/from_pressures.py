@@ -134,22 +134,22 @@ class FromPressures:
         """Why the rig should not be used, in a sentence; empty if it may."""
         now, before = self.pooled("identified"), self.pooled("as_configured")
         if not math.isfinite(now):
-            return "The filter gives no angle on the held-out data with it."
+            return "the filter gives no angle on the held-out data with it."
         if now > before:
             return (
-                f"On the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
+                f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
                 "The recordings do not fit two muscles on one joint, or their channels are exchanged: run check."
             )
         if now > (linear := self.pooled("linear")):
             return (
-                f"On the held-out data the filter errs by {now:.3g}°, a linear map of the two pressures by "
+                f"on the held-out data the filter errs by {now:.3g}°, a linear map of the two pressures by "
                 f"{linear:.3g}°. The recordings do not fit two muscles on one joint, the joint moved too little, or it "
                 "hit a stop that the rig file does not have."
             )
         model, rest = self.pressures
         if model > rest:
             return (
-                f"The commands do not explain the pressures: within a second the model errs by {model / 1e3:.3g} kPa, "
+                f"the commands do not explain the pressures: within a second the model errs by {model / 1e3:.3g} kPa, "
                 f"and by {rest / 1e3:.3g} kPa if nothing flows. The commands are exchanged, or of another joint: run "
                 "check."
             )

@@ -12,6 +12,7 @@ from pam_antagonist.identification.from_pressures import FromPressures, Held
 from pam_antagonist.identification.unknowns import Fit
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import TIME, Axis, Band, Figure, Line, Panel, Region
+from pam_antagonist.report.identify_findings import do_not_use
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED
 from pam_antagonist.report.table import Comparison, Table, number, percent
@@ -43,7 +44,7 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
         f"{number(before)}°. {percent(found.coverage)} of the measured angles lie in their 95 % intervals."
     )
     if found.rejected:
-        said = f"Do not use this rig. {found.rejected}"
+        said = do_not_use(found.rejected)
     items = [Finding("warn" if "stands at" in text else "note", text) for text in found.notes]
     alone = found.pooled("model_alone")
     if not found.rejected and alone < now:

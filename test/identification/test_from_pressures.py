@@ -211,7 +211,7 @@ def _exchanged(name: str) -> Callable[[Recording], Recording]:
     [
         (_cylinder, "do not fit two muscles on one joint"),
         (_exchanged("pressure"), "do not fit two muscles on one joint"),
-        (_exchanged("voltage"), "The commands do not explain the pressures"),
+        (_exchanged("voltage"), "the commands do not explain the pressures"),
     ],
     ids=["cylinder", "exchanged pressures", "exchanged voltages"],
 )
@@ -227,7 +227,7 @@ def test_what_is_no_pair_of_muscles_ends_in_one_sentence(
     write_rig(RIG, tmp_path / "rig.yaml", [])
     assert run(tmp_path, ["free_0", "free_1"], tmp_path / "out") == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert said.startswith("Do not use this rig. ")
+    assert said.startswith("Do not use this rig: ")
     assert words in said
     written = {file.name for file in (tmp_path / "out").glob("*.yaml")}
     assert written == {"rig_rejected.yaml"}
