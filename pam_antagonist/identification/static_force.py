@@ -34,7 +34,8 @@ COEFFICIENTS = {
     "sarosi": ("c1", "c2", "c3", "c4", "c5", "c6"),
     "polynomial": ("c1", "c2", "c3", "c4", "c5", "c6"),
 }
-"""Names under ``muscle_i.force`` of the coefficients of each form in ``parameters.FORCE_FORMS``."""
+"""Names under ``muscle_i.force`` of the coefficients of each form that a table is fitted by."""
+FORMS = tuple(COEFFICIENTS)
 _EXPONENT = {"sarosi": 2}
 """Index of the coefficient in which the force is not linear."""
 _FLATTEST, _STEEPEST, _TRIED = 0.02, 20.0, 16
@@ -69,7 +70,7 @@ class ForceFit:
     """A force map fitted to a table.
 
     Attributes:
-        form: one of ``parameters.FORCE_FORMS``.
+        form: one of ``FORMS``.
         names: of the coefficients, as under ``muscle_i.force`` in a rig file.
         coefficients: (K,), pressures absolute.
         covariance: (K, K); values at one length count as dependent on each other.
@@ -147,7 +148,7 @@ def map_force(form: str, coefficients: Floats, length: Floats, pressure: Floats,
     """Force of a map by the model's own function.
 
     Args:
-        form: one of ``parameters.FORCE_FORMS``.
+        form: one of ``FORMS``.
         coefficients: (K,), in the order of ``COEFFICIENTS``.
         length: (N,) [m].
         pressure: absolute (N,) [Pa].
@@ -169,7 +170,7 @@ def fit_force(table: ForceMap, form: str, rest_length: float) -> ForceFit:
 
     Args:
         table: the measured map.
-        form: one of ``parameters.FORCE_FORMS``.
+        form: one of ``FORMS``.
         rest_length: L_0 of the rig [m], from which the contraction k = 1 − l/L_0 counts.
 
     Raises:
@@ -196,7 +197,7 @@ def fit_force(table: ForceMap, form: str, rest_length: float) -> ForceFit:
 
 
 def compare_forms(
-    table: ForceMap, rest_length: float, forms: Sequence[str] = par.FORCE_FORMS
+    table: ForceMap, rest_length: float, forms: Sequence[str] = FORMS
 ) -> dict[str, ForceFit | Undetermined]:
     """Every form fitted to the same table, or the reason why the table does not determine it.
 

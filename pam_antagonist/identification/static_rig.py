@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_force import COEFFICIENTS as FORCE_COEFFICIENTS
-from pam_antagonist.identification.static_force import ForceFit, compare_forms
+from pam_antagonist.identification.static_force import FORMS, ForceFit, compare_forms
 from pam_antagonist.identification.static_regression import Undetermined
 from pam_antagonist.identification.static_table import ForceMap, VolumeTable
 from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_COEFFICIENTS
@@ -306,7 +306,7 @@ def work_out(
         volumes: table of length and volume.
         force_map: table of length, pressure and force.
         muscles: which the tables hold for, 1, 2 or both.
-        form: of the force map, one of ``parameters.FORCE_FORMS``; default: the rig's.
+        form: of the force map, one of ``static_force.FORMS``; default: the rig's.
         own_length: whether the rig's length was given with the tables.
         report_only: make no rig; then the muscle need not fit the joint.
 
@@ -327,6 +327,11 @@ def work_out(
         warnings += _about_volume(volumes, volume, rig, report_only)
     if force_map is not None:
         chosen = form or rig.model.force
+        if chosen not in FORMS:
+            raise BadInput(
+                f"rig {rig.name} has a force map of form {chosen}, which identify fits and not a table; expected --form "
+                f"{', '.join(FORMS)}, or a rig with one of these"
+            )
         forms = compare_forms(force_map, rig.geometry.length)
         fit = forms[chosen]
         if not isinstance(fit, ForceFit):

@@ -49,10 +49,11 @@ def worst(fit, form: str) -> float:
 
 
 def test_every_form_of_the_model_can_be_fitted():
-    assert tuple(COEFFICIENTS) == par.FORCE_FORMS
+    # The force of a braided muscle is fitted by identify.
+    assert (*COEFFICIENTS, "braided") == par.FORCE_FORMS
 
 
-@pytest.mark.parametrize("form", par.FORCE_FORMS)
+@pytest.mark.parametrize("form", COEFFICIENTS)
 def test_coefficients_come_back_from_exact_forces(form):
     measured = table(form, 0, noise=0.0)
     assert 0.1 < np.mean(measured.slack) < 0.6
@@ -61,7 +62,7 @@ def test_coefficients_come_back_from_exact_forces(form):
     assert fit.left_out_rmse < 0.02 and worst(fit, form) < 0.02
 
 
-@pytest.mark.parametrize("form", par.FORCE_FORMS)
+@pytest.mark.parametrize("form", COEFFICIENTS)
 def test_intervals_hold_the_truth(form):
     hits, widths = [], []
     for seed in range(30):

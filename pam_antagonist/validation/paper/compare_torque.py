@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.identification.static_force import ForceFit, compare_forms
+from pam_antagonist.identification.static_force import FORMS, ForceFit, compare_forms
 from pam_antagonist.identification.static_regression import Undetermined
 from pam_antagonist.identification.static_table import ForceMap, read_force_map
-from pam_antagonist.model.parameters import FORCE_FORMS
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.style import MEASURED, PALETTE, QUIET
 from pam_antagonist.report.table import MISSING, Table, number
@@ -50,7 +49,7 @@ def of_seed(work: SeedWork) -> dict[str, Any]:
     rig = work.rig.declared
     samples = round(COMPARED_S / rig.sample_period)
     out: dict[str, Any] = {}
-    for form in FORCE_FORMS:
+    for form in FORMS:
         try:
             fits = static_fits(work, form)
         except Undetermined:
