@@ -329,7 +329,7 @@ def work_out(
         chosen = form or rig.model.force
         if chosen not in FORMS:
             raise BadInput(
-                f"rig {rig.name} has a force map of form {chosen}, which identify fits and not a table; expected --form "
+                f"rig {rig.name} has a force map of form {chosen}, which no table is fitted by; expected --form "
                 f"{', '.join(FORMS)}, or a rig with one of these"
             )
         forms = compare_forms(force_map, rig.geometry.length)
