@@ -8,9 +8,9 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_columns import QUANTITIES, Choice
-from pam_antagonist.identification.static_force import FORMS
 from pam_antagonist.identification.static_rig import StaticResult, with_length, work_out
 from pam_antagonist.identification.static_table import read_force_map, read_volumes
+from pam_antagonist.model import parameters as par
 from pam_antagonist.program import typed
 from pam_antagonist.report import terminal
 from pam_antagonist.report.static import summary, write_report
@@ -50,7 +50,7 @@ def parser() -> common.Parser:
     )
     common.add_rig(out)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results; a new one")
-    out.add_argument("--form", choices=FORMS, help="form of the force map in rig.yaml (default: the rig's)")
+    out.add_argument("--form", choices=par.FORCE_FORMS, help="form of the force map in rig.yaml (default: the rig's)")
     out.add_argument(
         "--column", action="append", default=[], type=_column, metavar="QUANTITY=NAME[:UNIT[:gauge|absolute]]",
         help=f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not give it",

@@ -12,19 +12,21 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_force import COEFFICIENTS as FORCE_COEFFICIENTS
-from pam_antagonist.identification.static_force import FORMS, ForceFit, compare_forms
+from pam_antagonist.identification.static_force import ForceFit, compare_forms
 from pam_antagonist.identification.static_regression import Undetermined
 from pam_antagonist.identification.static_table import ForceMap, VolumeTable
 from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_COEFFICIENTS
 from pam_antagonist.identification.static_volume import VolumeFit, fit_volume
 from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 
 Floats = NDArray[np.float64]
 
-_OFFSET = {"linear": "w2", "hildebrandt": "c4", "sarosi": "c6", "polynomial": "c1"}
-"""The coefficient of each form that is a force offset, which is uncertain in a rig by default."""
+_OFFSET = {"linear": "w2", "hildebrandt": "c4", "sarosi": "c6", "polynomial": "c1", "braided": "c3"}
+"""The coefficient of each form that is a force offset, which is uncertain in a rig by default; the rubber's is one at
+all contractions but the least."""
 _FEW_LENGTHS, _FEW_PRESSURES = 4, 4
 
 
@@ -306,7 +308,7 @@ def work_out(
         volumes: table of length and volume.
         force_map: table of length, pressure and force.
         muscles: which the tables hold for, 1, 2 or both.
-        form: of the force map, one of ``static_force.FORMS``; default: the rig's.
+        form: of the force map, one of ``parameters.FORCE_FORMS``; default: the rig's.
         own_length: whether the rig's length was given with the tables.
         report_only: make no rig; then the muscle need not fit the joint.
 
@@ -327,12 +329,9 @@ def work_out(
         warnings += _about_volume(volumes, volume, rig, report_only)
     if force_map is not None:
         chosen = form or rig.model.force
-        if chosen not in FORMS:
-            raise BadInput(
-                f"rig {rig.name} has a force map of form {chosen}, which no table is fitted by; expected --form "
-                f"{', '.join(FORMS)}, or a rig with one of these"
-            )
-        forms = compare_forms(force_map, rig.geometry.length)
+        known = with_base_laws(rig) if is_from_data_sheet(rig) else rig
+        nominal = known.value(f"muscle_{muscles[0]}.force.c6") if known.model.force == "braided" else 0.0
+        forms = compare_forms(force_map, rig.geometry.length, nominal=nominal)
         fit = forms[chosen]
         if not isinstance(fit, ForceFit):
             raise BadInput(f"{force_map.name}: does not determine a force map of form {chosen}: {fit}")

@@ -136,12 +136,14 @@ class ForceMap(_Rows):
         force: (N,) [N].
         limit: [N] Upper limit of the map where the muscle is slack; nothing else is known there.
         slack: where the force is not above the limit (N,).
+        atmosphere: absolute pressure of the surroundings [Pa].
     """
 
     pressure: Floats
     force: Floats
     limit: float
     slack: NDArray[np.bool_]
+    atmosphere: float
 
     def part(self, keep: NDArray[np.bool_]) -> ForceMap:
         """The rows of a mask (N,), lengths numbered anew."""
@@ -199,7 +201,7 @@ def read_force_map(
     group = bands(length)
     return ForceMap(
         path.name, _sha256(path), tuple(issues), length, group, values["spread"], declared,
-        pressure, force, slack_below, slack,
+        pressure, force, slack_below, slack, atmosphere,
     )  # fmt: skip
 
 

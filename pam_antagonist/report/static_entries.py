@@ -22,6 +22,7 @@ FORCE_UNITS = {
     "hildebrandt": ("N",) * 7,
     "sarosi": ("N", "N", "-", "N", "N", "N"),
     "polynomial": ("N",) * 6,
+    "braided": ("N", "-", "N", "-", "-", "m", "N"),
 }
 """Units of the coefficients of each form of the force map."""
 VOLUME_UNITS = ("m", "m²", "m³")

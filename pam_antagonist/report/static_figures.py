@@ -11,9 +11,9 @@ from pam_antagonist.identification.static_rig import StaticResult, reach
 from pam_antagonist.identification.static_table import ForceMap, VolumeTable
 from pam_antagonist.identification.static_volume import VolumeFit
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series
-from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, SECOND
+from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, PALETTE, SECOND
 
-COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND}
+COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND, "braided": PALETTE[3]}
 """Colours of the forms of the force map."""
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
 """Colours from the shortest to the longest length; lighter is longer, also without colour vision."""

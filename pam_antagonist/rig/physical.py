@@ -108,6 +108,10 @@ def _bad_muscles(rig: Rig) -> str:
     p = rig.parameters()
     bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
     for i, name in enumerate(("muscle_1", "muscle_2")):
+        force = getattr(rig, name).force
+        for key in ("c1", "c2", "c3", "c4", "c6", "c7") if rig.model.force == "braided" else ():
+            if not (value := getattr(force, key)) > 0.0:
+                return f"{name}.force.{key}: {value:g}, expected above 0 with model.force: braided"
         for angle in (-bound, 0.0, bound):
             travel, _, _ = lever_arm.leverage(angle, p)
             length = muscle.length(i, travel, p)

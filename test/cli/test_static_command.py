@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from pam_antagonist.__main__ import main as dispatch
-from pam_antagonist.cli import replay
+from pam_antagonist.cli import new_rig, replay
 from pam_antagonist.cli.static import main
+from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_force import map_force
 from pam_antagonist.identification.static_volume import parabola
 from pam_antagonist.inference.free_parameters import free_parameters
@@ -37,7 +38,7 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
         comments="",
     )
     at, held = (grid.ravel() for grid in np.meshgrid(length, np.linspace(150e3, 720e3, 9)))
-    force = np.maximum(map_force("linear", FORCE, at, held, 0.165) + 0.3 * rng.standard_normal(len(at)), 0.0)
+    force = np.maximum(map_force("linear", FORCE, at, held, 0.165, 101.3e3) + 0.3 * rng.standard_normal(len(at)), 0.0)
     bench = tmp_path / "bench.csv"
     rows = np.column_stack([at * 1e3, (held - 101.3e3) * 1e-3, force])
     np.savetxt(bench, rows, delimiter=",", header="length_mm,pressure_kPa_gauge,force_N", comments="")
@@ -203,6 +204,29 @@ def test_two_lengths_do_not_make_the_form_that_was_asked_for(tables, tmp_path, c
     tables[1].write_text("\n".join([lines[0], *two]) + "\n")
     assert main(arguments(tables, tmp_path / "out", "--form", "hildebrandt")) == 2
     assert "does not determine a force map of form hildebrandt" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
+def test_a_joint_of_a_data_sheet_gets_the_measured_map_of_its_braided_muscles(tmp_path, capsys):
+    start, out = tmp_path / "bench.yaml", tmp_path / "out"
+    words = (
+        "--kind pulley --radius 29mm --muscle DMSP-20 --nominal-length 300mm --length 272mm --supply 6bar --stop 24deg "
+        "--valve MPYE-5-M5 --inertia 0.022 --mass 2.5kg"
+    )
+    assert new_rig.main(["--out", str(start), *words.split()]) == 0
+    line = ["--force-map", str(MAP), "--rig", str(start), "--form", "braided", "--no-figures"]
+    assert main([*line, "--out", str(out)]) == 0
+    assert "consider --form" not in " ".join(capsys.readouterr().out.split())
+    rig = load_rig(out / "rig.yaml")
+    assert rig.model.force == "braided" and rig.muscle_1.force == rig.muscle_2.force
+    # The nominal length is what new_rig was told.
+    assert rig.value("muscle_1.force.c6") == pytest.approx(0.3, rel=1e-4)
+    assert rig.value("muscle_1.force.c1") == pytest.approx(272.0, rel=0.02)
+    assert not any(f"muscle_{i}.force.c{k}" in rig.priors for i in (1, 2) for k in (6, 7))
+    assert {"muscle_1.force.c3", "muscle_2.force.c3"} <= set(rig.uncertainty)
+    (tmp_path / "pushes.yaml").write_text(f"based_on: {out / 'rig.yaml'}\nmuscle_1: {{force: {{c2: -3.0}}}}\n")
+    with pytest.raises(BadInput, match="muscle_1.force.c2: -3, expected above 0 with model.force: braided"):
+        load_rig(tmp_path / "pushes.yaml")
 
 
 @pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")

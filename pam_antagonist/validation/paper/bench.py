@@ -60,6 +60,7 @@ def static_test(work: SeedWork, which: int) -> ForceMap:
         spread=np.ones(len(force)),
         declared=False,
         pressure=np.asarray(pressure, dtype=np.float64),
+        atmosphere=float(p[par.ATMOSPHERE]),
         force=force,
         limit=-np.inf,
         slack=np.zeros(len(force), dtype=bool),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.identification.static_force import FORMS, ForceFit, compare_forms
+from pam_antagonist.identification.static_force import ForceFit, compare_forms
 from pam_antagonist.identification.static_regression import Undetermined
 from pam_antagonist.identification.static_table import ForceMap, read_force_map
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
@@ -34,6 +34,7 @@ MODELS = (
     Model("sarosi", "Polynomial model 2 (Sárosi 2010)", (0.323, 0.544, 0.106)),
     Model("polynomial", "Polynomial model 3 (2012)", (0.550, 0.985, 0.193)),
 )
+_FORMS = tuple(model.name for model in MODELS)
 _REAL_ATMOSPHERE = 101_325.0
 
 
@@ -49,7 +50,7 @@ def of_seed(work: SeedWork) -> dict[str, Any]:
     rig = work.rig.declared
     samples = round(COMPARED_S / rig.sample_period)
     out: dict[str, Any] = {}
-    for form in FORMS:
+    for form in _FORMS:
         try:
             fits = static_fits(work, form)
         except Undetermined:
@@ -172,7 +173,7 @@ def _static_table(context: Context) -> Table:
 def _real_fits(real: ForceMap) -> dict[str, ForceFit | str]:
     """Every form, or why the map does not determine it."""
     # Any L_0 gives the same fit: each form holds all shifts of the contraction.
-    fits = compare_forms(real, float(np.max(real.length)))
+    fits = compare_forms(real, float(np.max(real.length)), _FORMS)
     return {form: fit if isinstance(fit, ForceFit) else str(fit) for form, fit in fits.items()}
 
 
