@@ -172,7 +172,7 @@ def with_other_areas(rig: Rig) -> list[Rig]:
     for name in ("valve_1", "valve_2"):
         valve = getattr(rig, name)
         for area in ("inflow_area", "outflow_area"):
-            out.append(rig.replaced(**{name: valve.replaced(**{area: getattr(valve, area) * (1.0 + _STEP)})}))
+            out.append(rig.unchecked(**{name: valve.unchecked(**{area: getattr(valve, area) * (1.0 + _STEP)})}))
     return out
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pam_antagonist.blas import one_blas_thread
-from pam_antagonist.errors import BadInput
+from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.identification.regulators import RegulatorsFound, of_commands
 from pam_antagonist.inference.bootstrap import Interval, rmse
 from pam_antagonist.inference.episodes import EpisodeModel
@@ -61,7 +61,8 @@ def identify(
         progress: is called with what is being done.
 
     Raises:
-        BadInput: a joint that does not move, or identified values that are physically impossible.
+        BadInput: a joint that does not move.
+        NoResult: identified values that are physically impossible.
     """
     if not np.nanmax(joint.angle) > np.nanmin(joint.angle):
         raise BadInput(f"{joint.name}: the angle never changes; expected a joint that moves")
@@ -82,7 +83,7 @@ def identify(
         found = regulators.on(found)
     complaint = unphysical(found)
     if complaint:
-        raise BadInput(
+        raise NoResult(
             f"{joint.name}: the values that fit it best are impossible: {complaint}; does the joint move enough?"
         )
     counts = len(held.pool), len(held.later), len(held.interleaved)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pam_antagonist import simulate
 from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
@@ -45,6 +46,12 @@ def test_nothing_is_said_of_a_good_recording(free: Recording, locked: Recording,
         assert not checked.wrong
         assert not [finding.text for finding in checked.findings if finding.status == "doubtful"]
         assert checked.corrections == Corrections()
+
+
+def test_a_rig_at_the_edge_of_what_a_file_may_hold_is_no_bad_input(rig: Rig) -> None:
+    """A delay is told with areas that are 2 % larger, which no file could hold."""
+    near = rig.replaced(valve_1=rig.valve_1.replaced(inflow_area=9.95e-5))
+    assert check_recording(simulate(near, duration=20.0, seed=1), near).findings
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

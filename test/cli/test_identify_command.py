@@ -186,6 +186,22 @@ def test_a_rejected_rig_is_said_first_and_nothing_proposes_it(
 
 
 @pytest.mark.slow
+def test_noise_that_no_sensor_may_have_rejects_the_rig(
+    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is found by the fit, so it is no bad value of the rig file that was given."""
+    torque = read_bag(bags[1]).torque
+    assert torque is not None
+    loud = changed(bags[1], tmp_path / "loud", torque=torque + np.random.default_rng(0).normal(0.0, 15.0, len(torque)))
+    out = tmp_path / "out"
+    assert main([str(loud), "--rig", "shin2022", "--out", str(out), *FEW, "--no-figures"]) == 1
+    said = capsys.readouterr()
+    assert "Do not use this rig: the values that fit best are impossible (sensors.torque_std" in said.out
+    assert "replaced" not in said.out + said.err
+    assert {path.name for path in out.iterdir()} == {"rig_rejected.yaml", "report.html", "report.json"}
+
+
+@pytest.mark.slow
 def test_an_interrupted_run_leaves_nothing(
     bags: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

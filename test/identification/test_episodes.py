@@ -17,6 +17,7 @@ from scipy.signal import lsim, lti
 from pam_antagonist import check, diagnose, identify, load_rig, replay, simulate
 from pam_antagonist.cli.identify import main
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification import episodes as of_episodes
 from pam_antagonist.identification.episodes import identify as identify_episodes
 from pam_antagonist.identification.regulators import of_commands
 from pam_antagonist.inference.held_episodes import held_out
@@ -134,6 +135,14 @@ def test_a_joint_that_does_not_move_is_refused() -> None:
     still = PressureDriven.of(replace(recording, angle=np.zeros(len(recording))), UNKNOWN)
     with pytest.raises(BadInput, match="the angle never changes"):
         identify_episodes(still, 1.0 / 3.0)
+
+
+def test_an_impossible_optimum_is_no_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr(of_episodes, "unphysical", lambda rig: "gas: these constants give no finite flow")
+    write_bag(tmp_path / "bag", commanded(dead_time=0))
+    assert main([str(tmp_path / "bag"), "--rig", "regulator_joint", "--out", str(tmp_path / "out")]) == 1
+    assert "the values that fit it best are impossible: gas: these constants" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_commands_in_the_place_of_measured_pressures_are_refused() -> None:
