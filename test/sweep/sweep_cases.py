@@ -169,7 +169,9 @@ def _true(rig: Rig, case: Case, further: float) -> Rig:
         }  # fmt: skip
         rig = rig.replaced(effects={**rig.effects, **effects})
     off = further + (0.12 if case.lacks == "far off" else 0.0)
-    for share in (1.0, 0.5, 0.25) if off else ():
+    if not off:
+        return rig
+    for share in (1.0, 0.5, 0.25):
         scale = 1.0 + share * off * np.random.default_rng(case.seed).choice((-1.0, 1.0), 2)
         maps = {
             f"muscle_{i}": muscle.replaced(
@@ -180,7 +182,7 @@ def _true(rig: Rig, case: Case, further: float) -> Rig:
         # The linear map's terms nearly cancel: some draws are no muscle.
         if not unphysical(changed := rig.replaced(**maps)):
             return changed
-    return rig
+    raise AssertionError(f"{case}: no rig that differs by a quarter of {off:g} is a muscle")
 
 
 def _recorded(rig: Rig, joint: str, case: Case, seed: int) -> Recording:

@@ -73,6 +73,8 @@ def _of_words(status: int, out: str, err: str, arguments: list[str]) -> Iterator
         yield f"an error with status 0: {errors}"
     elif status and not told and (len(errors) != 1 or not err.endswith(f"{errors[0]}\n")):
         yield f"not one line says what is wrong: {err[-800:]}"
+    if re.search(r"\.replaced: ", both):
+        yield f"a value of the program's own is given as bad input: {both[-800:]}"
     for line in errors:
         yield from (f"{option} was never typed: {line}" for option in BLAMED.findall(line) if option not in arguments)
     for named in re.findall(r" --rig (\S+\.yaml)\b", out) if status == 0 else ():
