@@ -35,14 +35,15 @@ def identified(free_rig: Rig, locked_rig: Rig, seed: int, seconds: float = 15.0)
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_in_nine_cases_of_ten() -> None:
+def test_intervals_hold_the_truth_as_often_as_so_few_pairs_can_tell() -> None:
     inside = []
     for seed in range(SEEDS):
         truth = scattered(RIG, 0.02, 1000 + seed)
         found = identified(truth, truth, seed)
         for name, value in found.values.items():
             inside.append(abs(value - truth.value(name)) <= 1.96 * found.std[name])
-    # Fewer than this are found once in a hundred times where 95 % are right. (0.954 of 152 pairs, of eight seeds.)
+    # Fewer than this are found once in a hundred times where 95 % are right, if the pairs do not depend on each other:
+    # 32 of 38 for two seeds, 386 of 418 for 22. Eight seeds gave 145 of 152.
     fewest = binom.ppf(0.01, len(inside), 0.95)
     assert np.sum(inside) >= fewest, f"{np.mean(inside):.3f} of {len(inside)} (parameter, seed) pairs"
 
