@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from typing_extensions import override
@@ -30,9 +29,9 @@ from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_document import summary, write_report
-from pam_antagonist.rig import Rig, as_rig, load_rig
+from pam_antagonist.rig import Rig, as_rig
 from pam_antagonist.rig.schema import Calibration
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.write import refusal, write_rig
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -147,13 +146,10 @@ class DiagnoseResult(Diagnosis):
 
     def _refusal(self, file: RigFile) -> str:
         """Why no command would read a rig file; empty if all would."""
-        with TemporaryDirectory() as folder:
-            try:
-                write_rig(self._written(file), Path(folder) / file.name)
-                load_rig(Path(folder) / file.name, regulators=True)
-            except (BadInput, ValueError) as error:
-                return " ".join(str(error).removeprefix(f"{folder}/{file.name}: ").split())
-        return ""
+        try:
+            return refusal(self._written(file))
+        except (BadInput, ValueError) as error:
+            return " ".join(str(error).split())
 
 
 def diagnose(

@@ -29,6 +29,7 @@ from pam_antagonist.identification.from_pressures import (
 )
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.identification.unknowns import Fit, Floats, Unknown, fitted
+from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, parameter_path
 from pam_antagonist.rig import Rig
@@ -287,7 +288,7 @@ def _air_residual(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown]) -> 
 def _angle_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
     """Errors of the simulated angle [rad] of runs that the measured pressures drive."""
     values = fit.values
-    changes = {**joint_stage.model_values(fit.unknowns, values), **joint_stage.WITHOUT_REGULATORS}
+    changes = {**joint_stage.model_values(fit.unknowns, values), **NO_REGULATORS}
     p = par.changed(rig.parameters(), changes)
     zero, delay = values[joint_stage.ZERO], values[joint_stage.DELAY]
     left = [run.angle - joint_stage.simulated(run, p, zero, delay) for run in runs]

@@ -25,6 +25,7 @@ from pam_antagonist.identification.joint_stage import DELAY, ZERO, fit_joint, mo
 from pam_antagonist.identification.runs import Run, runs_of, said
 from pam_antagonist.identification.unknowns import Fit
 from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.replays import Replay, after, replay
@@ -382,7 +383,7 @@ def _held(given: Given, before: Given, end: float, rig: Rig, start: Rig, line: F
     whole, old = (replay(one, by, "default", "free") for one, by in ((recording, rig), (before[0], start)))
     begin = max(end, 0.0)
     parts = _held_runs(given, begin)
-    p = par.changed(rig.parameters(), joint_stage.WITHOUT_REGULATORS)
+    p = par.changed(rig.parameters(), NO_REGULATORS)
     alone = [joint_stage.simulated(run, p, 0.0, 0.0) - run.angle for run in parts]
     mapped = [np.column_stack([run.pressure, np.ones(len(run))]) @ line - run.angle for run in parts]
     reports = [item.report if begin == 0.0 else after(item, begin).report for item in (whole, old)]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
+from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.rig import Rig
 
@@ -45,14 +45,6 @@ _START_STD = 0.7
 """Scatter of further starts about the first one, in standard deviations of the prior."""
 _MOVING = 0.05
 """[rad/s] A slower joint starts at rest."""
-WITHOUT_REGULATORS = {
-    f"effects.{name}.{item.name}": 0.0
-    for name, effect in CATALOGUE.items()
-    if name.startswith("regulator_")
-    for item in effect.parameters
-    if item.is_size
-}
-"""The measured pressures contain what the regulators do."""
 
 
 @kernel
@@ -179,12 +171,12 @@ def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horiz
         unknown: of the fit.
         horizon: of the simulations [s].
     """
-    vectors = {locked: rig.parameters() for locked in (False, True)}
+    vector = rig.parameters()
     angle_unit = _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked])
     torque_unit = _TORQUE_SHARE * _range([run.torque for run in runs])
 
     def residual(values: Mapping[str, float]) -> Floats:
-        p = par.changed(vectors[False], {**model_values(unknown, values), **WITHOUT_REGULATORS})
+        p = par.changed(vector, {**model_values(unknown, values), **NO_REGULATORS})
         zero, delay = values[ZERO], values[DELAY]
         out = []
         for run in runs:

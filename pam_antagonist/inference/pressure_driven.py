@@ -29,7 +29,7 @@ _FORCE = 1.0
 """[N] Unit of the force difference between two muscles of one kind."""
 _CLEAR = 5.0
 """A start velocity below so many standard deviations of its noise is set to 0."""
-_NO_REGULATORS = {
+NO_REGULATORS = {
     f"effects.{name}.{item.name}": 0.0
     for name, effect in CATALOGUE.items()
     if name.startswith("regulator_")
@@ -121,7 +121,7 @@ class PressureDriven(Episodes):
     @override
     def simulated(self, point: Point) -> Floats:
         """Simulated readings of the encoder (N, 1) [rad]."""
-        p = par.changed(self.rig.parameters(), {**self.values(point), **_NO_REGULATORS})
+        p = par.changed(self.rig.parameters(), {**self.values(point), **NO_REGULATORS})
         found = angles(self.first, self._start, self.time, self.pressure, self.signals, p, self.longest_step)
         return np.asarray(found)[:, None]
 
