@@ -44,7 +44,7 @@ setup(
     maintainer_email=maintainer.attrib["email"],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/templates/*", "nodes/*.html", "validation/battery/*.json"]},
+    package_data={NAME: ["py.typed", "report/templates/*", "nodes/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "LICENSE"]),

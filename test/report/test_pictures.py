@@ -384,7 +384,7 @@ def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     code = (
         "import sys\n"
         "from pam_antagonist.report import figure, figures, matplotlib_renderer\n"
-        "import importlib.util, pam_antagonist.validation.paper.command, pam_antagonist.cli.replay\n"
+        "import importlib.util, validation.paper.command, pam_antagonist.cli.replay\n"
         "if importlib.util.find_spec('rclpy'):\n"
         "    from pam_antagonist.nodes import bridge, controller, estimator, plant, recorder\n"
         "assert not {'matplotlib', 'PIL'} & set(sys.modules)\n"
