@@ -189,8 +189,9 @@ def diagnose(
     tried = _each(model, JOINT, base.joint, partial(joint_stage.residual_of, model, runs, horizon=math.inf),
                   partial(_angle_errors, model, held), _seconds(runs), jobs, progress)  # fmt: skip
     if base.air is not None and judged:
-        tried += _each(own, AIR, base.air, partial(_air_residual, own, moving), partial(_pressure_errors, own, judged),
-                       _seconds(moving), jobs, progress)  # fmt: skip
+        residual = partial(air_stage.residual_of, own, moving, horizon=air_stage.HORIZONS[-1])
+        tried += _each(own, AIR, base.air, residual, partial(_pressure_errors, own, judged), _seconds(moving), jobs,
+                       progress)  # fmt: skip
     tried.sort(key=lambda item: -item.gain)
     progress("comparison of the effects")
     best = {place: next((item for item in tried if item.place == place), None) for place in (JOINT, AIR)}
@@ -280,11 +281,6 @@ def _unknowns(effect: Effect, muscle: int | None) -> list[Unknown]:
     return out
 
 
-def _air_residual(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown]) -> Callable[..., Floats]:
-    of_names = air_stage.residual_of(rig, runs, 0.0, air_stage.HORIZONS[-1])
-    return lambda values: of_names({path: values[item.name] for item in unknown for path in item.paths})
-
-
 def _angle_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
     """Errors of the simulated angle [rad] of runs that the measured pressures drive."""
     values = fit.values
@@ -300,7 +296,7 @@ def _pressure_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
     p = par.changed(rig.parameters("locked"), fit.parameters)
     out = [np.zeros(0)]
     for run in runs:
-        shown, starts = air_stage.simulated(run, p, 0.0, air_stage.HORIZONS[-1])
+        shown, starts = air_stage.simulated(run, p, air_stage.HORIZONS[-1])
         out.append((run.pressure - shown)[~starts].ravel())
     return np.concatenate(out)
 

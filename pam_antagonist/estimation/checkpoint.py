@@ -123,6 +123,8 @@ def settings_hash(settings: Settings) -> str:
     dropped = [*unused, *range(par.SUBSONIC, par.SUBSONIC + TERMS)]
     place = par.PULLEY - sum(index < par.PULLEY for index in dropped)
     content["parameter_sets"] = np.insert(np.delete(sets, dropped, axis=1), place, (k - 1.0) / k, axis=1)
+    if settings.change_noise == 0.0:
+        del content["change_noise"]
     if settings.angle_noise == 0.0:
         for name in ("angle_noise", "angle_offset", "angle_step"):
             del content[name]

@@ -143,7 +143,7 @@ def conditional_factor(covariance, cross, scratch, lower):
 
 
 @in_place
-def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, effects, work):
+def predict(x, covariance, cross, u, parameter_sets, dt, noise, change, kappa, effects, work):
     """Prediction step, equations (13) to (18), in place.
 
     Args:
@@ -154,6 +154,7 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, effects, 
         parameter_sets: (1 + 2 m, SIZE): nominal, then a pair for each θ at ±c.
         dt: step [s].
         noise: diagonal of Q (n,) for this step.
+        change: variance of the error of a predicted change of pressure in this step, relative to its square.
         kappa: κ.
         effects: None where the rig is known to be plain.
         work: :class:`Work`, scratch.
@@ -173,6 +174,7 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, effects, 
     _advance(points, u, parameter_sets, dt, effects, work)
     centre_weight = kappa / spread
     weight = 0.5 / spread
+    p1, p2 = x[PRESSURE_1], x[PRESSURE_1 + 1]
     for i in range(n):
         total = 0.0
         for k in range(1, 1 + 2 * m + 2 * n):
@@ -193,6 +195,9 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, kappa, effects, 
                 total += noise[i]
             covariance[i, j] = total
             covariance[j, i] = total
+    if change > 0.0:
+        covariance[PRESSURE_1, PRESSURE_1] += change * (x[PRESSURE_1] - p1) ** 2
+        covariance[PRESSURE_1 + 1, PRESSURE_1 + 1] += change * (x[PRESSURE_1 + 1] - p2) ** 2
     return repaired
 
 

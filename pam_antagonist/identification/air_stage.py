@@ -59,17 +59,16 @@ def _positive(path: str, rig: Rig, share: float, low: float = 0.0, high: float =
     return Unknown(path, (path,), rig.value(path), share, True, low, high)
 
 
-def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats, NDArray[np.bool_]]:
+def simulated(run: Run, p: Floats, horizon: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Pressures (N, 2) [Pa] that a model gives for commands and measured motion, and the rows that are a start (N,).
 
     Args:
         run: with commands and a measured angle.
         p: parameter vector of a locked joint (m,).
-        zero: reading of the encoder at ψ = 0 [rad].
         horizon: time after which the simulation starts anew from the measurement [s].
     """
     known = np.isfinite(run.angle)
-    angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
+    angle = np.interp(run.time, run.time[known], run.angle[known])
     size = max(round(horizon / run.period), _FEWEST_ROWS)
     first = np.append(np.arange(0, max(len(run) - size // 2, 1), size), len(run))
     starts = np.zeros(len(run), bool)
@@ -94,7 +93,7 @@ def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
     """
     p, of_model, of_rest = rig.parameters("locked"), [np.zeros(1)], [np.zeros(1)]
     for run in usable(runs):
-        shown, starts = simulated(run, p, 0.0, HORIZONS[-1])
+        shown, starts = simulated(run, p, HORIZONS[-1])
         last = np.maximum.accumulate(np.where(starts, np.arange(len(run)), 0))
         of_model.append((run.pressure - shown)[~starts].ravel())
         of_rest.append((run.pressure - run.pressure[last])[~starts].ravel())
@@ -102,22 +101,22 @@ def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
     return first, second
 
 
-def residual_of(rig: Rig, runs: Sequence[Run], zero: float, horizon: float) -> Callable[..., Floats]:
+def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float) -> Callable[..., Floats]:
     """The residuals of all runs for values of the unknowns, in their units.
 
     Args:
         rig: with the values of the joint.
         runs: to be fitted.
-        zero: reading of the encoder at ψ = 0 [rad].
+        unknown: of the fit.
         horizon: of the simulations [s].
     """
     vector = rig.parameters("locked")
 
     def residual(values: Mapping[str, float]) -> Floats:
-        p = par.changed(vector, values)
+        p = par.changed(vector, {path: values[item.name] for item in unknown for path in item.paths})
         out = []
         for run in runs:
-            shown, starts = simulated(run, p, zero, horizon)
+            shown, starts = simulated(run, p, horizon)
             weight = math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / _UNIT
             out.append(weight * (run.pressure - shown)[~starts].ravel())
         return np.concatenate(out)
@@ -128,7 +127,6 @@ def residual_of(rig: Rig, runs: Sequence[Run], zero: float, horizon: float) -> C
 def fit_air(
     rig: Rig,
     runs: Sequence[Run],
-    zero: float,
     evaluations: int = 12,
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
@@ -138,7 +136,6 @@ def fit_air(
     Args:
         rig: with the values of the joint.
         runs: to be fitted.
-        zero: reading of the encoder at ψ = 0 [rad].
         evaluations: the most derivatives of each horizon.
         jobs: threads.
         progress: called with what is being done.
@@ -149,5 +146,5 @@ def fit_air(
         if progress:
             progress(f"{'regulators' if rig.drive == 'regulator' else 'valves'}, horizons of {horizon:g} s")
         begin = None if found is None else found.amounts
-        found = fitted(free, residual_of(rig, given, zero, horizon), begin, evaluations, jobs)
+        found = fitted(free, residual_of(rig, given, free, horizon), begin, evaluations, jobs)
     return found

@@ -4,6 +4,7 @@
 2. Chambers and valves, or regulators, from the measured motion (:mod:`~pam_antagonist.identification.air_stage`).
 3. Noise and covariance of the filter (:mod:`~pam_antagonist.identification.filter_stage`).
 4. Errors on data that no step saw, beside those of the rig as configured and of a linear map of the two pressures.
+5. The same values from all of the data: the rig file is not judged on what it was fitted to, and loses nothing.
 
 One long recording and many short trials take the same way, as do valves and regulators.
 """
@@ -18,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification import joint_stage
+from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.air_stage import errors, fit_air
 from pam_antagonist.identification.filter_stage import Covered, Given, with_process_noise, with_unknown_torque
 from pam_antagonist.identification.joint_stage import DELAY, ZERO, fit_joint, model_values
 from pam_antagonist.identification.runs import Run, runs_of, said
-from pam_antagonist.identification.unknowns import Fit
+from pam_antagonist.identification.unknowns import Fit, fitted
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import parameters as par
@@ -93,9 +94,10 @@ class FromPressures:
 
     Attributes:
         start: the rig as configured.
-        rig: the result.
-        joint: values of joint and muscles.
-        air: values of chambers and valves, or regulators; None without commands.
+        rig: the result, with values that all of the data determine.
+        joint: values of joint and muscles, from the fitted part.
+        air: values of chambers and valves, or regulators, likewise; None without commands.
+        final: the same two from all of the data.
         covered: the unknown torque of the filter.
         held: errors on held-out data.
         fitted: name of each recording, and the end of its part that was fitted [s].
@@ -107,6 +109,7 @@ class FromPressures:
     rig: Rig
     joint: Fit
     air: Fit | None
+    final: tuple[Fit, Fit | None]
     covered: Covered
     held: tuple[Held, ...]
     fitted: tuple[tuple[str, float], ...]
@@ -206,7 +209,7 @@ def identify(
     _check_motion(recordings, runs, ends)
     joint = fit_joint(model, runs, starts=starts, seed=seed, jobs=jobs, progress=progress)
     own, corrected = with_joint(model, joint, recordings)
-    air = fit_air(own, parts_of(corrected, ends), 0.0, jobs=jobs, progress=progress)
+    air = fit_air(own, parts_of(corrected, ends), jobs=jobs, progress=progress)
     return concluded(recordings, ends, rig, joint, air, jobs, progress)
 
 
@@ -237,7 +240,7 @@ def concluded(
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> FromPressures:
-    """Noise and covariance of the filter for values that were found, and its errors on held-out data.
+    """Noise and covariance of the filter for values that were found, its errors on held-out data, and the final fit.
 
     Args:
         recordings: each with its joint's condition and a name.
@@ -255,8 +258,6 @@ def concluded(
     parts = _cut(corrected, ends)
     progress("process noise of the filter")
     covered = with_unknown_torque(with_process_noise(own, parts, jobs), parts, jobs, progress)
-    calibration = _calibration(rig).followed_by(_found(joint)).calibration()
-    result = covered.rig.replaced(calibration=rig.calibration.replaced(**calibration))
     progress("held-out data")
     runs = parts_of(corrected, ends)
     line = _linear(runs)
@@ -265,9 +266,30 @@ def concluded(
         for given, before, end in zip(corrected, recordings, ends, strict=True)
         if _is_judged(given) and end < given[0].duration_s
     )
-    fitted = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
-    notes = (*said(runs), *_notes(joint, air))
-    return FromPressures(rig, result, joint, air, covered, held, fitted, notes, errors(own, runs))
+    seen = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
+    progress("all of the data")
+    final = _from_all(recordings, base_model(rig), joint, air, jobs)
+    found = {**model_values(final[0].unknowns, final[0].values), **({} if final[1] is None else final[1].parameters)}
+    calibration = _calibration(rig).followed_by(_found(final[0])).calibration()
+    result = moved(covered.rig, found).replaced(calibration=rig.calibration.replaced(**calibration))
+    notes = (*said(runs), *_notes(*final))
+    return FromPressures(rig, result, joint, air, final, covered, held, seen, notes, errors(own, runs))
+
+
+def _from_all(
+    recordings: Sequence[Given], model: Rig, joint: Fit, air: Fit | None, jobs: int
+) -> tuple[Fit, Fit | None]:
+    """The values that all of the data determine; the fits begin at those that were found in a part of them."""
+    everything = [math.inf] * len(recordings)
+    residual = joint_stage.residual_of(model, parts_of(recordings, everything), joint.unknowns, math.inf)
+    last = fitted(joint.unknowns, residual, joint.amounts, jobs=jobs)
+    if air is None:
+        return last, None
+    own, corrected = with_joint(model, last, recordings)
+    residual = air_stage.residual_of(
+        own, air_stage.usable(parts_of(corrected, everything)), air.unknowns, air_stage.HORIZONS[-1]
+    )
+    return last, fitted(air.unknowns, residual, air.amounts, jobs=jobs)
 
 
 def _is_free(given: Given) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.recording.slow import repeated
+from pam_antagonist.recording.slow import reading_times, repeated
 
 Floats = NDArray[np.float64]
 
@@ -133,11 +133,15 @@ def _run(recording: Recording, rows: NDArray[np.intp], locked: bool, name: str) 
 
 def _at_own_rate(time: Floats, pressure: Floats) -> tuple[Floats, bool]:
     """Pressures that a slow sensor repeats, linear between its own readings, and whether there are such."""
-    again = repeated(pressure, float(np.median(np.diff(time))))
+    period = float(np.median(np.diff(time)))
+    again = repeated(pressure, period)
     if not again.any():
         return pressure, False
     again[-1] = False
-    return np.column_stack([np.interp(time, time[~again], column[~again]) for column in pressure.T]), True
+    fresh = np.concatenate([[True], (np.diff(pressure, axis=0) != 0.0).any(axis=1)])
+    taken = time.copy()
+    taken[fresh] = reading_times(time[fresh], period)
+    return np.column_stack([np.interp(time, taken[~again], column[~again]) for column in pressure.T]), True
 
 
 def _slope(time: Floats, angle: Floats) -> Floats:

@@ -15,6 +15,12 @@ _SHARE = 0.15
 """Share of repeated rows from which on a sensor is called slower than the log."""
 _TOGETHER = 0.6
 """Share of the changes in which both pressures change; of two independent converters it is smaller."""
+_FEWEST_READINGS = 64
+"""Fewer tell no period."""
+_MOST_LOST = 1.15
+"""Times as many readings as are seen, since equal ones are not seen as new."""
+_STEADY = 1.1
+"""Largest range of the readings' ages, in rows of the log: 1 but for the jitter of its stamps."""
 _FASTEST_S = 2e-3
 """[s] In logs with shorter periods a repeated value is mostly a pressure at rest, on a converter's step."""
 
@@ -39,3 +45,41 @@ def repeated(pressure: NDArray[np.float64], period_s: float) -> NDArray[np.bool_
     # Long rests do not count: there the pressure is as it was.
     counted = since <= _MOST_REPEATS
     return out if out.sum() >= _SHARE * counted.sum() else none
+
+
+def reading_times(time: NDArray[np.float64], period_s: float) -> NDArray[np.float64]:
+    """When a slow sensor took its readings (K,) [s], but for a constant delay; as logged if it has no steady period.
+
+    The log shows a reading in its next row. So the reading's age grows and jumps by up to a row, which a joint that moves
+    quickly shows. A sensor with a period of its own has taken its readings at one distance.
+
+    Args:
+        time: of the rows that show a new reading first (K,) [s].
+        period_s: of the log's rows.
+    """
+    if len(time) < _FEWEST_READINGS:
+        return time
+    since, count, period = time - time[0], _FEWEST_READINGS, 0.0
+    while True:
+        part = since[:count]
+        if period == 0.0:
+            tried = part[-1] / np.arange(count - 1, _MOST_LOST * count, 0.05)
+        else:  # over a longer part, the period is known more exactly
+            tried = period + 1.2 * period_s / count * np.linspace(-1.0, 1.0, 61)
+        period = min(tried, key=lambda one: _spread(part, one)[0])
+        if count == len(time):
+            break
+        count = min(2 * count, len(time))
+    spread, first = _spread(since, period)
+    if spread > _STEADY * period_s:
+        return time
+    age = (since - first) % period
+    return np.asarray(time - age + age.mean())
+
+
+def _spread(time: NDArray[np.float64], period: float) -> tuple[float, float]:
+    """Length of the shortest arc of a period that holds all times [s], and its begin [s]."""
+    phase = np.sort(time % period)
+    gap = np.diff(phase, append=phase[0] + period)
+    widest = int(np.argmax(gap))
+    return float(period - gap[widest]), float(phase[(widest + 1) % len(phase)])

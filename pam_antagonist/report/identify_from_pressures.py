@@ -69,7 +69,7 @@ def summary(found: FromPressures) -> tuple[Block, ...]:
     blocks: list[Block] = [Text(said, "verdict")]
     if items:
         blocks.append(Findings(tuple(items)))
-    return (*blocks, _errors(found), _values("Joint and muscles", found.joint), *_air(found))
+    return (*blocks, _errors(found), _values("Joint and muscles", found.final[0]), *_air(found))
 
 
 def _moved_deg(item: Held) -> float:
@@ -109,10 +109,10 @@ def _determined(share: float) -> str:
 
 
 def _air(found: FromPressures) -> tuple[Block, ...]:
-    if found.air is None:
+    if found.final[1] is None:
         return (Findings((Finding("note", "No commands were recorded: valves or regulators stay as configured."),)),)
     name = "Chambers and regulators" if found.start.drive == "regulator" else "Chambers and valves"
-    return (_values(name, found.air),)
+    return (_values(name, found.final[1]),)
 
 
 def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) -> Document:
@@ -136,7 +136,8 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
     definitions = (
         ("Value", "By its name in the rig file, which says beside each number what it is. (both): of both muscles."),
         ("Std", "Standard deviation that data and prior leave; it does not count errors of the model."),
-        ("Held-out", "Data that no step of the identification used."),
+        ("Held-out", "Data that no step used before these errors were computed. Then all values were fitted once more, "
+         "to all of the data: these are the values of the table and of the rig file."),
         ("Determined", "The data leave less than half of the prior's standard deviation."),
         ("With others only", "The data determine a combination with other values; this one stays near its prior."),
     )
@@ -179,7 +180,7 @@ def numbers(found: FromPressures, hashes: Sequence[str]) -> dict[str, Any]:
         found: the result.
         hashes: SHA-256 of the recordings.
     """
-    fits = {"joint": found.joint} | ({} if found.air is None else {"air": found.air})
+    fits = {name: fit for name, fit in zip(("joint", "air"), found.final, strict=True) if fit is not None}
     return {
         "rig": found.start.name,
         "rejected": found.rejected or None,

@@ -248,6 +248,9 @@ class Tuning(Strict):
 
     initial: _Diagonal = Field(description="diagonal of P(0)")
     process: _Diagonal = Field(description="diagonal of Q, a step")
+    change: float = Field(
+        0.0, ge=0.0, lt=10.0, description="error of a predicted change of pressure, relative to it; adds to Q [-]"
+    )
     measurement: Tuple[float, float] = Field(description="diagonal of R [Pa²]")  # noqa: UP006
     kappa: float = Field(ge=0.0, lt=100.0, description="scaling of the sigma points [-]")
     consider: bool = Field(description="carry the rig's uncertain parameters in the covariance")

@@ -42,7 +42,7 @@ def _filter_steps(
 ):  # fmt: skip
     """Predict and update, and nothing else."""
     for k in range(voltages.shape[0]):
-        _predict(x, covariance, cross, voltages[k], parameter_sets, dt, process, kappa, effects, work)
+        _predict(x, covariance, cross, voltages[k], parameter_sets, dt, process, 0.0, kappa, effects, work)
         _innovate(x, covariance, pressures[k], measurement, innovation, innovation_covariance)
         _update(x, covariance, cross, innovation, measurement, measurement, True, True, work)
 
