@@ -19,6 +19,8 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.joint_stage import torque_scale
+from pam_antagonist.identification.runs import runs_of
+from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays import replay
@@ -32,6 +34,14 @@ _LEAST_RATE = 1e3
 """[Pa] Least error of a predicted pressure over 10 ms. Below it, a valve's error is taken for a motion of the joint."""
 _FIRST_RATE = 1e5
 """[Pa] The same, so large that the measured pressures are followed whatever the valves do."""
+_RATES = (1.0, 0.1, 10.0)
+"""The errors of the predicted pressures that are tried, as shares of the usual one."""
+_WORTH = 1.05
+"""Another share is taken if it gives a smaller error of the angle by this factor."""
+_STILL = 0.02
+"""[rad/s] A slower joint rests."""
+_RESTS = 50
+"""Number of rests of a run that are looked at."""
 _OPEN_GATE = 1e4
 _GATE_MARGIN = 1.5
 """The gate by the largest Mahalanobis distance in the fitted recordings."""
@@ -51,12 +61,29 @@ def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> 
         recordings: parts that were fitted, of a free joint.
         jobs: threads.
     """
-    rig = rig.replaced(directions={}, uncertainty={})
-    innovation, _ = _innovations(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
-    rate = max(float(np.sqrt(np.mean(innovation**2))) * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
-    _, distance = _innovations(_with_process(rig, rate, _OPEN_GATE), recordings, jobs)
+    rig = _with_start(rig.replaced(directions={}, uncertainty={}), recordings)
+    first = _followed(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
+    usual = max(float(np.sqrt(np.mean(first.innovation**2))) * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
+    found = {rate: _followed(_with_process(rig, rate, _OPEN_GATE), recordings, jobs)
+             for rate in dict.fromkeys(max(share * usual, _LEAST_RATE) for share in _RATES)}  # fmt: skip
+    best = min(found, key=lambda rate: found[rate].error * (1.0 if rate == usual else _WORTH))
     # After a step a regulator's model errs by many standard deviations. The gate must not reject the measurement there.
-    return _with_process(rig, rate, max(rig.tuning("default").gate, _GATE_MARGIN * float(np.max(distance))))
+    gate = max(rig.tuning("default").gate, _GATE_MARGIN * float(np.max(found[best].distance)))
+    return _with_process(rig, best, gate)
+
+
+def _with_start(rig: Rig, recordings: Sequence[Given]) -> Rig:
+    """The rig with the variance of the filter's first angle: a joint with friction rests beside its equilibrium."""
+    p, errors = rig.parameters(), []
+    for run in (run for given in recordings for run in runs_of(*given)):
+        still = np.flatnonzero(np.isfinite(run.angle) & (np.abs(run.velocity) < _STILL))
+        for k in still[:: max(len(still) // _RESTS, 1)]:
+            errors.append(equilibrium.rest_angle(run.pressure[k, 0], run.pressure[k, 1], p) - run.angle[k])
+    tuning = rig.tuning("default")
+    variance = max(float(np.mean(np.square(errors))) if errors else 0.0, tuning.initial[0])
+    return rig.replaced(
+        tunings={**rig.tunings, "default": tuning.replaced(initial=(variance, *tuning.initial[1:]))}
+    )  # fmt: skip
 
 
 def _with_process(rig: Rig, rate: float, gate: float) -> Rig:
@@ -66,16 +93,25 @@ def _with_process(rig: Rig, rate: float, gate: float) -> Rig:
     return rig.replaced(tunings={**rig.tunings, "default": tuned})
 
 
-def _innovations(rig: Rig, recordings: Sequence[Given], jobs: int) -> tuple[Floats, Floats]:
-    """Innovations (K,) [Pa] and Mahalanobis distances (M,) of all samples."""
+@dataclass(frozen=True)
+class _Followed:
+    """What a filter gives over recordings: innovations [Pa], Mahalanobis distances, error of the angle, RMS [rad]."""
 
-    def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
-        rows = replay(recording, rig, "default", state.condition, None).run.rows
-        return rows["innovation"].ravel(), np.sqrt(rows["nis"])
+    innovation: Floats
+    distance: Floats
+    error: float
+
+
+def _followed(rig: Rig, recordings: Sequence[Given], jobs: int) -> _Followed:
+    def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats, Floats]:
+        run = replay(recording, rig, "default", state.condition, None).run
+        assert recording.angle is not None
+        return run.rows["innovation"].ravel(), np.sqrt(run.rows["nis"]), run.rows["angle"] - recording.angle[run.index]
 
     parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*item) for item in recordings)
-    innovation, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return innovation[np.isfinite(innovation)], distance[np.isfinite(distance)]
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    innovation, distance, error = (column[np.isfinite(column)] for column in columns)
+    return _Followed(innovation, distance, float(np.sqrt(np.mean(error**2))) if len(error) else math.inf)
 
 
 @dataclass(frozen=True)
