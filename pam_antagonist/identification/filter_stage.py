@@ -21,6 +21,8 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.joint_stage import torque_scale
+from pam_antagonist.identification.runs import runs_of
+from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays import replay
@@ -34,10 +36,14 @@ _LEAST_RATE = 1e3
 """[Pa] Least error of a predicted pressure over 10 ms. Below it, a valve's error is taken for a motion of the joint."""
 _FIRST_RATE = 1e5
 """[Pa] The same, so large that the measured pressures are followed whatever the valves do."""
-_SHARES, _CHANGES = (1.0, 0.5, 0.25), (0.0, 0.2, 0.5)
-"""Constant parts of the process noise that are tried, as shares of the predicted pressures' error, and relative parts."""
-_WORTH = 0.97
-"""A pair other than the first is taken if it leaves at most this share of the angle's error."""
+_PAIRS = ((1.0, 0.0), (0.1, 0.0), (10.0, 0.0), (1.0, 0.2), (1.0, 0.5), (0.5, 0.2), (0.5, 0.5), (0.25, 0.2), (0.25, 0.5))
+"""Process noise that is tried: its constant part, as a share of the usual one, and the part relative to the change."""
+_WORTH = 1.05
+"""Another pair than the first is taken if it gives a smaller error of the angle by this factor."""
+_STILL = 0.02
+"""[rad/s] A slower joint rests."""
+_RESTS = 50
+"""Number of rests of a run that are looked at."""
 _OPEN_GATE = 1e4
 _GATE_MARGIN = 1.5
 """The gate by the largest Mahalanobis distance in the fitted recordings."""
@@ -57,16 +63,31 @@ def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> 
         recordings: parts that were fitted, of a free joint.
         jobs: threads.
     """
-    rig = rig.replaced(directions={}, uncertainty={})
-    innovation, _ = _innovations(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
-    rate = max(float(np.sqrt(np.mean(innovation**2))) * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
-    tried = [_with_process(rig, share * rate, _OPEN_GATE, change) for share in _SHARES for change in _CHANGES]
-    plain, *others = (_angle_error(one, recordings, jobs) for one in tried)
-    least = min(others)
-    best = tried[0] if least > _WORTH * plain else tried[1 + others.index(least)]
-    _, distance = _innovations(best, recordings, jobs)
+    rig = _with_start(rig.replaced(directions={}, uncertainty={}), recordings)
+    first = _followed(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
+    usual = max(float(np.sqrt(np.mean(first.innovation**2))) * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
+    least = {0.0: _LEAST_RATE}  # a part relative to the change makes up for what is less
+    tried = [_with_process(rig, max(share * usual, least.get(change, 0.0)), _OPEN_GATE, change)
+             for share, change in _PAIRS]  # fmt: skip
+    found = [_followed(one, recordings, jobs) for one in tried]
+    best = min(range(len(found)), key=lambda k: found[k].error * (1.0 if k == 0 else _WORTH))
     # After a step a regulator's model errs by many standard deviations. The gate must not reject the measurement there.
-    return _with_gate(best, max(rig.tuning("default").gate, _GATE_MARGIN * float(np.max(distance))))
+    gate = max(rig.tuning("default").gate, _GATE_MARGIN * float(np.max(found[best].distance)))
+    return _with_gate(tried[best], gate)
+
+
+def _with_start(rig: Rig, recordings: Sequence[Given]) -> Rig:
+    """The rig with the variance of the filter's first angle: a joint with friction rests beside its equilibrium."""
+    p, errors = rig.parameters(), []
+    for run in (run for given in recordings for run in runs_of(*given)):
+        still = np.flatnonzero(np.isfinite(run.angle) & (np.abs(run.velocity) < _STILL))
+        for k in still[:: max(len(still) // _RESTS, 1)]:
+            errors.append(equilibrium.rest_angle(run.pressure[k, 0], run.pressure[k, 1], p) - run.angle[k])
+    tuning = rig.tuning("default")
+    variance = max(float(np.mean(np.square(errors))) if errors else 0.0, tuning.initial[0])
+    return rig.replaced(
+        tunings={**rig.tunings, "default": tuning.replaced(initial=(variance, *tuning.initial[1:]))}
+    )  # fmt: skip
 
 
 def _with_process(rig: Rig, rate: float, gate: float, change: float = 0.0) -> Rig:
@@ -81,22 +102,25 @@ def _with_gate(rig: Rig, gate: float) -> Rig:
     return rig.replaced(tunings={**rig.tunings, "default": rig.tuning("default").replaced(gate=gate)})
 
 
-def _angle_error(rig: Rig, recordings: Sequence[Given], jobs: int) -> float:
-    """Error of the estimated angle, RMS [rad]."""
-    parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(_errors)(rig, *item) for item in recordings)
-    return math.sqrt(float(np.mean(np.concatenate([error for error, _ in parts]) ** 2)))
+@dataclass(frozen=True)
+class _Followed:
+    """What a filter gives over recordings: innovations [Pa], Mahalanobis distances, error of the angle, RMS [rad]."""
+
+    innovation: Floats
+    distance: Floats
+    error: float
 
 
-def _innovations(rig: Rig, recordings: Sequence[Given], jobs: int) -> tuple[Floats, Floats]:
-    """Innovations (K,) [Pa] and Mahalanobis distances (M,) of all samples."""
-
-    def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
-        rows = replay(recording, rig, "default", state.condition, None).run.rows
-        return rows["innovation"].ravel(), np.sqrt(rows["nis"])
+def _followed(rig: Rig, recordings: Sequence[Given], jobs: int) -> _Followed:
+    def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats, Floats]:
+        run = replay(recording, rig, "default", state.condition, None).run
+        assert recording.angle is not None
+        return run.rows["innovation"].ravel(), np.sqrt(run.rows["nis"]), run.rows["angle"] - recording.angle[run.index]
 
     parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*item) for item in recordings)
-    innovation, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return innovation[np.isfinite(innovation)], distance[np.isfinite(distance)]
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    innovation, distance, error = (column[np.isfinite(column)] for column in columns)
+    return _Followed(innovation, distance, float(np.sqrt(np.mean(error**2))) if len(error) else math.inf)
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,8 @@ def repeated(pressure: NDArray[np.float64], period_s: float) -> NDArray[np.bool_
 def reading_times(time: NDArray[np.float64], period_s: float) -> NDArray[np.float64]:
     """When a slow sensor took its readings (K,) [s], but for a constant delay; as logged if it has no steady period.
 
-    The log shows a reading in its next row. So the reading's age grows and jumps by up to a row, which a joint that moves
-    quickly shows. A sensor with a period of its own has taken its readings at one distance.
+    The log shows a reading in its next row. So the reading's age varies by up to a row, which a quick joint
+    shows. A sensor with a period of its own has taken its readings at one distance.
 
     Args:
         time: of the rows that show a new reading first (K,) [s].
