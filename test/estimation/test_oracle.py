@@ -44,22 +44,31 @@ def _oracle(rig: Rig, tuning: str, recording, joint: str) -> tuple[np.ndarray, n
     ukf.R = np.diag(chosen.measurement)
     states, covariances = [ukf.x.copy()], [ukf.P[:2, :2].copy()]
     for y, u in zip(recording.pressure[1:], recording.voltage[1:], strict=True):
+        before = ukf.x.copy()
         ukf.predict(u=u)
+        for i in (2, 3):
+            ukf.P[i, i] += (chosen.change * (ukf.x[i] - before[i])) ** 2
+        ukf.sigmas_f = ukf.points_fn.sigma_points(ukf.x, ukf.P)
         ukf.update(y)
         states.append(ukf.x.copy())
         covariances.append(ukf.P[:2, :2].copy())
     return np.array(states), np.array(covariances)
 
 
-def _without_consider(rig: Rig) -> Rig:
+def _without_consider(rig: Rig, change: float = 0.0) -> Rig:
     # A gate that never closes: filterpy has none.
-    open_gate = {name: tuning.replaced(consider=False, gate=1e9) for name, tuning in rig.tunings.items()}
+    open_gate = {
+        name: tuning.replaced(consider=False, gate=1e9, change=change) for name, tuning in rig.tunings.items()
+    }
     return rig.replaced(tunings=open_gate)
 
 
-@pytest.mark.parametrize(("tuning", "joint"), [("published", "free"), ("default", "free"), ("published", "locked")])
-def test_equals_filterpy_over_a_whole_recording(tuning: str, joint: str) -> None:
-    rig = _without_consider(load_rig("shin2022"))
+@pytest.mark.parametrize(
+    ("tuning", "joint", "change"),
+    [("published", "free", 0.0), ("default", "free", 0.0), ("published", "locked", 0.0), ("published", "free", 0.3)],
+)
+def test_equals_filterpy_over_a_whole_recording(tuning: str, joint: str, change: float) -> None:
+    rig = _without_consider(load_rig("shin2022"), change)
     recording = trial(10.0, seed=4, joint=joint)
     states, covariances = _oracle(rig, tuning, recording, joint)
     run = Estimator(rig, tuning, joint).run(recording.stamp_ns, recording.pressure, recording.voltage).rows

@@ -84,6 +84,13 @@ def test_what_is_found_is_true_within_its_errors(found: FromPressures) -> None:
     assert any("The angle is late" in note for note in found.notes)
 
 
+def test_the_file_has_what_all_of_the_data_determine(found: FromPressures) -> None:
+    joint, _ = found.final
+    assert found.rig.value("joint.inertia") == joint.values["joint.inertia"] != found.joint.values["joint.inertia"]
+    assert np.trace(joint.covariance) < np.trace(found.joint.covariance)
+    assert abs(joint.values[DELAY] - LATE_S) < 2e-3
+
+
 def test_every_value_stays_within_its_bounds(found: FromPressures) -> None:
     for fit in (found.joint, found.air):
         assert fit is not None
@@ -116,14 +123,14 @@ def test_the_command_gives_the_same_numbers_and_a_rig_that_replay_takes(
     numbers = json.loads((tmp_path / "out" / "report.json").read_text())
     assert numbers["errors_deg"]["identified"] == found.pooled("identified")
     values = {name: entry["value"] for part in numbers["values"].values() for name, entry in part.items()}
-    assert values == {**found.joint.values, **found.air.values}  # type: ignore[union-attr]
+    joint, air = found.final
+    assert air is not None
+    assert values == {**joint.values, **air.values}
     rig = tmp_path / "out" / "rig.yaml"
     assert load_rig(str(rig)).identified
     assert replay.main([str(bags / "free_2"), "--rig", str(rig), "--out", str(tmp_path / "again")]) == 0
     again = json.loads((tmp_path / "again" / "report.json").read_text())
-    assert again["ukf"]["angle"]["rmse_deg"] == pytest.approx(
-        numbers["held_out"][0]["errors_deg"]["identified"], rel=0.02
-    )
+    assert again["ukf"]["angle"]["rmse_deg"] < 1.2 * numbers["held_out"][0]["errors_deg"]["identified"]
 
 
 @pytest.mark.slow(5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.recording.slow import repeated
+from pam_antagonist.recording.slow import reading_times, repeated
 
 RNG = np.random.default_rng(4)
 MOVING = 3e5 + np.cumsum(RNG.normal(0.0, 2e3, (600, 2)), axis=0)
@@ -44,3 +44,21 @@ def test_at_a_kilohertz_repeats_are_steps_of_a_converter() -> None:
 @pytest.mark.parametrize("rows", [0, 1, 2])
 def test_a_few_rows_are_no_sensor(rows: int) -> None:
     assert repeated(MOVING[:rows], 0.02).shape == (rows,)
+
+
+def logged(taken: np.ndarray, period: float) -> np.ndarray:
+    """Times of the rows of a log, with some jitter, that show these readings first."""
+    return np.ceil(taken / period) * period + RNG.uniform(0.0, 2e-4, len(taken))
+
+
+def test_readings_get_their_own_times_back_but_for_a_constant() -> None:
+    taken = 0.0303 * np.arange(1500) + 0.004
+    shown = logged(taken, 0.02)
+    assert np.std(shown - taken) > 5e-3
+    assert np.std(reading_times(shown, 0.02) - taken) < 3e-4
+
+
+def test_a_sensor_without_a_period_keeps_the_times_of_the_log() -> None:
+    shown = logged(np.cumsum(RNG.uniform(0.02, 0.045, 1500)), 0.02)
+    assert np.array_equal(reading_times(shown, 0.02), shown)
+    assert np.array_equal(reading_times(shown[:20], 0.02), shown[:20])
