@@ -6,6 +6,8 @@ so they repeat together and change together.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,22 +61,25 @@ def reading_times(time: NDArray[np.float64], period_s: float) -> NDArray[np.floa
     """
     if len(time) < _FEWEST_READINGS:
         return time
-    since, count, period = time - time[0], _FEWEST_READINGS, 0.0
-    while True:
-        part = since[:count]
-        if period == 0.0:
-            tried = part[-1] / np.arange(count - 1, _MOST_LOST * count, 0.05)
-        else:  # over a longer part, the period is known more exactly
-            tried = period + 1.2 * period_s / count * np.linspace(-1.0, 1.0, 61)
-        period = min(tried, key=lambda one: _spread(part, one)[0])
-        if count == len(time):
-            break
+    since, count = time - time[0], _FEWEST_READINGS
+    # Of the periods that explain the first readings the longest one: it has lost the fewest.
+    tried = since[count - 1] / np.arange(count - 1, _MOST_LOST * count, 0.05)
+    period = next((one for one in tried if _spread(since[:count], one)[0] <= _STEADY * period_s), math.nan)
+    while math.isfinite(period) and count < len(time):
         count = min(2 * count, len(time))
+        # Over a longer part, the period is known more exactly.
+        near = period + 1.2 * period_s / count * np.linspace(-2.0, 2.0, 121)
+        period = min(near, key=lambda one: _spread(since[:count], one)[0])
+    if not math.isfinite(period):
+        return time
     spread, first = _spread(since, period)
     if spread > _STEADY * period_s:
         return time
     age = (since - first) % period
-    return np.asarray(time - age + age.mean())
+    taken = since - age
+    if np.diff(taken).min() < 0.5 * period:  # two readings in one period: it is none
+        return time
+    return np.asarray(time[0] + taken + age.mean())
 
 
 def _spread(time: NDArray[np.float64], period: float) -> tuple[float, float]:
