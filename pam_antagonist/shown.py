@@ -41,3 +41,16 @@ def _short(value: Any) -> str:
     if isinstance(value, (Sequence, Mapping)):
         return f"[{len(value)}]"
     return type(value).__name__
+
+
+def unlike(value: float, limit: float, decimals: int) -> str:
+    """A number with as many decimals as it takes to differ from a limit that it misses.
+
+    Args:
+        value: the number.
+        limit: what it misses.
+        decimals: least number of decimals.
+    """
+    while decimals < 12 and float(f"{value:.{decimals}f}") == limit != value:
+        decimals += 1
+    return f"{value:.{decimals}f}"

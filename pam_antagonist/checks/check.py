@@ -35,7 +35,7 @@ from pam_antagonist.recording.resets import resets
 from pam_antagonist.recording.units import UNITS
 from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 from pam_antagonist.rig import NO_ENCODER, Rig
-from pam_antagonist.shown import Shown
+from pam_antagonist.shown import Shown, unlike
 
 Floats = NDArray[np.float64]
 
@@ -98,7 +98,8 @@ def check_recording(
     name = recording.path.name
     recording.driven_by(rig.drive)
     if recording.duration_s < SHORTEST:
-        raise BadInput(f"{name}: {recording.duration_s:.1f} s is too short to check; expected {SHORTEST:g} s or more")
+        lasts = unlike(recording.duration_s, SHORTEST, 1)
+        raise BadInput(f"{name}: {lasts} s is too short to check; expected {SHORTEST:g} s or more")
     for what, values in (
         ("voltages" if rig.drive == "valve" else "commands", recording.voltage),
         ("pressures", recording.pressure),

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static_columns import QUANTITIES, Choice
-from pam_antagonist.identification.static_rig import StaticResult, with_length, work_out
-from pam_antagonist.identification.static_table import read_force_map, read_volumes
+from pam_antagonist.identification.static import StaticResult, work_out
+from pam_antagonist.identification.static_table import QUANTITIES, Choice, read_force_map, read_volumes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.program import typed
+from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 from pam_antagonist.report import terminal
 from pam_antagonist.report.static import summary, write_report
-from pam_antagonist.rig import load_rig
+from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
 _DESCRIPTION = """\
@@ -33,7 +33,7 @@ examples:
   {run} static --volume cylinder.csv --force-map map.csv --rig my_rig.yaml --out result
   {run} static --force-map left.csv --muscle 1 --form sarosi --rig my_rig.yaml --out result
   {run} static --force-map map.csv --column length=L:mm --column pressure=p:bar:gauge --rig my_rig.yaml --out result
-  {run} static --force-map other_muscle.csv --rig my_rig.yaml --out result --report-only
+  {run} static --force-map one_muscle.csv --out result --report-only
 """
 
 
@@ -48,9 +48,17 @@ def parser() -> common.Parser:
         default="both",
         help="muscle that gets the fitted coefficients (default: both get the same)",
     )
-    common.add_rig(out)
+    out.add_argument(
+        "--rig",
+        metavar="RIG",
+        help="a YAML file, or the name of a rig of the package; may be left out with --report-only",
+    )
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results; a new one")
-    out.add_argument("--form", choices=par.FORCE_FORMS, help="form of the force map in rig.yaml (default: the rig's)")
+    out.add_argument(
+        "--form",
+        choices=par.FORCE_FORMS,
+        help="form of the force map in rig.yaml (default: the rig's, and braided for muscles of a data sheet)",
+    )
     out.add_argument(
         "--column", action="append", default=[], type=_column, metavar="QUANTITY=NAME[:UNIT[:gauge|absolute]]",
         help=f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not give it",
@@ -69,7 +77,8 @@ def parser() -> common.Parser:
         "--length",
         type=float,
         metavar="L_0",
-        help="muscle length at angle 0 [m], in place of the rig's geometry.length",
+        help="muscle length at angle 0 [m], in place of the rig's geometry.length; without a rig the muscle's nominal "
+        "length, without pressure and load",
     )
     out.add_argument(
         "--report-only", action="store_true", help="write no rig.yaml; then the muscle need not fit the rig"
@@ -117,7 +126,7 @@ def _run(arguments: argparse.Namespace) -> int:
     result = _worked_out(arguments)
     with common.output_folder(arguments.out) as folder:
         if result.fitted is not None:
-            write_rig(result.fitted, folder / "rig.yaml", _remarks(result))
+            write_rig(result.fitted, folder / "rig.yaml", _remarks(result, result.fitted))
         write_report(folder, result, with_figures=not arguments.no_figures)
     print(f"{terminal.render(summary(result))}\n")
     if result.fitted is not None:
@@ -136,20 +145,27 @@ def _worked_out(arguments: argparse.Namespace) -> StaticResult:
     if arguments.form and arguments.force_map is None:
         raise BadInput("--form: chooses the form of a force map; expected --force-map FILE as well")
     columns = _columns(arguments)
-    rig = load_rig(arguments.rig)
+    if arguments.rig is None and not arguments.report_only:
+        raise BadInput("--rig: expected a rig file, or --report-only for a muscle without a rig")
+    length = 0.0
     if arguments.length is not None:
-        rig = with_length(rig, arguments.length)
+        length = arguments.length
+        if not 0.02 < length < 2.0:
+            raise BadInput(f"--length {length:g} m: expected the muscle's length at angle 0, 0.02 to 2 m")
+    rig = None if arguments.rig is None else load_rig(arguments.rig, regulators=True)
     volumes = force_map = None
     if arguments.volume is not None:
         volumes = read_volumes(arguments.volume, columns)
     if arguments.force_map is not None:
         force_map = read_force_map(
-            arguments.force_map, rig.atmosphere.pressure, columns, arguments.pressure, arguments.slack_below
+            arguments.force_map,
+            STANDARD_ATMOSPHERE if rig is None else rig.atmosphere.pressure,
+            columns,
+            arguments.pressure,
+            arguments.slack_below,
         )
     muscles = (1, 2) if arguments.muscle == "both" else (int(arguments.muscle),)
-    return work_out(
-        rig, volumes, force_map, muscles, arguments.form or "", arguments.length is not None, arguments.report_only
-    )
+    return work_out(rig, volumes, force_map, muscles, arguments.form or "", length, arguments.report_only)
 
 
 def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
@@ -172,10 +188,8 @@ def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
     return chosen
 
 
-def _remarks(result: StaticResult) -> list[str]:
-    tables = [table.name for table in (result.volumes, result.force_map) if table is not None]
+def _remarks(result: StaticResult, rig: Rig) -> list[str]:
+    tables = [table.name for table in result.tables]
     whose = " and ".join(str(number) for number in result.muscles)
-    lines = [
-        f"Rig {result.rig.name} with static fits of muscle {whose} from {' and '.join(tables)}; their errors: priors."
-    ]
+    lines = [f"Rig {rig.name} with static fits of muscle {whose} from {' and '.join(tables)}; their errors: priors."]
     return lines + [f"! {text}" for text in result.warnings]

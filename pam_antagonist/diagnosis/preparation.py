@@ -35,6 +35,7 @@ from pam_antagonist.model.effects import random_part
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import joint_condition, refuse_other_condition
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import unlike
 
 START = 5.0
 """[s] Beginning of a held-out recording, to which its first state is fitted; errors count after it."""
@@ -221,7 +222,7 @@ def _valve_driven(
     trials = [trial_of(recording) for recording in recordings]
     others = [trial_of(recording) for recording in held_out]
     for trial in (*trials, *others):
-        check(trial)
+        check(trial, rig.drive)
         _check_duration(trial, thresholds.SHORTEST, "with both valves moving all the time")
     check_distinct(recordings, held_out, [trial.name for trial in others])
     experiments, held = valve_driven_experiments(trials, others, rig, settings.holdout, settings.seed, settings.jobs)
@@ -233,8 +234,8 @@ def _check_duration(trial: Trial, least: float, what: str) -> None:
     duration = len(trial) * trial.dt
     if duration < least:
         raise BadInput(
-            f"{trial.name}: {duration:.1f} s is too short to distinguish an effect from chance; expected at "
-            f"least {least:g} s {what}"
+            f"{trial.name}: {unlike(duration, least, 1)} s is too short to distinguish an effect from chance; "
+            f"expected at least {least:g} s {what}"
         )
 
 

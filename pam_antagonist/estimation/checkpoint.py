@@ -114,7 +114,7 @@ def settings_hash(settings: Settings) -> str:
         settings: of the filter.
     """
     content = settings._asdict()
-    del content["possible"]  # follows from the rig; checkpoints that are older than these bounds remain valid
+    del content["possible"], content["commands"]  # follow from the rig; checkpoints older than them remain valid
     sets = settings.parameter_sets
     # Unused newer entries are left out of the hash, so that old checkpoints remain valid.
     unused = [index for index, value in _NEW_PARAMETERS.items() if np.all(sets[:, index] == value)]

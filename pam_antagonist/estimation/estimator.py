@@ -222,6 +222,7 @@ class Estimator:
             gate=chosen.gate,
             lock_angle=lock_angle,
             possible=possible.bounds(rig),
+            commands=np.array([rig.command_limits] * 2),
             change_noise=chosen.change**2,
             **_angle_sensor(rig, angle_sensor),
         )

@@ -8,8 +8,9 @@ arrival:
 
 * a stamp not newer than the last one: the sample is dropped and counted (``duplicates``, ``late``);
 * a stamp older by more than ``RESTART_AFTER_NS``: the clock was set back, and the filter starts again;
-* an interval longer than the stream's own period: samples are missing. The filter predicts over the gap with the last
-  known voltages, up to ``LONGEST_GAP_NS``; after a longer gap it starts again;
+* an interval longer than the stream's own period: samples are missing. The filter predicts over the gap, up to
+  ``LONGEST_GAP_NS``, with the last known voltages or with those that explain the pressures after it
+  (:mod:`~pam_antagonist.estimation.bridge`); after a longer gap it starts again;
 * a pressure that is not finite, or not possible on the rig (:mod:`~pam_antagonist.estimation.possible`): only the other
   one is used, or none (prediction only);
 * voltages that are not finite or not possible: the last known ones are held;
@@ -32,7 +33,7 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, merged
-from pam_antagonist.estimation import encoder, push, stamps, start, ukf
+from pam_antagonist.estimation import bridge, encoder, push, stamps, start, ukf
 from pam_antagonist.estimation.memory import (
     COUNTERS,
     GAP,
@@ -58,13 +59,14 @@ _VERDICT, _WITHOUT, _PATIENCE = encoder.VERDICT, encoder.WITHOUT, stamps.PATIENC
     _ANGLES_REFUSED,
 ) = range(len(COUNTERS))  # fmt: skip
 
-_spread_predict, _innovate, _update, _torque_moments = ukf.predict, ukf.innovate, ukf.update, ukf.torque_moments
+_innovate, _update, _torque_moments = ukf.innovate, ukf.update, ukf.torque_moments
 _forces, _torque_slope, _start_state = dynamics.forces, dynamics.torque_slope, start.start
 _subsystem, _pressure_behind = dynamics.subsystem, sensor.pressure_behind
 _EXTERNAL_TORQUE = SLOT_OF[push.EXTERNAL_TORQUE]
 _REGULATED = SLOT_OF["regulator_rate_1"]
 _examine, _correct_angle = encoder.examine, encoder.correct
 _jumped, _widen = push.jumped, push.widen
+_propagate, _over_gap = bridge.propagate, bridge.over_gap
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
 
@@ -212,7 +214,7 @@ def _angle(angle, elapsed, y, usable, effects, memory, settings, work):
 
 
 @merged
-def _advance(elapsed, period, u, known_u, effects, memory, settings, work):
+def _advance(elapsed, period, y, usable_1, usable_2, u, known_u, effects, memory, settings, work):
     """Predict over the time since the last sample [ns], missing samples included.
 
     The voltages of a sample were on the valves over the stream's period [s] that ends there.
@@ -223,27 +225,10 @@ def _advance(elapsed, period, u, known_u, effects, memory, settings, work):
     steps, dt, gap, since = _steps_over(elapsed, period, settings.period, settings.step)
     for i in range(memory.x.shape[0]):
         memory.noise[i] = settings.process_noise[i] * (dt / settings.period)
-    repaired = 0
-    for step in range(steps):
-        if step == since and known_u:
-            memory.held[0], memory.held[1] = u
-        outcome = _spread_predict(
-            memory.x,
-            memory.covariance,
-            memory.cross,
-            memory.held,
-            settings.parameter_sets,
-            dt,
-            memory.noise,
-            # Errors of the steps within a period add up, as one error would.
-            settings.change_noise * (settings.period / dt),
-            settings.kappa,
-            effects,
-            work,
-        )
-        if outcome < 0:
-            break
-        repaired += outcome
+    if since > 0:
+        repaired = _over_gap(steps, since, dt, y, usable_1, usable_2, u, known_u, effects, memory, settings, work)
+    else:
+        repaired = _propagate(steps, since, dt, u, known_u, effects, memory, settings, work)
     return gap, repaired
 
 
@@ -364,7 +349,7 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         return False
 
     period = _own_period(elapsed, clock, settings.period)
-    gap, repaired = _advance(elapsed, period, u, known_u, effects, memory, settings, work)
+    gap, repaired = _advance(elapsed, period, y, usable_1, usable_2, u, known_u, effects, memory, settings, work)
     if gap:
         counts[_GAPS] += 1
     clock[LAST] = stamp

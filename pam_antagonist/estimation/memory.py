@@ -56,6 +56,7 @@ class Settings(NamedTuple):
         lock_angle: angle of a locked joint [rad].
         possible: bounds of both pressures [Pa] and both voltages [V] (4, 2), see
             :func:`pam_antagonist.estimation.possible.bounds`.
+        commands: least and largest command of each muscle (2, 2) [V], of regulators [Pa].
         change_noise: variance of the error of a predicted change of pressure over a sample, relative to its square [-].
         angle_noise: variance of a measured angle [rad²]; 0: no angle is used.
         angle_offset: of the measured angle [rad], positive if it reads too high.
@@ -73,6 +74,7 @@ class Settings(NamedTuple):
     gate: float
     lock_angle: float
     possible: np.ndarray
+    commands: np.ndarray
     change_noise: float = 0.0
     angle_noise: float = 0.0
     angle_offset: float = 0.0

@@ -46,6 +46,12 @@ class Work(NamedTuple):
         lane_sets: parameters of the sigma points, side by side (G, SIZE, LANES).
         lane_states: states of a group of sigma points (n, LANES).
         lane_stages: of a Runge-Kutta step of such a group (STAGES + 1, n, LANES).
+        inputs: commands over the halves of a gap and over the period after it (3, 2).
+        brackets: bounds of the commands that are searched (2, 2).
+        halves: effects of unknown commands over the halves of a gap on the state (4, n).
+        before_x: state before a gap (n,).
+        before_covariance: P there (n, n).
+        before_cross: C there (n, m).
     """
 
     points: np.ndarray
@@ -57,6 +63,12 @@ class Work(NamedTuple):
     lane_sets: np.ndarray
     lane_states: np.ndarray
     lane_stages: np.ndarray
+    inputs: np.ndarray
+    brackets: np.ndarray
+    halves: np.ndarray
+    before_x: np.ndarray
+    before_covariance: np.ndarray
+    before_cross: np.ndarray
 
 
 def make_work(states: int, parameter_sets: np.ndarray) -> Work:
@@ -77,6 +89,12 @@ def make_work(states: int, parameter_sets: np.ndarray) -> Work:
         lane_sets=sigma_steps.beside(parameter_sets, points),
         lane_states=np.zeros((n, LANES)),
         lane_stages=np.zeros((integration.STAGES + 1, n, LANES)),
+        inputs=np.zeros((3, 2)),
+        brackets=np.zeros((2, 2)),
+        halves=np.zeros((4, n)),
+        before_x=np.zeros(n),
+        before_covariance=np.zeros((n, n)),
+        before_cross=np.zeros((n, (len(parameter_sets) - 1) // 2)),
     )
 
 

@@ -162,7 +162,7 @@ def identify(
                 f"{_SHORTEST_HOLDOUT:g} s, to judge the result by"
             )
         part = trial.part(0.0, split)
-        check(part)
+        check(part, rig.drive)
         held_from.append(split)
         fitted.append(part)
     free, warnings = _chosen_parameters(rig, fitted, options)

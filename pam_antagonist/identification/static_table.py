@@ -1,4 +1,7 @@
-"""Static measurements of one muscle from a table: its force by length and pressure, its volume by length."""
+"""Tables of a muscle that a bench holds still: its force by length and pressure, its volume by length.
+
+Nothing is guessed: a column without a unit, and a pressure that is not said to be gauge or absolute, are refused.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static_columns import Choice, candidates, column_of
-from pam_antagonist.identification.static_regression import bands
+from pam_antagonist.identification.tobit import Bools, Floats, Observations
 from pam_antagonist.recording.csv_map import Delimiter, Layout
 from pam_antagonist.recording.csv_table import Table, read_table
 from pam_antagonist.recording.csv_text import Line, Lines, check_file, opened, split
-from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.units import UNITS, canonical
 from pam_antagonist.recording.wrong_unit import Signal, check_pressures, pascal
 
+_WORDS = {
+    "length": ("length", "l", "len"),
+    "pressure": ("pressure", "p"),
+    "force": ("force", "f"),
+    "volume": ("volume", "v", "vol"),
+}
+QUANTITIES = tuple(_WORDS)
+"""Quantities that a column may hold; ``_std`` behind a quantity means its standard deviation."""
+_DEVIATION = ("std", "sigma", "sd")
+_REFERENCES = {"gauge": "gauge", "g": "gauge", "rel": "gauge", "relative": "gauge",
+               "absolute": "absolute", "abs": "absolute", "a": "absolute"}  # fmt: skip
+_EXAMPLES = {"length": "length_mm", "pressure": "pressure_kPa_gauge", "force": "force_N", "volume": "volume_cm3",
+             "force_std": "force_std_N", "volume_std": "volume_std_cm3"}  # fmt: skip
+_PLAUSIBLE = {"length": (0.02, 2.0), "volume": (1e-7, 1e-2), "force": (1.0, 2e4)}
+"""Ranges that a rig may have, in SI units: of every length and volume, and of the largest force."""
+_USUAL = {"length": 0.2, "volume": 5e-5, "force": 300.0}
+_FEWEST_ROWS = 3
 _PEEKED = 50
 _DELIMITERS: tuple[Delimiter, ...] = (";", "\t", "|", ",")
 _ADVICE = {
@@ -33,90 +52,56 @@ _ADVICE = {
     "header": "the first line has to name the columns, with their units",
     "missing": "a cell without a value has to be empty",
 }
-"""Advice on a file, by the entry of a column map that would describe its format."""
+"""Advice on a file, by the entry of a column map that would describe its format: tables have no map."""
 
 
-def opening(path: Path) -> tuple[Layout, list[str]]:
-    """The format of a file, and the names of its columns.
+@dataclass(frozen=True)
+class Choice:
+    """A column as the user named it.
 
-    Raises:
-        BadInput: no text file, or nothing in it but comments.
+    Attributes:
+        column: its name in the file's first line.
+        unit: its unit, empty where the name contains it.
+        reference: of a pressure: gauge, absolute or empty.
     """
-    check_file(path)
-    layout = Layout(comment=None)
-    start: list[Line] = []
-    with opened(path, layout) as stream:
-        lines = Lines(path, layout, stream)
-        for line in lines:
-            start.append(line)
-            if not line.text.lstrip().startswith("#"):
-                break
-        after = "".join(line.text for line in itertools.islice(lines, _PEEKED))
-    first = start[-1] if start else Line(0, "#")
-    if first.text.lstrip().startswith("#"):
-        raise BadInput(f"{path}: no rows in it, only comments")
-    delimiter: Delimiter = next((mark for mark in _DELIMITERS if mark in first.text), "space")
-    # Commas that do not separate cells may be decimal commas.
-    comma = delimiter != "," and re.search(r"\d,\d", after) and not re.search(r"\d\.\d", after)
-    layout = Layout(comment="#", delimiter=delimiter, decimal="," if comma else ".")
-    names = _names(path, layout, first)
-    if all(re.fullmatch(r"[-+.,\deE]+", name) for name in names) and len(start) > 1:
-        # numpy.savetxt writes the names as a comment before the first row.
-        head = start[-2]
-        layout = layout.replaced(comment=None, skip_lines=head.number - 1)
-        names = [name for name in (cell.lstrip("# ") for cell in _names(path, layout, head)) if name]
-    return layout, names
 
-
-def _names(path: Path, layout: Layout, line: Line) -> list[str]:
-    return [cell.strip() for cell in split(path, layout, [line])[0]]
-
-
-@contextmanager
-def advised() -> Iterator[None]:
-    """Replace the reader's advice, which is about column maps: tables have none.
-
-    Raises:
-        BadInput: the reader's error with advice for tables.
-    """
-    try:
-        yield
-    except BadInput as error:
-        text = str(error)
-        entry = re.search(rf"file\.({'|'.join(_ADVICE)})\b", text)
-        cut = text.rfind("; ", 0, entry.start()) if entry else -1
-        raise BadInput(f"{text[:cut]}; {_ADVICE[entry[1]]}" if entry and cut > 0 else text) from None
-
-
-Floats = NDArray[np.float64]
-
-_PLAUSIBLE = {"length": (0.02, 2.0), "volume": (1e-7, 1e-2), "force": (1.0, 2e4)}
-"""Ranges that a rig may have, in SI units: of every length and volume, and of the largest force."""
-_USUAL = {"length": 0.2, "volume": 5e-5, "force": 300.0}
-_FEWEST_ROWS = 3
+    column: str
+    unit: str = ""
+    reference: str = ""
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """What both kinds of table have.
+class StaticTable:
+    """Forces or volumes of a muscle that is held at a length, and for forces at a pressure; N rows.
 
     Attributes:
         name: of the file.
-        sha256: of its bytes.
-        issues: sentences about what was left out or is odd.
         length: (N,) [m].
+        value: forces (N,) [N] or volumes (N,) [m³].
+        pressure: absolute (N,) [Pa]; of volumes zeros.
         group: number of the length that each row belongs to (N,), from the shortest on.
         spread: standard deviation of each value (N,) in its SI unit, ones where it was not given.
         declared: whether the standard deviation was given.
+        slack: where a force is not above the limit (N,): the muscle is slack, and only that the map is not above the
+            limit is known.
+        limit: [N] of the forces.
+        atmosphere: absolute pressure of the surroundings [Pa].
+        sha256: of the file's bytes.
+        issues: sentences about what was left out or is odd.
     """
 
     name: str
-    sha256: str
-    issues: tuple[str, ...]
     length: Floats
+    value: Floats
+    pressure: Floats
     group: NDArray[np.int64]
     spread: Floats
     declared: bool
+    slack: Bools
+    limit: float = 0.0
+    atmosphere: float = 0.0
+    sha256: str = ""
+    issues: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.length)
@@ -126,41 +111,34 @@ class _Rows:
         """How many different lengths there are."""
         return int(self.group.max()) + 1 if len(self) else 0
 
+    @property
+    def seen(self) -> Observations:
+        """The values, of which slack ones are only known not to be above the limit."""
+        return Observations(np.where(self.slack, self.limit, self.value), self.slack, self.spread, self.declared)
 
-@dataclass(frozen=True, eq=False)
-class ForceMap(_Rows):
-    """Forces of a muscle held at a length and a pressure.
-
-    Attributes:
-        pressure: absolute (N,) [Pa].
-        force: (N,) [N].
-        limit: [N] Upper limit of the map where the muscle is slack; nothing else is known there.
-        slack: where the force is not above the limit (N,).
-        atmosphere: absolute pressure of the surroundings [Pa].
-    """
-
-    pressure: Floats
-    force: Floats
-    limit: float
-    slack: NDArray[np.bool_]
-    atmosphere: float
-
-    def part(self, keep: NDArray[np.bool_]) -> ForceMap:
+    def part(self, keep: Bools) -> StaticTable:
         """The rows of a mask (N,), lengths numbered anew."""
-        names = ("length", "group", "spread", "pressure", "force", "slack")
+        names = ("length", "value", "pressure", "group", "spread", "slack")
         cut = replace(self, **{name: getattr(self, name)[keep] for name in names})
         return replace(cut, group=np.unique(cut.group, return_inverse=True)[1].reshape(-1))
 
 
-@dataclass(frozen=True, eq=False)
-class VolumeTable(_Rows):
-    """Volumes of a muscle held at a length.
+def bands(values: Floats, most: int = 8) -> NDArray[np.int64]:
+    """Group numbers (N,) of values, from the lowest on; values that were meant to be the same form a group.
 
-    Attributes:
-        volume: (N,) [m³].
+    Values closer than 2 % of the range belong together. Where this chains different values (a sweep), the range is cut
+    into ``most`` bands of equal width.
     """
-
-    volume: Floats
+    order = np.argsort(values, kind="stable")
+    span = float(np.ptp(values))
+    number = np.zeros(len(values), dtype=np.int64)
+    if span == 0.0:
+        return number
+    number[order[1:]] = np.cumsum(np.diff(values[order]) > 0.02 * span)
+    if max(np.ptp(values[number == group]) for group in range(number.max() + 1)) > 0.1 * span:
+        number = np.minimum((values - values.min()) / span * most, most - 1).astype(np.int64)
+        number = np.unique(number, return_inverse=True)[1].reshape(-1)
+    return number
 
 
 def read_force_map(
@@ -169,7 +147,7 @@ def read_force_map(
     columns: Mapping[str, Choice] | None = None,
     reference: str = "",
     slack_below: float = 0.0,
-) -> ForceMap:
+) -> StaticTable:
     """Read a table of length, pressure and force.
 
     Args:
@@ -182,30 +160,24 @@ def read_force_map(
     Raises:
         BadInput: no such column, no unit, values that cannot be in their unit, or too little in the table.
     """
-    values, labels, issues, declared = _read(path, ("length", "pressure", "force"), columns, reference, atmosphere)
-    length, pressure, force = values["length"], values["pressure"], values["force"]
-    for name, what in (("length", "lengths"), ("pressure", "pressures")):
-        if float(np.ptp(values[name])) == 0.0:
-            raise BadInput(
-                f"{path}: {labels[name]} is {values[name][0]:g} throughout, expected forces at several {what}"
-            )
+    table, labels = _read(path, ("length", "pressure", "force"), columns, reference, atmosphere)
+    force = table.value
+    for name, values in (("length", table.length), ("pressure", table.pressure)):
+        if float(np.ptp(values)) == 0.0:
+            raise BadInput(f"{path}: {labels[name]} is {values[0]:g} throughout, expected forces at several {name}s")
     if np.max(force) <= slack_below:
         sign = "; does a pull count as negative?" if np.min(force) < -1.0 else ""
         raise BadInput(f"{path}: {labels['force']} never exceeds {slack_below:g} N, expected a contraction force{sign}")
-    slack = force <= slack_below
+    issues = table.issues
     if np.min(force) < 0.0:
-        issues.append(
+        issues += (
             f"{int(np.sum(force < 0.0))} forces are negative, down to {force.min():.3g} N: a muscle only pulls, so "
-            "they are taken as slack; if the sensor's zero wanders, give --slack-below"
+            "they are taken as slack; if the sensor's zero wanders, give --slack-below",
         )
-    group = bands(length)
-    return ForceMap(
-        path.name, _sha256(path), tuple(issues), length, group, values["spread"], declared,
-        pressure, force, slack_below, slack, atmosphere,
-    )  # fmt: skip
+    return replace(table, slack=force <= slack_below, limit=slack_below, issues=issues)
 
 
-def read_volumes(path: Path, columns: Mapping[str, Choice] | None = None) -> VolumeTable:
+def read_volumes(path: Path, columns: Mapping[str, Choice] | None = None) -> StaticTable:
     """Read a table of length and volume.
 
     Args:
@@ -215,42 +187,38 @@ def read_volumes(path: Path, columns: Mapping[str, Choice] | None = None) -> Vol
     Raises:
         BadInput: as :func:`read_force_map`.
     """
-    values, labels, issues, declared = _read(path, ("length", "volume"), columns, "", 0.0)
-    group = bands(values["length"])
-    if group.max() < 2:
+    table, labels = _read(path, ("length", "volume"), columns, "", 0.0)
+    if table.lengths < 3:
         raise BadInput(
-            f"{path}: {labels['length']} has {int(group.max()) + 1} different values, expected at least 3, since the "
+            f"{path}: {labels['length']} has {table.lengths} different values, expected at least 3, since the "
             "volume is a parabola in the length (equation (3))"
         )
-    if np.ptp(values["volume"]) == 0.0:
+    if np.ptp(table.value) == 0.0:
         raise BadInput(
             f"{path}: {labels['volume']} is the same throughout, expected volumes that change with the length"
         )
-    return VolumeTable(
-        path.name, _sha256(path), tuple(issues), values["length"], group, values["spread"], declared, values["volume"]
-    )
+    return table
 
 
 def _read(
     path: Path, wanted: Sequence[str], columns: Mapping[str, Choice] | None, reference: str, atmosphere: float
-) -> tuple[dict[str, Floats], dict[str, str], list[str], bool]:
-    """Columns in SI units (the last one's standard deviation as ``spread``), labels, issues, whether that was given."""
-    with advised():
-        layout, header = opening(path)
-    chosen = {name: column_of(path, header, name, (columns or {}).get(name), reference) for name in wanted}
+) -> tuple[StaticTable, dict[str, str]]:
+    """The table in SI units, and the labels of its columns for messages."""
+    given = columns or {}
+    with _advised():
+        layout, header = _opening(path)
+    chosen = {name: _column_of(path, header, name, given.get(name), reference) for name in wanted}
     deviation = f"{wanted[-1]}_std"
-    if candidates(header, deviation) or deviation in (columns or {}):
-        chosen[deviation] = column_of(path, header, deviation, (columns or {}).get(deviation), "")
-    with advised():
+    if _candidates(header, deviation) or deviation in given:
+        chosen[deviation] = _column_of(path, header, deviation, given.get(deviation), "")
+    with _advised():
         table = read_table(path, layout, {name: choice.column for name, choice in chosen.items()})
     issues = list(table.issues)
-    table = _complete(path, table, issues)
-    signals = {
-        name: Signal(table.labels[name], table.values[name], choice.unit, choice.reference)
-        for name, choice in chosen.items()
-    }
-    values: dict[str, Floats] = {}
-    for name, signal in signals.items():
+    cells = _complete(path, table, issues)
+    rows = len(cells["length"])
+    values = {"pressure": np.full(rows, atmosphere), deviation: np.ones(rows)}
+    for name, choice in chosen.items():
+        signal = Signal(table.labels[name], cells[name], choice.unit, choice.reference)
         if name == "pressure":
             odd: list[str] = []
             check_pressures(str(path), signal, signal, atmosphere, odd)
@@ -261,15 +229,19 @@ def _read(
         values[name] = signal.values * UNITS[quantity][signal.unit]
         if name == quantity:
             _check_range(path, signal, quantity)
-    spread = values.pop(deviation, None)
-    if spread is not None and not np.all(spread > 0.0):
+    spread = values[deviation]
+    if not np.all(spread > 0.0):
         raise BadInput(f"{path}: {table.labels[deviation]} goes down to {spread.min():g}, expected deviations above 0")
-    values["spread"] = np.ones(len(table)) if spread is None else spread
-    return values, dict(table.labels), issues, spread is not None
+    found = StaticTable(
+        path.name, values["length"], values[wanted[-1]], values["pressure"], bands(values["length"]), spread,
+        deviation in chosen, np.zeros(rows, dtype=bool), atmosphere=atmosphere,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(), issues=tuple(issues),
+    )  # fmt: skip
+    return found, dict(table.labels)
 
 
-def _complete(path: Path, table: Table, issues: list[str]) -> Table:
-    """The rows in which no value is missing."""
+def _complete(path: Path, table: Table, issues: list[str]) -> dict[str, Floats]:
+    """The columns without rows in which a value is missing."""
     good = np.all([np.isfinite(cells) for cells in table.values.values()], axis=0)
     missing = int(np.sum(~good))
     if missing:
@@ -278,7 +250,7 @@ def _complete(path: Path, table: Table, issues: list[str]) -> Table:
         )
     if int(good.sum()) < _FEWEST_ROWS:
         raise BadInput(f"{path}: {int(good.sum())} complete rows, expected at least {_FEWEST_ROWS}")
-    return replace(table, values={name: cells[good] for name, cells in table.values.items()}, line=table.line[good])
+    return {name: cells[good] for name, cells in table.values.items()}
 
 
 def _check_range(path: Path, signal: Signal, quantity: str) -> None:
@@ -301,5 +273,115 @@ def _check_range(path: Path, signal: Signal, quantity: str) -> None:
     raise BadInput(f"{path}: {signal.label} goes from {signal.span}, expected {what} {low:g} to {high:g} {si}{hint}")
 
 
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _opening(path: Path) -> tuple[Layout, list[str]]:
+    """The format of a file, and the names of its columns."""
+    check_file(path)
+    layout = Layout(comment=None)
+    start: list[Line] = []
+    with opened(path, layout) as stream:
+        lines = Lines(path, layout, stream)
+        for line in lines:
+            start.append(line)
+            if not line.text.lstrip().startswith("#"):
+                break
+        after = "".join(line.text for line in itertools.islice(lines, _PEEKED))
+    first = start[-1] if start else Line(0, "#")
+    if first.text.lstrip().startswith("#"):
+        raise BadInput(f"{path}: no rows in it, only comments")
+    delimiter: Delimiter = next((mark for mark in _DELIMITERS if mark in first.text), "space")
+    # Commas that do not separate cells may be decimal commas.
+    comma = delimiter != "," and re.search(r"\d,\d", after) and not re.search(r"\d\.\d", after)
+    layout = Layout(comment="#", delimiter=delimiter, decimal="," if comma else ".")
+
+    def names(line: Line) -> list[str]:
+        return [cell.strip() for cell in split(path, layout, [line])[0]]
+
+    found = names(first)
+    if all(re.fullmatch(r"[-+.,\deE]+", name) for name in found) and len(start) > 1:
+        # numpy.savetxt writes the names as a comment before the first row.
+        head = start[-2]
+        layout = layout.replaced(comment=None, skip_lines=head.number - 1)
+        found = [name for name in (cell.lstrip("# ") for cell in names(head)) if name]
+    return layout, found
+
+
+@contextmanager
+def _advised() -> Iterator[None]:
+    """Replace the reader's advice, which is about column maps."""
+    try:
+        yield
+    except BadInput as error:
+        text = str(error)
+        entry = re.search(rf"file\.({'|'.join(_ADVICE)})\b", text)
+        cut = text.rfind("; ", 0, entry.start()) if entry else -1
+        raise BadInput(f"{text[:cut]}; {_ADVICE[entry[1]]}" if entry and cut > 0 else text) from None
+
+
+def _column_of(path: Path, header: Sequence[str], quantity: str, given: Choice | None, reference: str) -> Choice:
+    """Column, unit and reference of a quantity, complete."""
+    base = quantity.removesuffix("_std")
+    where = f"{path}: {quantity}"
+    if given is None:
+        found = _candidates(header, quantity)
+        if len(found) != 1:
+            listed = ", ".join(header)
+            what = f"{len(found)} columns are called so" if found else "no column is called so"
+            raise BadInput(
+                f"{where}: {what} among {listed}, expected one such as {_EXAMPLES[quantity]}; else give "
+                f'--column "{quantity}=NAME:UNIT"'
+            )
+        given = Choice(found[0])
+    tokens = _tokens(given.column)
+    unit, stated = given.unit, given.reference
+    if not unit:
+        in_name = [pair for token in tokens if (pair := _unit(base, token))]
+        if len(in_name) != 1:
+            raise BadInput(
+                f"{where}: column {given.column!r} does not tell its unit, expected one of {', '.join(UNITS[base])} in "
+                f'its name ({_EXAMPLES[quantity]}); else give --column "{quantity}={given.column}:UNIT"'
+            )
+        unit = in_name[0][0]
+        stated = stated or in_name[0][1]
+    unit = canonical(f"{where}: column {given.column!r}", base, unit)
+    if quantity != "pressure":
+        return Choice(given.column, unit)
+    named = {_REFERENCES[token.lower()] for token in tokens if token.lower() in _REFERENCES}
+    references = (named | {stated, reference}) - {""}
+    if len(references) != 1:
+        what = (
+            "is said to be gauge and absolute"
+            if references
+            else "does not tell whether it is gauge or absolute pressure"
+        )
+        raise BadInput(
+            f"{where}: column {given.column!r} {what}, expected one of them, in its name (pressure_{unit}_gauge) or by "
+            "--pressure gauge|absolute"
+        )
+    return Choice(given.column, unit, references.pop())
+
+
+def _tokens(name: str) -> list[str]:
+    return [token for token in re.split(r"[\s_\[\](){},/;:]+", name) if token]
+
+
+def _candidates(header: Sequence[str], quantity: str) -> list[str]:
+    """Columns whose first word is a name of the quantity, or of its standard deviation (``force_std``)."""
+    base, _, deviation = quantity.partition("_")
+    out = []
+    for name in header:
+        words = [token.lower() for token in _tokens(name)]
+        if words and words[0] in _WORDS[base] and any(word in _DEVIATION for word in words[1:]) == bool(deviation):
+            out.append(name)
+    return out
+
+
+def _unit(quantity: str, token: str) -> tuple[str, str] | None:
+    """The unit that a word of a column's name states, with the reference of barg or psia; None if it is no unit."""
+    for text, reference in ((token, ""), (token[:-1], {"g": "gauge", "a": "absolute"}.get(token[-1:], "-"))):
+        if reference == "-" or (reference and quantity != "pressure"):
+            continue
+        try:
+            return canonical("", quantity, text.replace("^", "")), reference
+        except BadInput:
+            continue
+    return None

@@ -13,6 +13,7 @@ from pam_antagonist.model.integration import substeps_of
 from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import unlike
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -201,11 +202,12 @@ def _held(voltage: Floats, name: str) -> Floats:
     return voltage[source]
 
 
-def check(trial: Trial) -> None:
+def check(trial: Trial, drive: str = "valve") -> None:
     """Refuse a trial that is not informative enough for a fit.
 
     Args:
         trial: the part that is to be fitted.
+        drive: ``valve``, or ``regulator`` where the commands are pressures.
 
     Raises:
         BadInput: too short, too many samples missing, valves that never moved, pressures that never moved, or a
@@ -214,17 +216,25 @@ def check(trial: Trial) -> None:
     duration = len(trial) * trial.dt
     if duration < _SHORTEST:
         raise BadInput(
-            f"{trial.name}: {duration:.1f} s is too short to identify anything; expected at least {_SHORTEST:g} s"
+            f"{trial.name}: {unlike(duration, _SHORTEST, 1)} s is too short to identify anything; expected at least "
+            f"{_SHORTEST:g} s"
         )
     pressure = trial.measured[:, PRESSURE_1:]
     missing = float(np.mean(~np.isfinite(pressure)))
     if missing > _LARGEST_MISSING_SHARE:
-        raise BadInput(f"{trial.name}: {100 * missing:.0f} % of the pressures are missing; expected at most "
+        share = unlike(100 * missing, 100 * _LARGEST_MISSING_SHARE, 0)
+        raise BadInput(f"{trial.name}: {share} % of the pressures are missing; expected at most "
                        f"{100 * _LARGEST_MISSING_SHARE:.0f} %")  # fmt: skip
-    if np.ptp(trial.voltage, axis=0).max() < _LEAST_VOLTAGE_SWING:
+    moved = float(np.ptp(trial.voltage, axis=0).max())
+    if drive == "regulator" and moved < _LEAST_SWING:
         raise BadInput(
-            f"{trial.name}: the valves never moved (by {np.ptp(trial.voltage, axis=0).max():.2f} V); record steps of "
-            "both valves over their working range"
+            f"{trial.name}: the commanded pressures never changed (by {moved / 1e3:.2g} kPa); record steps of both "
+            "regulators over their working range"
+        )
+    if drive == "valve" and moved < _LEAST_VOLTAGE_SWING:
+        raise BadInput(
+            f"{trial.name}: the valves never moved (by {moved:.2f} V); record steps of both valves over their working "
+            "range"
         )
     swing = np.nanpercentile(pressure, 99.5, axis=0) - np.nanpercentile(pressure, 0.5, axis=0)
     for muscle in (0, 1):

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pam_antagonist.identification.static_force import ForceFit
-from pam_antagonist.identification.static_regression import Undetermined
-from pam_antagonist.identification.static_rig import StaticResult
-from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_COEFFICIENTS
+from pam_antagonist.identification.static import Forms, StaticResult
+from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
+from pam_antagonist.identification.tobit import Undetermined
 from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background
-from pam_antagonist.report.static_entries import FORCE_UNITS, VOLUME_UNITS, StaticReport
 from pam_antagonist.report.static_figures import static_figures
 from pam_antagonist.report.table import MISSING, Table, number
 from pam_antagonist.report.units import readable
-
-Forms = Mapping[str, ForceFit | Undetermined]
-Floats = NDArray[np.float64]
 
 DEFINITIONS = (
     (
@@ -54,25 +47,25 @@ def write_report(folder: Path, result: StaticResult, with_figures: bool = True) 
         result: of ``static``.
         with_figures: whether the page shows figures.
     """
-    html.write(folder, document(result, with_figures), StaticReport.of(result))
+    html.write(folder, document(result, with_figures), result)
 
 
 def summary(result: StaticResult) -> tuple[Block, ...]:
     """Blocks for the terminal."""
-    forms = () if result.force_map is None else (forms_table(result.forms, result.form),)
+    forms = () if result.force_map is None else (forms_table(result),)
     warnings = Findings(tuple(Finding("warn", f"{text}.") for text in result.warnings))
     return coefficients_table(result), *forms, Text(verdict(result)), warnings
 
 
-def forms_table(forms: Forms, chosen: str = "") -> Table:
+def forms_table(result: StaticResult) -> Table:
     """Errors of each form at lengths left out, and on the fitted points."""
     rows = []
-    for name, fit in forms.items():
-        mark = " (for the rig)" if name == chosen else ""
+    for name, fit in result.forms.items():
+        mark = "" if name != result.form else " (for the rig)" if result.rig else " (shown)"
         if isinstance(fit, Undetermined):
             rows.append((name + mark, *[MISSING] * 5))
             continue
-        values = (fit.left_out_rmse, fit.inner_rmse, fit.left_out_largest, fit.overshoot, fit.fitted_rmse)
+        values = (fit.left_out_rmse, fit.inner_rmse, largest(fit.left_out_errors), fit.overshoot, fit.fitted_rmse)
         rows.append((name + mark, *(number(value) for value in values)))
     return Table(
         (
@@ -90,38 +83,28 @@ def forms_table(forms: Forms, chosen: str = "") -> Table:
 
 def lengths_table(forms: Forms) -> Table:
     """Error of each form at each length that was left out."""
-    fits = [fit for fit in forms.values() if isinstance(fit, ForceFit)]
+    fits = [fit for fit in forms.values() if isinstance(fit, StaticFit)]
     rows = []
     for place, item in enumerate(fits[0].left_out):
-        cells = [number(fit.left_out[place].rmse) for fit in fits]
+        cells = [number(rms(fit.left_out[place].errors)) for fit in fits]
         rows.append((f"{item.length * 1e3:.4g} mm", str(item.measured), str(item.slack), *cells))
-    header = ("Length left out", "measured", "slack", *(f"{fit.form} [N]" for fit in fits))
+    header = ("Length left out", "measured", "slack", *(f"{fit.form.name} [N]" for fit in fits))
     return Table(header, tuple(rows), "RMS error of the measured forces at each length")
 
 
 def coefficients_table(result: StaticResult) -> Table:
     """Fitted coefficients with their 95 % intervals."""
     rows = []
-    if result.volume is not None:
-        fit = result.volume
-        rows += _rows("volume", VOLUME_COEFFICIENTS, VOLUME_UNITS, fit.coefficients, fit.std, fit.reach95)
-    if result.force is not None:
-        force = result.force
-        rows += _rows("force", force.names, FORCE_UNITS[force.form], force.coefficients, force.std, force.reach95)
-    whose = " and ".join(str(item) for item in result.muscles)
+    for part, fit in (("volume", result.volume), ("force", result.force)):
+        if fit is None:
+            continue
+        for (name, si), value, std in zip(UNITS[fit.form.name].items(), fit.coefficients, fit.std, strict=True):
+            unit = readable(si)
+            cells = (number(value * unit.scale, 5), *(number(std * unit.scale * width) for width in (1.0, fit.reach95)))
+            rows.append((f"{part}.{name}", *cells, unit.name))
+    whose = f"Of muscle {' and '.join(map(str, result.muscles))}; p" if result.rig else "P"
     head = ("Coefficient", "Value", "Standard deviation", "95 % interval ±", "Unit")
-    return Table(head, tuple(rows), f"Of muscle {whose}; pressures absolute")
-
-
-def _rows(
-    part: str, names: Sequence[str], units: Sequence[str], values: Floats, std: Floats, width: float
-) -> list[tuple[str, ...]]:
-    return [
-        (f"{part}.{name}", number(value, 5), number(own), number(width * own), shown.name)
-        for name, si, deviation, unit in zip(names, values, std, units, strict=True)
-        for shown in [readable(unit)]
-        for value, own in [(si * shown.scale, deviation * shown.scale)]
-    ]
+    return Table(head, tuple(rows), f"{whose}ressures absolute")
 
 
 def verdict(result: StaticResult) -> str:
@@ -148,12 +131,11 @@ def _begun(text: str) -> str:
 
 def document(result: StaticResult, with_figures: bool = True) -> Document:
     """The report as a document."""
-    tables = [table for table in (result.volumes, result.force_map) if table is not None]
-    names = " and ".join(table.name for table in tables)
+    names = " and ".join(table.name for table in result.tables)
     whose = "both muscles" if len(result.muscles) == 2 else f"muscle {result.muscles[0]}"
-    goal = f"fitted for {whose} of rig {result.rig.name}" if result.fitted else "fitted without a rig to put them into"
-    lede = f"Static measurements of a muscle, {goal}."
-    starts = tuple(table.name for table in tables)
+    rig = f"for {whose} of rig {result.fitted.name}" if result.fitted else "without a rig to put them into"
+    lede = f"Static measurements of a muscle, fitted {rig}."
+    starts = tuple(table.name for table in result.tables)
     findings = [Finding("warn", f"{text if text.startswith(starts) else _begun(text)}.") for text in result.warnings]
     if len(result.muscles) == 2 and result.fitted is not None:
         text = (
@@ -167,11 +149,11 @@ def document(result: StaticResult, with_figures: bool = True) -> Document:
         Findings(tuple(findings)), coefficients_table(result),
     ]  # fmt: skip
     if result.force_map is not None:
-        parts += [forms_table(result.forms, result.form), lengths_table(result.forms)]
+        parts += [forms_table(result), lengths_table(result.forms)]
         parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in result.forms.items()
                   if isinstance(fit, Undetermined)]  # fmt: skip
         for name, fit in result.forms.items():
-            if isinstance(fit, ForceFit) and name != result.form:
+            if isinstance(fit, StaticFit) and name != result.form:
                 parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
     parts += figures[1:]
     parts += background(DEFINITIONS, _provenance(result))
@@ -195,6 +177,11 @@ def _tiles(result: StaticResult) -> tuple[Tile, ...]:
 
 
 def _provenance(result: StaticResult) -> list[tuple[str, str]]:
-    rows = [("Rig", result.rig.name), ("Muscle length at angle 0", f"{result.rig.geometry.length:g} m")]
-    rows += [(f"File {table.name}", f"SHA-256 {table.sha256}") for table in (result.volumes, result.force_map) if table]
+    rig, force = result.rig, result.force
+    rows = [("Rig", rig.name if rig else "none: gauge pressures count from 101.325 kPa")]
+    if rig is not None:
+        rows.append(("Muscle length at angle 0", f"{rig.geometry.length:g} m"))
+    elif force is not None:
+        rows.append(("Length that contractions count from", f"{force.form.rest_length:g} m"))
+    rows += [(f"File {table.name}", f"SHA-256 {table.sha256}") for table in result.tables]
     return rows

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from pam_antagonist.identification.static_force import ForceFit
-from pam_antagonist.identification.static_rig import StaticResult, reach
-from pam_antagonist.identification.static_table import ForceMap, VolumeTable
-from pam_antagonist.identification.static_volume import VolumeFit
+from pam_antagonist.identification.static import Forms, StaticResult, reach
+from pam_antagonist.identification.static_fit import StaticFit, rms
+from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, PALETTE, SECOND
 
@@ -30,7 +27,7 @@ def static_figures(result: StaticResult) -> list[Figure]:
     return out
 
 
-def force_figure(table: ForceMap, fit: ForceFit) -> Figure:
+def force_figure(table: StaticTable, fit: StaticFit) -> Figure:
     """Force over pressure, a line for each length."""
     parts: list[Series] = []
     grid = np.linspace(table.pressure.min(), table.pressure.max(), _POINTS)
@@ -39,7 +36,7 @@ def force_figure(table: ForceMap, fit: ForceFit) -> Figure:
         length = float(table.length[inside].mean())
         color = _color(group, table.lengths)
         name = f"{length * 1e3:.4g} mm"
-        line = fit.force(np.full(_POINTS, length), grid)
+        line = fit.value(np.full(_POINTS, length), grid)
         shown = np.where(line >= table.limit, line, np.nan)
         parts.append(Line(name, grid / 1e3, shown, color, width=1.8, quiet=True))
         filled = bool(np.any(inside & ~table.slack))
@@ -47,24 +44,24 @@ def force_figure(table: ForceMap, fit: ForceFit) -> Figure:
             rows = inside & (table.slack == slack)
             if rows.any():
                 size = 6.0 if slack else 7.0
-                pressure, force = table.pressure[rows] / 1e3, table.force[rows]
+                pressure, force = table.pressure[rows] / 1e3, table.value[rows]
                 parts.append(Points(name, pressure, force, color, size, hollow=slack, quiet=slack and filled))
     panel = Panel(Axis("Absolute pressure [kPa]"), Axis("Contraction force [N]"), tuple(parts), 342)
     about = (
         f"Filled: measured; open: slack or not measured, of which the fit knows only that the force is not above "
-        f"{table.limit:g} N. Lines: form {fit.form}, cut off where it falls below that."
+        f"{table.limit:g} N. Lines: form {fit.form.name}, cut off where it falls below that."
     )
     return Figure("Force over pressure at each length", about, (panel,), "force")
 
 
-def form_figure(forms: dict[str, Any]) -> Figure:
+def form_figure(forms: Forms) -> Figure:
     """Error at each length of a fit without this length, a line for each form."""
     parts: list[Series] = []
     for name, fit in forms.items():
-        if isinstance(fit, ForceFit):
+        if isinstance(fit, StaticFit):
             known = [item for item in fit.left_out if item.measured]
             lengths = np.array([item.length for item in known]) * 1e3
-            errors = np.array([item.rmse for item in known])
+            errors = np.array([rms(item.errors) for item in known])
             parts.append(Line(name, lengths, errors, COLORS[name], width=1.8))
             parts.append(Points(name, lengths, errors, COLORS[name], 7.0, quiet=True))
     panel = Panel(Axis("Length left out [mm]"), Axis("RMS error there [N]", from_zero=True), tuple(parts), 222)
@@ -75,7 +72,7 @@ def form_figure(forms: dict[str, Any]) -> Figure:
     return Figure("Error of each form at a length that was left out", about, (panel,), "forms")
 
 
-def volume_figure(table: VolumeTable, fit: VolumeFit, result: StaticResult) -> Figure:
+def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> Figure:
     """Volume over length with the fitted parabola and its 95 % interval.
 
     Args:
@@ -86,17 +83,16 @@ def volume_figure(table: VolumeTable, fit: VolumeFit, result: StaticResult) -> F
     low, high = float(table.length.min()), float(table.length.max())
     edges: list[Reference] = []
     if result.fitted is not None:
-        span = reach(result.rig)
+        span = reach(result.fitted)
         low, high = min(low, span.shortest), max(high, span.longest)
         edges = [Reference(edge * 1e3, vertical=True) for edge in (span.shortest, span.longest)]
     grid = np.linspace(low, high, _POINTS)
-    volume, _ = fit.volume(grid)
-    half = fit.interval(grid)
+    volume, half = fit.value(grid), fit.value_std(grid) * fit.reach95
     parts: list[Series] = [*edges]
     if np.all(np.isfinite(half)):
         parts.append(Band("95 % interval", grid * 1e3, (volume - half) * 1e6, (volume + half) * 1e6, BAND))
     parts.append(Line("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, width=1.8))
-    parts.append(Points("measured", table.length * 1e3, table.volume * 1e6, MEASURED, 7.0))
+    parts.append(Points("measured", table.length * 1e3, table.value * 1e6, MEASURED, 7.0))
     panel = Panel(Axis("Length [mm]"), Axis("Volume [cm³]"), tuple(parts), 262)
     about = "Equation (3)." + (" Dashed: the lengths between which the rig's joint takes its muscles." if edges else "")
     return Figure("Volume over length", about, (panel,), "volume")

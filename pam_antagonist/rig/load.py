@@ -53,7 +53,7 @@ def load_rig(name_or_path: str | Path, regulators: bool = False) -> Rig:
     if rig.drive == "regulator" and not regulators:
         raise BadInput(
             f"{path}: a rig with pressure regulators (drive: regulator), expected one with valves; "
-            "the nodes, simulate, check, replay, identify and close_loop take such a rig"
+            "the nodes, simulate, check, replay, identify, close_loop and static take such a rig"
         )
     return rig
 

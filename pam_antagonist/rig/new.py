@@ -285,7 +285,8 @@ of the best fit to a measured map (Martens and Boblan 2017, DMSP-20)."""
 
 def is_from_data_sheet(rig: Rig) -> bool:
     """Whether the force maps of a rig are still those that :func:`force_map` made of a data sheet."""
-    return rig.model.force == "linear" and rig.source.startswith("new_rig") and not rig.identified
+    made = rig.source.startswith("new_rig") and "force map from" not in rig.source  # which static writes
+    return rig.model.force == "linear" and made and not rig.identified
 
 
 def with_base_laws(rig: Rig) -> Rig:

@@ -13,10 +13,11 @@ from pam_antagonist.__main__ import main as dispatch
 from pam_antagonist.cli import new_rig, replay
 from pam_antagonist.cli.static import main
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static_force import map_force
-from pam_antagonist.identification.static_volume import parabola
+from pam_antagonist.identification.static_fit import VOLUME as PARABOLA
+from pam_antagonist.identification.static_fit import Form
 from pam_antagonist.inference.free_parameters import free_parameters
 from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.new import is_from_data_sheet
 
 MAP = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured" / "force_maps" / "dmsp_20_300.csv"
 VOLUME = np.array([-2.6e-2, 7.3e-3, -4.62e-4])
@@ -28,7 +29,7 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
     """Measurements of a muscle that differs from the rig's: cylinder and force map."""
     rng = np.random.default_rng(8)
     length = np.linspace(0.148, 0.182, 7)
-    volume = parabola(VOLUME, length)[0] + 1e-7 * rng.standard_normal(7)
+    volume = Form(PARABOLA).value(VOLUME, length) + 1e-7 * rng.standard_normal(7)
     cylinder = tmp_path / "cylinder.csv"
     np.savetxt(
         cylinder,
@@ -38,7 +39,7 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
         comments="",
     )
     at, held = (grid.ravel() for grid in np.meshgrid(length, np.linspace(150e3, 720e3, 9)))
-    force = np.maximum(map_force("linear", FORCE, at, held, 0.165, 101.3e3) + 0.3 * rng.standard_normal(len(at)), 0.0)
+    force = np.maximum(Form("linear", 0.165, 101.3e3).value(FORCE, at, held) + 0.3 * rng.standard_normal(len(at)), 0.0)
     bench = tmp_path / "bench.csv"
     rows = np.column_stack([at * 1e3, (held - 101.3e3) * 1e-3, force])
     np.savetxt(bench, rows, delimiter=",", header="length_mm,pressure_kPa_gauge,force_N", comments="")
@@ -173,7 +174,7 @@ def test_bad_input_is_one_line_and_no_output(tables, tmp_path, capsys, more, say
 @pytest.mark.parametrize(
     ("edit", "says"),
     [
-        (lambda line: line[4:], "--rig"),
+        (lambda line: [*line[:4], *line[6:]], "--rig: expected a rig file, or --report-only for a muscle"),
         (
             lambda line: [*line[4:6], "--out", line[-1]],
             "nothing to fit: expected --volume FILE, --force-map FILE or both",
@@ -191,11 +192,14 @@ def test_bad_input_is_one_line_and_no_output(tables, tmp_path, capsys, more, say
     ],
 )
 def test_bad_arguments(tables, tmp_path, capsys, edit: Callable[[list[str]], list[str]], says):
-    line = edit(arguments(tables, tmp_path / "out"))
-    if says == "--rig":
-        line = line[2:]
-    assert main(line) == 2
+    assert main(edit(arguments(tables, tmp_path / "out"))) == 2
     assert says in capsys.readouterr().err
+
+
+def test_lengths_that_are_nearly_the_same_make_no_parabola(tables, tmp_path, capsys):
+    tables[0].write_text("length_mm,volume_cm3\n165,50\n165.000000001,51\n165.000000002,52\n")
+    assert main(arguments(tables, tmp_path / "out")) == 2
+    assert "cannot tell its coefficients apart; expected at least 3 lengths that are" in capsys.readouterr().err
 
 
 def test_two_lengths_do_not_make_the_form_that_was_asked_for(tables, tmp_path, capsys):
@@ -203,7 +207,85 @@ def test_two_lengths_do_not_make_the_form_that_was_asked_for(tables, tmp_path, c
     two = [line for line in lines[1:] if float(line.split(",")[0]) < 154.0]
     tables[1].write_text("\n".join([lines[0], *two]) + "\n")
     assert main(arguments(tables, tmp_path / "out", "--form", "hildebrandt")) == 2
-    assert "does not determine a force map of form hildebrandt" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "does not determine a force map of form hildebrandt" in error
+    assert "it determines linear: choose by --form" in error
+
+
+def test_a_joint_with_regulators(tables, tmp_path, capsys):
+    line = arguments(tables, tmp_path / "out", "--no-figures")
+    line[line.index("shin2022")] = "shin2022_regulators"
+    assert main(line) == 0
+    after, before = load_rig(tmp_path / "out" / "rig.yaml", regulators=True), load_rig("shin2022_regulators", True)
+    assert after.drive == "regulator" and after.effects == before.effects
+    assert abs(after.value("muscle_2.force.w1") - FORCE[2]) < 4.0 * after.priors["muscle_2.force.w1"]
+    capsys.readouterr()
+    # The pressures that count are those of the regulators, not of the supply.
+    lines = tables[1].read_text().splitlines()
+    low = [row for row in lines[1:] if float(row.split(",")[1]) < 400.0]
+    tables[1].write_text("\n".join([lines[0], *low]) + "\n")
+    line[line.index(str(tmp_path / "out"))] = str(tmp_path / "low")
+    assert main(line) == 0
+    assert "the regulators of rig shin2022_regulators hold up to 700 kPa" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_rig_in_units_of_its_own_gets_no_table(tables, tmp_path, capsys):
+    line = arguments(tables, tmp_path / "out", "--no-figures")
+    line[line.index("shin2022")] = "regulator_joint"
+    assert main(line) == 2
+    assert "its pressures are not in a known unit (units.pressure: unknown)" in capsys.readouterr().err
+    assert main([*line, "--report-only"]) == 0
+
+
+def test_a_muscle_without_a_rig(tables, tmp_path, capsys):
+    line = ["--force-map", str(tables[1]), "--volume", str(tables[0]), "--report-only"]
+    assert main([*line, "--out", str(tmp_path / "out")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "form linear gives the force with a root mean square error of 0." in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    errors = {name: entry["left_out"]["rmse_n"] for name, entry in report["force"]["forms"].items()}
+    assert report["rig"] is None and report["joint"] is None
+    assert report["force"]["form"] == min(errors, key=lambda name: errors[name])
+    # Contractions count from the longest length, or from the one that was given.
+    assert report["force"]["forms"]["hildebrandt"]["contraction_from_m"] == pytest.approx(0.182)
+    assert main([*line, "--out", str(tmp_path / "own"), "--length", "0.165", "--form", "sarosi", "--no-figures"]) == 0
+    report = json.loads((tmp_path / "own" / "report.json").read_text())
+    assert report["force"]["form"] == "sarosi"
+    assert report["force"]["forms"]["hildebrandt"]["contraction_from_m"] == 0.165
+
+
+@pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
+def test_the_measured_muscle_without_a_rig_is_braided_if_its_nominal_length_is_known(tmp_path):
+    line = ["--force-map", str(MAP), "--report-only", "--no-figures"]
+    assert main([*line, "--out", str(tmp_path / "a"), "--length", "0.3"]) == 0
+    force = json.loads((tmp_path / "a" / "report.json").read_text())["force"]
+    assert force["form"] == "braided" and force["forms"]["braided"]["coefficients"]["c6"]["value"] == 0.3
+    assert force["forms"]["braided"]["left_out"]["rmse_n"] < 40.0
+
+
+@pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
+@pytest.mark.parametrize("drive", ["valve", "regulator"])
+def test_one_muscle_of_a_data_sheet_gets_its_table(tmp_path, drive):
+    start, out = tmp_path / "bench.yaml", tmp_path / "out"
+    parts = "--valve MPYE-5-M5" if drive == "valve" else "--drive regulator --regulator ITV2050"
+    words = (
+        "--kind pulley --radius 29mm --muscle DMSP-20 --nominal-length 300mm --length 272mm --supply 6bar --stop 24deg "
+        f"--inertia 0.022 --mass 2.5kg {parts}"
+    )
+    assert new_rig.main(["--out", str(start), *words.split()]) == 0
+    line = ["--force-map", str(MAP), "--no-figures", "--muscle", "1"]
+    assert main([*line, "--rig", str(start), "--out", str(out)]) == 0
+    rig = load_rig(out / "rig.yaml", regulators=True)
+    # Muscles of a data sheet are braided ones, in an identification and here; the other one keeps its data sheet's.
+    assert rig.model.force == "braided" and rig.drive == drive
+    measured, other = (rig.value(f"muscle_{i}.force.c1") for i in (1, 2))
+    assert measured == pytest.approx(272.0, rel=0.02) and other != measured
+    assert other == pytest.approx(measured, rel=0.3)
+    assert rig.value("muscle_2.force.c6") == pytest.approx(0.3, rel=1e-4)
+    assert "muscle_1.force.c1" in rig.priors and "muscle_2.force.c1" not in rig.priors
+    # A measured map is no longer the data sheet's, whatever its form.
+    assert main([*line[:-2], "--rig", str(start), "--form", "linear", "--out", str(tmp_path / "linear")]) == 0
+    assert not is_from_data_sheet(load_rig(tmp_path / "linear" / "rig.yaml", regulators=True))
 
 
 @pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")

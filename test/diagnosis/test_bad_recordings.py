@@ -9,6 +9,7 @@ import pytest
 
 from pam_antagonist.diagnosis import diagnose
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.trial import Trial, check
 
 
 def test_recordings_that_are_too_quiet_are_refused(rig, recorded) -> None:
@@ -19,6 +20,22 @@ def test_recordings_that_are_too_quiet_are_refused(rig, recorded) -> None:
     calm = dataclasses.replace(sound, pressure=4e5 + 0.01 * (sound.pressure - 4e5))
     with pytest.raises(BadInput, match="expected at least 30 kPa"):
         diagnose([calm], rig, joint="locked", jobs=1)
+
+
+def test_numbers_in_a_refusal_do_not_contradict_it_and_name_what_drives_the_joint() -> None:
+    time = np.arange(2000) * 0.0024995
+    moving = 4e5 + 5e4 * np.sin(time)[:, None] * np.ones(2)
+    measured = np.column_stack([np.sin(time), np.zeros(2000), moving])
+    short = Trial("short", "free", 0.0, 0.0024995, moving, measured)
+    with pytest.raises(BadInput, match="4.999 s is too short to identify anything; expected at least 5 s"):
+        check(short, "regulator")
+    long = dataclasses.replace(short, dt=0.01)
+    lacking = measured.copy()
+    lacking[:401, 2:] = np.nan
+    with pytest.raises(BadInput, match="20.1 % of the pressures are missing; expected at most 20 %"):
+        check(dataclasses.replace(long, measured=lacking), "regulator")
+    with pytest.raises(BadInput, match="the commanded pressures never changed"):
+        check(dataclasses.replace(long, voltage=np.full((2000, 2), 4e5)), "regulator")
 
 
 def test_nothing_is_said_across_a_hole(rig, recorded) -> None:

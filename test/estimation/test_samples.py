@@ -110,6 +110,42 @@ def test_a_gap_is_predicted_over_in_steps_of_the_sample_period() -> None:
     assert abs(run.rows["pressure"][at] - stepped.rows["pressure"][1530]).max() < 1e-3
 
 
+@pytest.mark.parametrize("length", [100, 300, 700])
+def test_commands_that_changed_in_a_hole_are_found_from_the_pressures_after_it(length: int) -> None:
+    """The voltages step every 0.7 s; each second step lies in a hole, and the filter cannot know it."""
+    steps = trial(12.0, seed=3, mismatch=0.0)
+    starts = np.arange(1400, 11000, 1400) - length // 2
+    keep = np.ones(len(steps.stamp_ns), dtype=bool)
+    for start in starts:
+        keep[start : start + length] = False
+    stamp_ns, pressure, voltage = steps.stamp_ns[keep], steps.pressure[keep], steps.voltage[keep]
+    run = Estimator(RIG).run(stamp_ns, pressure, voltage)
+    live = Estimator(RIG)
+    for k, row in enumerate(run.rows):
+        assert live.step(int(stamp_ns[k]), *pressure[k], *voltage[k]).tobytes() == row.tobytes()
+    assert run.counts.gaps == len(starts) and run.counts.outliers == 0
+    error = np.abs(run.rows["angle"] - steps.truth[keep, 0])
+    after = np.concatenate(
+        [np.searchsorted(stamp_ns, steps.stamp_ns[start + length]) + np.arange(300) for start in starts]
+    )
+    assert np.degrees(error[after].max()) < 0.6
+    std = np.sqrt(run.rows["covariance"][:, 0, 0])
+    assert np.mean(error[after] <= 1.96 * std[after]) > 0.9
+    # It is not sure of what it cannot know, but only for a moment.
+    first = np.searchsorted(stamp_ns, steps.stamp_ns[starts + length])
+    assert np.median(std[first - 1]) < np.median(std[first]) and np.median(std[first + 200]) < 2.0 * np.median(std)
+
+
+def test_a_hole_without_a_pressure_after_it_leaves_the_filter_unsure() -> None:
+    pressure = CLEAN.pressure.copy()
+    pressure[1500:1531] = np.nan
+    keep = np.r_[0:1500, 1530:4000]
+    run = _run(pressure[keep], CLEAN.voltage[keep], CLEAN.stamp_ns[keep])
+    stepped = _run(pressure)
+    spread, known = run.rows["innovation_covariance"][1501], stepped.rows["innovation_covariance"][1531]
+    assert spread[0, 0] > 4.0 * known[0, 0] and spread[1, 1] > 4.0 * known[1, 1]
+
+
 def test_outliers_are_left_out_and_the_other_pressure_is_used() -> None:
     pressure = CLEAN.pressure.copy()
     rng = np.random.default_rng(4)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static_columns import Choice
-from pam_antagonist.identification.static_table import ForceMap, read_force_map, read_volumes
+from pam_antagonist.identification.static_table import Choice, StaticTable, read_force_map, read_volumes
 
 ATMOSPHERE = 101_300.0
 LENGTHS = (0.150, 0.165, 0.180)
@@ -40,7 +39,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "map.csv"
 
 
-def expected(file: Path) -> ForceMap:
+def expected(file: Path) -> StaticTable:
     return read_force_map(write(file.parent / "si.csv", "length_m,pressure_Pa_gauge,force_N", rows()), ATMOSPHERE)
 
 
@@ -57,10 +56,10 @@ def expected(file: Path) -> ForceMap:
 def test_units_are_read_from_names(file, header, factors):
     found = read_force_map(write(file, header, rows(*factors)), ATMOSPHERE)
     wanted = expected(file)
-    for name in ("length", "pressure", "force"):
+    for name in ("length", "pressure", "value"):
         assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-7, abs=1e-9), name
     assert found.pressure.min() == pytest.approx(201_300.0)
-    assert found.lengths == 3 and found.slack.tolist() == (wanted.force == 0.0).tolist() and found.slack.any()
+    assert found.lengths == 3 and found.slack.tolist() == (wanted.value == 0.0).tolist() and found.slack.any()
 
 
 def test_columns_and_units_can_be_given(file):
@@ -75,12 +74,12 @@ def test_columns_and_units_can_be_given(file):
 def test_a_semicolon_file_with_decimal_commas_and_comments(file):
     text = write(file, "length_mm;pressure_bar_gauge;force_N", rows(1e3, 1e-5), ";").read_text().replace(".", ",")
     file.write_text("# a muscle, measured on a bench\n" + text)
-    assert read_force_map(file, ATMOSPHERE).force == pytest.approx(expected(file).force, rel=1e-9)
+    assert read_force_map(file, ATMOSPHERE).value == pytest.approx(expected(file).value, rel=1e-9)
 
 
 def test_names_in_a_comment_as_numpy_writes_them(file):
     np.savetxt(file, np.array(rows()), delimiter=",", header="length_m,pressure_Pa_gauge,force_N")
-    assert read_force_map(file, ATMOSPHERE).force == pytest.approx(expected(file).force, rel=1e-9)
+    assert read_force_map(file, ATMOSPHERE).value == pytest.approx(expected(file).value, rel=1e-9)
 
 
 def test_deviations_are_read(file):
@@ -193,14 +192,14 @@ def test_advice_fits_a_table(file, content, says):
 
 def test_other_ways_to_write_a_table(file):
     text = write(file, SI, rows()).read_text()
-    wanted = read_force_map(file, ATMOSPHERE).force
+    wanted = read_force_map(file, ATMOSPHERE).value
     for content in (
         text.replace(",", " ").encode(),
         text.replace(",", ";").replace(".", ",").encode("utf-16"),
         text.replace("\n", "\r\n").encode("utf-8-sig"),
     ):
         file.write_bytes(content)
-        assert read_force_map(file, ATMOSPHERE).force == pytest.approx(wanted, rel=1e-9)
+        assert read_force_map(file, ATMOSPHERE).value == pytest.approx(wanted, rel=1e-9)
 
 
 def test_a_file_that_is_not_there(file):
@@ -211,4 +210,4 @@ def test_a_file_that_is_not_there(file):
 def test_volumes_in_any_unit(file):
     file.write_text("L [mm]\tV [ml]\n150\t60\n160\t52\n170\t40\n")
     found = read_volumes(file)
-    assert found.volume == pytest.approx([60e-6, 52e-6, 40e-6]) and found.length == pytest.approx([0.15, 0.16, 0.17])
+    assert found.value == pytest.approx([60e-6, 52e-6, 40e-6]) and found.length == pytest.approx([0.15, 0.16, 0.17])

@@ -6,8 +6,8 @@ import hashlib
 
 import numpy as np
 
-from pam_antagonist.identification.static_force import ForceFit, fit_force
-from pam_antagonist.identification.static_table import ForceMap
+from pam_antagonist.identification.static_fit import StaticFit, fit
+from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.model import dynamics, equilibrium, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -18,7 +18,7 @@ _REACH_RAD = np.radians(20.0)
 _STREAM = 3
 
 
-def static_test(work: SeedWork, which: int) -> ForceMap:
+def static_test(work: SeedWork, which: int) -> StaticTable:
     """Forces of a muscle of the virtual rig as a test bench would measure them.
 
     Each length is approached twice, by getting shorter and by getting longer, so the muscle's hysteresis is in the
@@ -51,23 +51,22 @@ def static_test(work: SeedWork, which: int) -> ForceMap:
         force[k] = dynamics.forces(x, p)[which - 1]
     rng = np.random.default_rng([work.seed, _STREAM, which])
     force += test.force_std * rng.standard_normal(len(force))
-    return ForceMap(
+    return StaticTable(
         name=f"virtual rig, seed {work.seed}, muscle {which}",
         sha256=hashlib.sha256(force.tobytes()).hexdigest(),
-        issues=(),
         length=length,
         group=group.astype(np.int64),
         spread=np.ones(len(force)),
         declared=False,
         pressure=np.asarray(pressure, dtype=np.float64),
         atmosphere=float(p[par.ATMOSPHERE]),
-        force=force,
+        value=force,
         limit=-np.inf,
         slack=np.zeros(len(force), dtype=bool),
     )
 
 
-def static_fits(work: SeedWork, form: str) -> tuple[ForceFit, ForceFit]:
+def static_fits(work: SeedWork, form: str) -> tuple[StaticFit, StaticFit]:
     """A form of the force map fitted to the static test of either muscle.
 
     Raises:
@@ -76,11 +75,11 @@ def static_fits(work: SeedWork, form: str) -> tuple[ForceFit, ForceFit]:
     rest = work.rig.declared.geometry.length
     # The search for an exponent meets ones that the test cannot tell apart, whose cost is infinite.
     with np.errstate(invalid="ignore"):
-        first, second = (fit_force(static_test(work, which), form, rest) for which in (1, 2))
+        first, second = (fit(static_test(work, which), form, rest) for which in (1, 2))
     return first, second
 
 
-def with_fits(rig: Rig, form: str, fits: tuple[ForceFit, ForceFit]) -> Rig:
+def with_fits(rig: Rig, form: str, fits: tuple[StaticFit, StaticFit]) -> Rig:
     """A rig whose muscles have the fitted maps in place of the declared ones.
 
     Args:
@@ -89,10 +88,10 @@ def with_fits(rig: Rig, form: str, fits: tuple[ForceFit, ForceFit]) -> Rig:
         fits: of muscle 1 and 2.
     """
     changes = {}
-    for which, fit in zip((1, 2), fits, strict=True):
+    for which, found in zip((1, 2), fits, strict=True):
         part = getattr(rig, f"muscle_{which}")
-        found = {name: float(value) for name, value in zip(fit.names, fit.coefficients, strict=True)}
-        changes[f"muscle_{which}"] = part.replaced(force=part.force.replaced(**found))
+        values = dict(zip(found.names, found.coefficients.tolist(), strict=True))
+        changes[f"muscle_{which}"] = part.replaced(force=part.force.replaced(**values))
     return rig.replaced(name=f"{rig.name}, {form} fitted", model=rig.model.replaced(force=form), **changes)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.identification.static_force import ForceFit, compare_forms
-from pam_antagonist.identification.static_regression import Undetermined
-from pam_antagonist.identification.static_table import ForceMap, read_force_map
+from pam_antagonist.identification.static_fit import StaticFit, compare_forms, largest, rms
+from pam_antagonist.identification.static_table import StaticTable, read_force_map
+from pam_antagonist.identification.tobit import Undetermined
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.style import MEASURED, PALETTE, QUIET
 from pam_antagonist.report.table import MISSING, Table, number
@@ -66,7 +66,7 @@ def of_seed(work: SeedWork) -> dict[str, Any]:
     return out
 
 
-def _mean(fits: tuple[ForceFit, ForceFit], name: str) -> float:
+def _mean(fits: tuple[StaticFit, StaticFit], name: str) -> float:
     return 0.5 * (getattr(fits[0], name) + getattr(fits[1], name))
 
 
@@ -170,27 +170,27 @@ def _static_table(context: Context) -> Table:
 # ------------------------------------------------------------------ the real map
 
 
-def _real_fits(real: ForceMap) -> dict[str, ForceFit | str]:
+def _real_fits(real: StaticTable) -> dict[str, StaticFit | str]:
     """Every form, or why the map does not determine it."""
     # Any L_0 gives the same fit: each form holds all shifts of the contraction.
     fits = compare_forms(real, float(np.max(real.length)), _FORMS)
-    return {form: fit if isinstance(fit, ForceFit) else str(fit) for form, fit in fits.items()}
+    return {form: fit if isinstance(fit, StaticFit) else str(fit) for form, fit in fits.items()}
 
 
 def _labels() -> Mapping[str, str]:
     return {model.name: model.label for model in MODELS}
 
 
-def _real_table(fits: Mapping[str, ForceFit | str]) -> Table:
-    known = {form: fit.left_out_rmse for form, fit in fits.items() if isinstance(fit, ForceFit)}
+def _real_table(fits: Mapping[str, StaticFit | str]) -> Table:
+    known = {form: fit.left_out_rmse for form, fit in fits.items() if isinstance(fit, StaticFit)}
     rows: list[tuple[str, ...]] = []
     best: list[frozenset[int]] = []
     for form, fit in fits.items():
-        if not isinstance(fit, ForceFit):
+        if not isinstance(fit, StaticFit):
             rows.append((_labels()[form], MISSING, fit, MISSING, MISSING))
             best.append(frozenset[int]())
             continue
-        cells = (fit.fitted_rmse, fit.left_out_rmse, fit.left_out_largest, fit.overshoot)
+        cells = (fit.fitted_rmse, fit.left_out_rmse, largest(fit.left_out_errors), fit.overshoot)
         rows.append((f"{_labels()[form]}, {len(fit.names)} coefficients", *(number(value) for value in cells)))
         best.append(frozenset({2}) if known[form] == min(known.values()) else frozenset[int]())
     caption = (
@@ -201,12 +201,12 @@ def _real_table(fits: Mapping[str, ForceFit | str]) -> Table:
     return Table(header, tuple(rows), caption, tuple(best))
 
 
-def _real_findings(real: ForceMap | None, fits: Mapping[str, ForceFit | str]) -> tuple[str, ...]:
+def _real_findings(real: StaticTable | None, fits: Mapping[str, StaticFit | str]) -> tuple[str, ...]:
     if real is None:
         return ("No real force map was given (--force-map), so that part is left out.",)
-    known = {form: fit for form, fit in fits.items() if isinstance(fit, ForceFit)}
+    known = {form: fit for form, fit in fits.items() if isinstance(fit, StaticFit)}
     order = sorted(known, key=lambda form: known[form].left_out_rmse)
-    span = float(np.max(real.force))
+    span = float(np.max(real.value))
     errors = ", ".join(f"{_labels()[form]} {number(known[form].left_out_rmse)} N" for form in order)
     best = _labels()[order[0]]
     return (
@@ -225,30 +225,30 @@ def _real_findings(real: ForceMap | None, fits: Mapping[str, ForceFit | str]) ->
     )
 
 
-def _real_numbers(real: ForceMap, fits: Mapping[str, ForceFit | str]) -> dict[str, Any]:
+def _real_numbers(real: StaticTable, fits: Mapping[str, StaticFit | str]) -> dict[str, Any]:
     out: dict[str, Any] = {"sha256": real.sha256, "points": len(real), "censored": int(real.slack.sum())}
     for form, fit in fits.items():
-        if not isinstance(fit, ForceFit):
+        if not isinstance(fit, StaticFit):
             out[form] = {"undetermined": fit}
             continue
         out[form] = {
             "coefficients": dict(zip(fit.names, fit.coefficients.tolist(), strict=True)),
             "fitted_rmse_n": fit.fitted_rmse,
             "left_out_rmse_n": fit.left_out_rmse,
-            "left_out_largest_n": fit.left_out_largest,
+            "left_out_largest_n": largest(fit.left_out_errors),
             "overshoot_n": fit.overshoot,
             "left_out": [
-                {"length_m": item.length, "measured": item.measured, "slack": item.slack, "rmse_n": item.rmse}
+                {"length_m": item.length, "measured": item.measured, "slack": item.slack, "rmse_n": rms(item.errors)}
                 for item in fit.left_out
             ],
         }
     return out
 
 
-def _real_figure(real: ForceMap, fits: Mapping[str, ForceFit | str]) -> Figure:
+def _real_figure(real: StaticTable, fits: Mapping[str, StaticFit | str]) -> Figure:
     panels: list[Panel] = []
     for form, fit in fits.items():
-        if not isinstance(fit, ForceFit):
+        if not isinstance(fit, StaticFit):
             continue
         parts: list[Series] = []
         for group in range(real.lengths):
@@ -260,21 +260,21 @@ def _real_figure(real: ForceMap, fits: Mapping[str, ForceFit | str]) -> Figure:
             quiet = bool(panels)
             pressure = np.linspace(real.pressure.min(), real.pressure.max(), 40)
             name = f"{1e3 * length:.0f} mm"
-            fitted = np.maximum(fit.force(np.full(40, length), pressure), 0.0)
+            fitted = np.maximum(fit.value(np.full(40, length), pressure), 0.0)
             parts.append(Line(name, pressure / 1e3, fitted, color, width=1.7, quiet=quiet))
-            parts.append(Points(name, real.pressure[inside] / 1e3, real.force[inside], color, quiet=True))
+            parts.append(Points(name, real.pressure[inside] / 1e3, real.value[inside], color, quiet=True))
         panels.append(Panel(Axis("P [kPa abs]"), Axis(f"F [N], {form}"), tuple(parts), 242))
     about = "Points: measured. Lines: the form fitted to all of them, cut off at 0 N."
     return Figure("A real muscle's force map and the four forms", about, tuple(panels), "real map", beside=True)
 
 
-def _left_out_figure(fits: Mapping[str, ForceFit | str]) -> Figure:
+def _left_out_figure(fits: Mapping[str, StaticFit | str]) -> Figure:
     parts: list[Series] = []
     colors = (MEASURED, *PALETTE[:2], QUIET)
     for k, (form, fit) in enumerate(fits.items()):
-        if isinstance(fit, ForceFit):
-            length = np.array([item.length for item in fit.left_out if np.isfinite(item.rmse)])
-            rmse = np.array([item.rmse for item in fit.left_out if np.isfinite(item.rmse)])
+        if isinstance(fit, StaticFit):
+            length = np.array([item.length for item in fit.left_out if np.isfinite(rms(item.errors))])
+            rmse = np.array([rms(item.errors) for item in fit.left_out if np.isfinite(rms(item.errors))])
             parts.append(Line(_labels()[form], 1e3 * length, rmse, colors[k], width=1.7))
             parts.append(Points(_labels()[form], 1e3 * length, rmse, colors[k], quiet=True))
     about = "Each length predicted from the others; the two ends are extrapolation."

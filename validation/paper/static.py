@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.static_force import fit_force
-from pam_antagonist.identification.static_table import ForceMap
+from pam_antagonist.identification.static_fit import fit
+from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, PALETTE
 from pam_antagonist.report.table import Table, number
@@ -23,7 +23,7 @@ _AT = ((0.165, 450e3), (0.155, 600e3), (0.175, 300e3))
 """Lengths [m] and pressures [Pa] at which maps are compared: coefficients nearly cancel, forces do not."""
 
 
-def lines(test: ForceMap) -> tuple[Floats, Floats, Floats]:
+def lines(test: StaticTable) -> tuple[Floats, Floats, Floats]:
     """Equation (6) at each length by itself.
 
     Args:
@@ -35,7 +35,7 @@ def lines(test: ForceMap) -> tuple[Floats, Floats, Floats]:
     found = []
     for group in range(test.lengths):
         inside = test.group == group
-        slope, intercept = np.polyfit(test.pressure[inside], test.force[inside], 1)
+        slope, intercept = np.polyfit(test.pressure[inside], test.value[inside], 1)
         found.append((test.length[inside].mean(), slope, intercept))
     length, slope, intercept = np.array(found).T
     return length, slope, intercept
@@ -45,16 +45,16 @@ def of_seed(work: SeedWork) -> dict[str, Any]:
     """How far the fitted map is from the muscle's own, in force."""
     out: dict[str, Any] = {}
     for which in (1, 2):
-        fit = fit_force(static_test(work, which), "linear", work.rig.declared.geometry.length)
+        fitted = fit(static_test(work, which), "linear", work.rig.declared.geometry.length)
         true, declared = true_map(work, which), getattr(work.rig.declared, f"muscle_{which}").force
         force = np.array([_force(true, *at) for at in _AT])
-        named = dict(zip(fit.names, fit.coefficients.tolist(), strict=True))
+        named = dict(zip(fitted.names, fitted.coefficients.tolist(), strict=True))
         out[f"muscle_{which}"] = {
             "fitted_error_n": float(np.max(np.abs([_force(named, *at) for at in _AT] - force))),
             "declared_error_n": float(
                 np.max(np.abs([_force({name: getattr(declared, name) for name in _NAMES}, *at) for at in _AT] - force))
             ),
-            "residual_rmse_n": fit.fitted_rmse,
+            "residual_rmse_n": fitted.fitted_rmse,
         }
     return out
 
@@ -69,11 +69,11 @@ def result(context: Context) -> Result:
     rows, numbers, straight = [], {}, []
     for which in (1, 2):
         test = static_test(work, which)
-        fit = fit_force(test, "linear", work.rig.declared.geometry.length)
+        fitted = fit(test, "linear", work.rig.declared.geometry.length)
         true, declared = true_map(work, which), getattr(work.rig.declared, f"muscle_{which}").force
         length, slope, intercept = lines(test)
         straight.append((_determination(length, slope, 1), _determination(length, intercept, 1)))
-        for name, value, std in zip(fit.names, fit.coefficients, fit.std, strict=True):
+        for name, value, std in zip(fitted.names, fitted.coefficients, fitted.std, strict=True):
             rows.append(
                 (
                     f"muscle {which}, {_NAMES[name]}",
@@ -145,7 +145,7 @@ def _figures(work: SeedWork) -> tuple[Figure, ...]:
             color = PALETTE[group % len(PALETTE)]
             fitted = slope[group] * ends + intercept[group]
             parts.append(Line(f"{1e3 * length[group]:.1f} mm", ends / 1e3, fitted, color, width=1.7))
-            parts.append(Points("data", test.pressure[inside] / 1e3, test.force[inside], MEASURED, quiet=True))
+            parts.append(Points("data", test.pressure[inside] / 1e3, test.value[inside], MEASURED, quiet=True))
         panels = [Panel(Axis("P [kPa abs]"), Axis("F [N]"), tuple(parts), 242)]
         for values, title in ((slope * 1e6, "v [N/MPa]"), (intercept, "w [N]")):
             line = np.asarray(np.polyval(np.polyfit(length, values, 1), length), dtype=np.float64)

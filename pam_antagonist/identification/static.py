@@ -1,0 +1,389 @@
+"""A muscle's static tables for a rig: fits, comparison of the forms, doubts, and the resulting rig."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from typing_extensions import override
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.static_fit import UNITS, VOLUME, StaticFit, compare_forms, fit, rms
+from pam_antagonist.identification.static_table import StaticTable
+from pam_antagonist.identification.tobit import Floats, Undetermined
+from pam_antagonist.model import lever_arm, muscle
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
+from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
+from pam_antagonist.software import versions
+
+_OFFSET = {"linear": "w2", "hildebrandt": "c4", "sarosi": "c6", "polynomial": "c1", "braided": "c3"}
+"""The coefficient of each form that is a force offset, which is uncertain in a rig by default; the rubber's is one at
+all contractions but the least."""
+_FEW_LENGTHS, _FEW_PRESSURES = 4, 4
+_FAINT = 1e-3
+"""[N] An error below which no form is worth changing."""
+_NEAR = 1e-6
+"""[m] Half a step for a slope."""
+Forms = dict[str, StaticFit | Undetermined]
+
+
+class Reach(NamedTuple):
+    """Range of lengths and pressures of a rig's muscles.
+
+    Attributes:
+        shortest: length [m] of a muscle at one end of the joint's range.
+        longest: at the other [m].
+        lowest: least absolute pressure [Pa].
+        highest: largest [Pa].
+    """
+
+    shortest: float
+    longest: float
+    lowest: float
+    highest: float
+
+    def lengths(self, count: int = 41) -> Floats:
+        """Lengths (count,) [m] over the range."""
+        return np.linspace(self.shortest, self.longest, count)
+
+    @override
+    def __str__(self) -> str:
+        return f"{self.shortest * 1e3:.1f} to {self.longest * 1e3:.1f} mm"
+
+
+def reach(rig: Rig) -> Reach:
+    """Lengths and pressures that a rig's muscles get to, by the model's geometry."""
+    p = rig.parameters()
+    bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
+    lengths = [muscle.length(0, lever_arm.leverage(angle, p)[0], p) for angle in (-bound, bound)]
+    pressures = rig.command_limits if rig.drive == "regulator" else (rig.atmosphere.pressure, rig.supply.pressure)
+    return Reach(min(lengths), max(lengths), *pressures)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticResult:
+    """The results of static tables.
+
+    Attributes:
+        rig: the start rig, with the length that was given; None for a muscle without a rig.
+        fitted: that rig with the fits, None where only a report was requested.
+        muscles: numbers of the muscles that the tables hold for.
+        volumes: table of volumes, or None.
+        volume: its fit, or None.
+        force_map: table of forces, or None.
+        forms: every form of the force map fitted to it, or why not.
+        form: the one for the rig, without a rig that with the least error at lengths left out; empty without a map.
+        warnings: sentences on what to look at.
+    """
+
+    rig: Rig | None
+    fitted: Rig | None
+    muscles: tuple[int, ...]
+    volumes: StaticTable | None
+    volume: StaticFit | None
+    force_map: StaticTable | None
+    forms: Forms
+    form: str
+    warnings: tuple[str, ...]
+
+    @property
+    def force(self) -> StaticFit | None:
+        """Fit of the form for the rig."""
+        chosen = self.forms.get(self.form)
+        return chosen if isinstance(chosen, StaticFit) else None
+
+    @property
+    def tables(self) -> tuple[StaticTable, ...]:
+        """Those that were given."""
+        return tuple(table for table in (self.volumes, self.force_map) if table is not None)
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of ``report.json``, in SI units."""
+        span, volumes, forces = self.rig and reach(self.rig), self.volumes, self.force_map
+        return {
+            "rig": self.rig and self.rig.name,
+            "muscles": self.muscles,
+            "joint": span and {"shortest_m": span.shortest, "longest_m": span.longest},
+            "files": {table.name: table.sha256 for table in self.tables},
+            "volume": None if volumes is None or self.volume is None else {
+                "samples": len(volumes), **self.volume.to_json()
+            },
+            "force": None if forces is None else {
+                "form": self.form,
+                "samples": len(forces),
+                "slack": int(forces.slack.sum()),
+                "lengths": forces.lengths,
+                "forms": {
+                    name: found.to_json() if isinstance(found, StaticFit) else {"undetermined": str(found)}
+                    for name, found in self.forms.items()
+                },
+            },
+            "warnings": self.warnings,
+            "rig_written": self.fitted is not None,
+            "software": versions(),
+        }  # fmt: skip
+
+
+def work_out(
+    rig: Rig | None,
+    volumes: StaticTable | None,
+    force_map: StaticTable | None,
+    muscles: Sequence[int] = (1, 2),
+    form: str = "",
+    length: float = 0.0,
+    report_only: bool = False,
+) -> StaticResult:
+    """Fit static tables and put them into a rig.
+
+    Args:
+        rig: start; what is not fitted stays as it is. None for a muscle without a rig: then nothing but a report.
+        volumes: table of length and volume.
+        force_map: table of length, pressure and force.
+        muscles: which the tables hold for, 1, 2 or both.
+        form: of the force map, one of ``parameters.FORCE_FORMS``; default: the rig's, and for muscles of a data sheet
+            ``braided``, as in an identification.
+        length: muscle length at ψ = 0 [m] in place of the rig's; without a rig the nominal one. 0: not given.
+        report_only: make no rig; then the muscle need not fit the joint.
+
+    Raises:
+        BadInput: another muscle, a table that does not determine its coefficients, or an impossible rig.
+    """
+    if length and rig is not None:
+        rig = rig.replaced(geometry=rig.geometry.replaced(length=length))
+    target = None if report_only else rig
+    tables = [table for table in (volumes, force_map) if table is not None]
+    warnings = [f"{table.name}: {issue}" for table in tables for issue in table.issues]
+    if target is not None:
+        _refuse_unknown_units(target)
+        for table in tables:
+            _refuse_other_muscle(table, target, length > 0.0)
+            warnings += _coverage(table, target)
+    volume, force, forms = None, None, {}
+    if volumes is not None:
+        try:
+            volume = fit(volumes, VOLUME)
+        except Undetermined as reason:
+            raise BadInput(f"{volumes.name}: {reason}; expected at least 3 lengths that are well apart") from None
+        warnings += _doubts_about_volume(volume, target) if target else []
+        if volume.freedom == 0 and not volumes.declared:
+            warnings.append(
+                f"{volumes.name}: 3 volumes for 3 coefficients give no error estimate, so there are no priors: measure "
+                "more lengths"
+            )
+    if force_map is not None:
+        known = with_base_laws(rig) if rig is not None and is_from_data_sheet(rig) else rig
+        nominal, rest = length, length or float(force_map.length.max())
+        if known is not None:
+            rest = known.geometry.length
+            form = form or known.model.force
+            nominal = known.value(f"muscle_{muscles[0]}.force.c6") if known.model.force == "braided" else 0.0
+        forms = compare_forms(force_map, rest, nominal=nominal)
+        form = form or _least_error(forms)
+        force = _chosen(force_map, forms, form)
+        warnings += [f"form {form}: {note}" for note in force.notes]
+        warnings += _doubts_about_force(force, target) if target else []
+        warnings += _better_form(forms, form, force)
+    fitted = target and _with_fits(target, muscles, volume, force, _source(volumes, force_map, muscles))
+    return StaticResult(
+        rig, fitted, tuple(muscles), volumes, volume, force_map, forms, form if force else "",
+        tuple(dict.fromkeys(warnings)),
+    )  # fmt: skip
+
+
+def _chosen(force_map: StaticTable, forms: Forms, name: str) -> StaticFit:
+    found = forms[name]
+    if isinstance(found, StaticFit):
+        return found
+    others = [other for other, fitted in forms.items() if isinstance(fitted, StaticFit)]
+    hint = f"; it determines {', '.join(others)}: choose by --form" if others else ""
+    raise BadInput(f"{force_map.name}: does not determine a force map of form {name}: {found}{hint}")
+
+
+def _refuse_unknown_units(rig: Rig) -> None:
+    """Refuse a rig whose pressures or forces are in units of its own: measured ones do not fit in."""
+    if rig.units.pressure == "pascal" and rig.units.force == "newton":
+        return
+    what = "pressures" if rig.units.pressure != "pascal" else "forces"
+    field, value = ("pressure", "unknown") if what == "pressures" else ("force", "per_inertia")
+    raise BadInput(
+        f"rig {rig.name}: its {what} are not in a known unit (units.{field}: {value}), so a measured table does not "
+        "fit in; expected a rig in Pa and N, or --report-only to fit the table without a rig file"
+    )
+
+
+def _refuse_other_muscle(table: StaticTable, rig: Rig, own_length: bool) -> None:
+    """Refuse a table of which no length lies within the joint's range."""
+    span = reach(rig)
+    low, high = float(table.length.min()), float(table.length.max())
+    if low <= span.longest and high >= span.shortest:
+        return
+    given = (
+        f"--length {rig.geometry.length:g}" if own_length else f"rig {rig.name} with L_0 = {rig.geometry.length:g} m"
+    )
+    raise BadInput(
+        f"{table.name}: measured at {low * 1e3:.0f} to {high * 1e3:.0f} mm, but {given} uses {span}: another muscle; "
+        "expected lengths within the joint's range, or --length L_0 [m] for a joint with this muscle (it becomes "
+        "geometry.length), or --report-only to fit the table without a rig file"
+    )
+
+
+def _coverage(table: StaticTable, rig: Rig) -> list[str]:
+    """Sentences on where the joint goes and the table does not, and on how little is in it."""
+    span, out = reach(rig), []
+    low, high = float(table.length.min()), float(table.length.max())
+    slack = 0.02 * (span.longest - span.shortest)
+    uncovered = [f"below {low * 1e3:.1f} mm"] if low > span.shortest + slack else []
+    uncovered += [f"above {high * 1e3:.1f} mm"] if high < span.longest - slack else []
+    if uncovered:
+        out.append(
+            f"{table.name}: in the joint the muscles are {span} long; {' and '.join(uncovered)} the fit is "
+            "extrapolated: measure there"
+        )
+    if table.lengths < _FEW_LENGTHS:
+        out.append(
+            f"{table.name}: {table.lengths} lengths; with fewer than {_FEW_LENGTHS} the form's error between them is "
+            "unknown"
+        )
+    if not table.pressure.any():
+        return out
+    measured = table.pressure[~table.slack]
+    if len(np.unique(np.round(table.pressure, -2))) < _FEW_PRESSURES:
+        out.append(
+            f"{table.name}: fewer than {_FEW_PRESSURES} pressures; it is unknown whether the force is linear in the "
+            "pressure"
+        )
+    if not rig.valves.sealed and measured.max() < 0.95 * span.highest:
+        regulated = f"the regulators of rig {rig.name} hold up to"
+        source = regulated if rig.drive == "regulator" else f"the supply of rig {rig.name} has"
+        out.append(
+            f"{table.name}: forces up to {measured.max() / 1e3:.0f} kPa absolute, but {source} "
+            f"{span.highest / 1e3:.0f} kPa: above, the fit is extrapolated"
+        )
+    return out
+
+
+def _doubts_about_volume(found: StaticFit, rig: Rig) -> list[str]:
+    """Sentences on a volume that is odd within the joint's range."""
+    lengths, out = reach(rig).lengths(), []
+    grows = found.value(lengths + _NEAR) >= found.value(lengths - _NEAR)
+    if np.any(grows):
+        out.append(
+            f"the volume grows with length at {np.mean(grows):.0%} of the joint's lengths, where a "
+            "pressurised muscle would push, not pull: is the length column right?"
+        )
+    relative = float(np.max(found.value_std(lengths) / found.value(lengths)))
+    if relative > 0.1:
+        out.append(f"within the joint's range the volume is known to {relative:.0%} only: more lengths, or repeat them")
+    return out
+
+
+def _doubts_about_force(found: StaticFit, rig: Rig) -> list[str]:
+    """Sentences on a force map that is odd within the joint's range."""
+    span = reach(rig)
+    middle = 0.5 * (span.lowest + span.highest)
+    std = float(np.max(found.value_std(span.lengths(9), middle)))
+    top = float(np.max(np.abs(found.value(span.lengths(9), middle))))
+    out = []
+    if std > 0.05 * top:
+        out.append(
+            f"at {middle / 1e3:.0f} kPa the map is known to {std:.2g} N only within the joint's range "
+            f"({std / top:.0%} of its largest force there): more lengths there, or a form that fits better"
+        )
+    offsets = [name for name in rig.uncertainty if name.endswith(f".force.{_OFFSET[rig.model.force]}")]
+    carried = min((rig.uncertainty[name] for name in offsets), default=math.inf)
+    # Means over a length: the sensor's noise is no error of the map.
+    means = [float(np.mean(item.errors)) for item in found.left_out if item.measured]
+    missed = rms([mean for mean in means if math.isfinite(mean)])
+    if missed > 2.0 * carried:
+        out.append(
+            f"at lengths left out the map's mean error is {missed:.2g} N, but the filter's covariance allows for "
+            f"{carried:.2g} N only (uncertainty of {offsets[0]} in the rig file): identify the rig, or enter a larger "
+            "value there"
+        )
+    return out
+
+
+def _least_error(forms: Forms) -> str:
+    """The form with the least error at lengths left out, among those for which it is known; else the first."""
+    known = {name: error for name, found in forms.items()
+             if isinstance(found, StaticFit) and math.isfinite(error := found.left_out_rmse)}  # fmt: skip
+    return min(known or forms, key=lambda name: known.get(name, math.inf))
+
+
+def _better_form(forms: Forms, chosen: str, own: StaticFit) -> list[str]:
+    """A note on a form whose error at lengths left out is less than two thirds of the chosen form's."""
+    if not math.isfinite(own.left_out_rmse):
+        return [f"form {chosen}: some lengths cannot be left out, so its error on new lengths is not known"]
+    best = forms[_least_error(forms)]
+    if isinstance(best, StaticFit) and best.left_out_rmse < own.left_out_rmse / 1.5 and own.left_out_rmse > _FAINT:
+        name = best.form.name
+        return [
+            f"at lengths left out, form {name} errs by {best.left_out_rmse:.3g} N (RMS), {chosen} by "
+            f"{own.left_out_rmse:.3g} N: consider --form {name}"
+        ]
+    return []
+
+
+def _source(volumes: StaticTable | None, force_map: StaticTable | None, muscles: Sequence[int]) -> str:
+    sources = [f"{what} from {table.name} (SHA-256 {table.sha256[:12]})"
+               for what, table in ((VOLUME, volumes), ("force map", force_map)) if table is not None]  # fmt: skip
+    return f"Muscle {' and '.join(map(str, muscles))}: {', '.join(sources)}."
+
+
+def _with_fits(rig: Rig, muscles: Sequence[int], volume: StaticFit | None, force: StaticFit | None, source: str) -> Rig:
+    """The rig with fitted coefficients, and their standard deviations as priors for an identification."""
+    fits = {part: found for part, found in ((VOLUME, volume), ("force", force)) if found is not None}
+    changes: dict[str, Any] = {}
+    stds: dict[str, float] = {}
+    for number in muscles:
+        name = f"muscle_{number}"
+        own = getattr(rig, name)
+        for part, found in fits.items():
+            values = dict(zip(found.names, found.coefficients.tolist(), strict=True))
+            own = own.replaced(**{part: getattr(own, part).replaced(**values)})
+            stds |= {f"{name}.{part}.{key}": float(std) for key, std in zip(found.names, found.std, strict=True)}
+        changes[name] = own
+    if force is not None and force.form.name != rig.model.force:
+        form = force.form.name
+        changes |= _other_muscle(rig, muscles, form)
+        changes["model"] = rig.model.replaced(force=form)
+        # Uncertain offsets have another name in another form.
+        before, after = f".force.{_OFFSET[rig.model.force]}", f".force.{_OFFSET[form]}"
+        changes["uncertainty"] = {
+            name.replace(before, after): std for name, std in rig.uncertainty.items()
+            if ".force." not in name or name.endswith(before)
+        }  # fmt: skip
+    changes["priors"] = {
+        **{name: std for name, std in rig.priors.items() if name not in stds},
+        **{name: std for name, std in stds.items() if math.isfinite(std) and std > 0.0},
+    }
+    changes["bounds"] = {name: pair for name, pair in rig.bounds.items() if name not in stds}
+    out = rig.replaced(**changes, source=f"{rig.source.strip()} {source}")
+    complaint = unphysical(out)
+    if complaint:
+        missing = (
+            "; give this muscle's --volume as well, or --report-only"
+            if ".volume" in complaint and volume is None
+            else ""
+        )
+        raise BadInput(f"the rig with these fits: {complaint}{missing}")
+    return out
+
+
+def _other_muscle(rig: Rig, muscles: Sequence[int], form: str) -> dict[str, Any]:
+    """The muscle without a table in the other's form: as it is, or from its data sheet."""
+    out: dict[str, Any] = {}
+    for number in {1, 2} - set(muscles):
+        name = f"muscle_{number}"
+        if form == "braided" and is_from_data_sheet(rig):
+            out[name] = getattr(with_base_laws(rig), name)
+        elif not any(rig.value(f"{name}.force.{key}") for key in UNITS[form]):
+            raise BadInput(
+                f"form {form} for muscle {muscles[0]}: rig {rig.name} has no coefficients of it for muscle {number}, "
+                f"and both share one form; expected --muscle both, or --form {rig.model.force}"
+            )
+    return out
