@@ -27,8 +27,10 @@ from typing_extensions import override
 
 from pam_antagonist.model import parameters as par
 
-_SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt")
+_SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt", "place", "law", "rows")
 """Arguments that are the same in all lanes, whatever function has them."""
+_STRUCTURAL_ARGUMENTS = ("law",)
+"""Arguments that are indices of parameters that are the same in all lanes."""
 _BUILT_IN = ("abs", "min", "max", "range", "int", "float")
 _HEADER = '''"""The equations for lanes; written by pam_antagonist.model.lane_form, which explains it."""
 
@@ -124,7 +126,7 @@ class _Function:
         # Names that have the same value in all lanes.
         self.shared = set(_SHARED_ARGUMENTS) & set(self.arguments)
         # Names of indices of parameters that are the same in all lanes.
-        self.structural: set[str] = set()
+        self.structural = set(_STRUCTURAL_ARGUMENTS) & set(self.arguments)
         self.counter = itertools.count(1)
         # Of each loop with a return, from the outermost: the mask of the lanes that have no result yet.
         self.going: list[str] = []
