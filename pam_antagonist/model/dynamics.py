@@ -339,8 +339,6 @@ def subsystem(x, p, effects=True):
         if effects is not None:
             now = joint_now(x, p)
         external = 0.0 if effects is None else _with_disturbance(0.0, x, p)
-        _, slides = _motion(
-            x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2, now, external, x, p, effects
-        )
+        _, slides = _motion(x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2, now, external, x, p, effects)
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)

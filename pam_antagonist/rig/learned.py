@@ -44,6 +44,24 @@ _ON = {
     "length": "its length", "length_rate": "the rate of its length", "open_rate": "the valve's open rate",
     "valve_flow": "the valve's flow", "draw": "the air that is drawn", "time": "the time since the start",
 }  # fmt: skip
+_NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}, "maxItems": learned.NODES}
+LAW_SCHEMA = {
+    "type": "object",
+    "description": "a learned law: docs/effects.md",
+    "additionalProperties": False,
+    "required": ["place", "nodes", "values"],
+    "properties": {
+        "place": {"enum": list(learned.PLACES), "description": "where it acts"},
+        "muscle": {"enum": [1, 2, "both"], "description": "at a place of a muscle"},
+        "argument": {"type": "string", "description": "what it depends on", "examples": [*_EVERYWHERE, *_OWN]},
+        "operator": {"enum": list(_OPERATORS), "default": "none", "description": "with a memory"},
+        "time": {**_NUMBER, "description": "of lag and high_pass [s]"},
+        "width": {**_NUMBER, "description": "of play and stop, in the unit of the argument"},
+        "nodes": {**_NUMBERS, "description": "of the argument, increasing [SI]"},
+        "values": {**_NUMBERS, "description": "at the nodes, in the unit of the place"},
+    },
+}
+"""JSON schema of a law in a rig file."""
 
 
 @dataclass(frozen=True)
@@ -320,14 +338,14 @@ def _read(given: Mapping[str, Any], where: str) -> Law:
             raise BadInput(f"{where}.{key}: found {str(value)[:40]!r}, expected a number; decimals stand after a point")
         return float(value)
 
-    lists: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for key in ("nodes", "values"):
         if not isinstance(given[key], (list, tuple)):
             raise BadInput(f"{where}.{key}: expected a list of numbers, as [0.0, 1.0]")
-        lists[key] = tuple(number(key, value) for value in given[key])
-    numbers = {key: number(key, given[key]) for key in ("time", "width") if key in given}
-    rest = {key: given[key] for key in ("place", "muscle", "argument", "operator") if key in given}
-    return Law(**rest, **lists, **numbers)
+        entries[key] = tuple(number(key, value) for value in given[key])
+    entries |= {key: number(key, given[key]) for key in ("time", "width") if key in given}
+    entries |= {key: given[key] for key in ("place", "muscle", "argument", "operator") if key in given}
+    return Law(**entries)
 
 
 def value_path(number: int, node: int) -> str:
@@ -378,7 +396,8 @@ def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = No
     def without(part: Mapping[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in part.items() if not name.startswith(path)}
 
-    old = {name: value for name, value in rig.effects.get("learned", {}).items() if not name.startswith(f"law{number}_")}
+    others = rig.effects.get("learned", {}).items()
+    old = {name: value for name, value in others if not name.startswith(f"law{number}_")}
     content["effects"] = {**rig.effects, "learned": {**old, **numbers_of(law, number, list(rig.signals))}}
     for name in ("uncertainty", "priors", "bounds"):
         content[name] = without(content[name])

@@ -5,9 +5,9 @@ r"""A law that was learned from recordings: a table of numbers at one place of t
 \theta(z) = \theta_k + (\theta_{k+1} - \theta_k)\,\frac{z - z_k}{z_{k+1} - z_k}\quad (z_k \le z \le z_{k+1}).
 ```
 
-$a$ is what the law depends on. $\mathcal{O}$ is an operator with a memory, or none. $\theta$ is a table with up to 15 nodes
-$z_k$ and as many values. Outside of the nodes, which are the range that was seen, it is constant. A rig has up to four
-laws. Its file names what a law is made of:
+$a$ is what the law depends on. $\mathcal{O}$ is an operator with a memory, or none. $\theta$ is a table with up to 15
+nodes $z_k$ and as many values. Outside of the nodes, which are the range that was seen, it is constant. A rig has up to
+four laws. Its file names what a law is made of:
 
 ```yaml
 effects:
@@ -24,7 +24,7 @@ effects:
 
 | place | of | unit | |
 |---|---|---|---|
-| `flow` | muscle | kg/s | mass flow into the muscle beside the valve; 0 where it would pass the atmosphere or the supply |
+| `flow` | muscle | kg/s | mass flow into the muscle beside the valve, within the pressures of air and supply |
 | `leak` | muscle | m2 | area of a leak to the atmosphere, 0 at least |
 | `valve` | muscle | - | change of the open rate at which the valve stands, which stays within 0 and 1 |
 | `sensor` | muscle | Pa | by how much the pressure sensor reads too high, by its reading (`pressure`) |
@@ -35,11 +35,12 @@ effects:
 | `exchange` | joint | kg/s | mass flow from muscle 1 to muscle 2, only towards the lower pressure |
 | `supply` | joint | - | change of the supply's pressure, as a share of it |
 
-The arguments `pressure_1`, `pressure_2`, `pressure_difference` (P_1 − P_2), `pressure_sum`, `angle`, `velocity`, `speed`
-(its absolute value), `time` (since the start) and the names of the file's `signals` are known everywhere. At a place of a
-muscle there are its own `pressure`, `other_pressure`, `length` and `length_rate`. At `flow` and `leak` there are
-`open_rate` (that the voltage asks for) and `valve_flow`, at `valve` there is `open_rate`. A place of the joint may depend
-on `draw`, the flow of both valves out of the supply, with the operator `lag`. `none` makes a constant, with one node.
+The arguments `pressure_1`, `pressure_2`, `pressure_difference` (P_1 − P_2), `pressure_sum`, `angle`, `velocity`,
+`speed` (its absolute value), `time` (since the start) and the names of the file's `signals` are known everywhere. At a
+place of a muscle there are its own `pressure`, `other_pressure`, `length` and `length_rate`. At `flow` and `leak` there
+are `open_rate` (that the voltage asks for) and `valve_flow`, at `valve` there is `open_rate`. A place of the joint may
+depend on `draw`, the flow of both valves out of the supply, with the operator `lag`. `none` makes a constant, with one
+node.
 
 | operator | its number | what the table gets |
 |---|---|---|
@@ -48,8 +49,8 @@ on `draw`, the flow of both valves out of the supply, with the operator `lag`. `
 | `play` | `width`, in the argument's unit | z, which is held within a ± `width`/2 and stays otherwise |
 | `stop` | `width`, in the argument's unit | a − z, with the same z |
 
-An operator adds a state for each muscle, or one for the joint, and so does `time`. The state is z over the distance from
-the first to the last node. It starts at rest, z = a.
+An operator adds a state for each muscle, or one for the joint, and so does `time`. The state is z over the distance
+from the first to the last node. It starts at rest, z = a.
 
 A law makes no energy where physics has none. Flows fade within 2 kPa of where they would turn against the pressures. A
 torque, force or strength that depends on `velocity` or `length_rate`, without operator, acts only against the motion.
@@ -91,8 +92,8 @@ JOINT = np.int64(2)
 """Index of the joint, in the place of a muscle's."""
 (
     _, _FIRST, _SECOND, _DIFFERENCE, _SUM, _ANGLE, _VELOCITY, _SPEED, _PRESSURE, _OTHER, _LENGTH, _LENGTH_RATE,
-    _OPEN_RATE, _VALVE_FLOW, _DRAW, _TIME, FIRST_SIGNAL, *_,
-) = range(1, 1 + len(ARGUMENTS))  # fmt: skip
+    _OPEN_RATE, _VALVE_FLOW, _DRAW, _TIME, FIRST_SIGNAL,
+) = range(1, 18)  # fmt: skip
 _NONE, _CLOCK, _LAG, _PLAY, _HIGH_PASS, _STOP = range(1, 1 + len(OPERATORS))
 
 CODES = ("place", "muscle", "argument", "operator", "count", "keeps_1", "keeps_2", "keeps")
@@ -226,8 +227,7 @@ def _passive(place, law, value, rate, p):
     if FORCE <= place <= TORQUE and (p[law + _ARGUMENT] == _VELOCITY or p[law + _ARGUMENT] == _LENGTH_RATE):
         # A muscle pulls: it works against the motion while it gets longer.
         against = -value if place == TORQUE else value
-        if against * rate < 0.0:
-            return 0.0 * value
+        value = value if against * rate >= 0.0 else 0.0
     return value
 
 
@@ -331,7 +331,7 @@ def further_friction(now, law, rows, x, p):
 
 @inlined
 def shown(pressure, muscle, law, rows, p):
-    """Reading of a pressure sensor [Pa], the inverse of :func:`pressure_behind`: both are straight between the nodes."""
+    """Reading of a pressure sensor [Pa]; the inverse of :func:`pressure_behind`, which is straight between nodes."""
     reading = pressure
     for k in range(LAWS):
         codes, numbers = law + k * SIZE, rows + k * NUMBERS
