@@ -370,8 +370,9 @@ def laws_of(rig: Rig) -> dict[int, Law]:
 def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = None) -> Rig:
     """The rig with a learned law, and with the uncertainty of its values.
 
-    The filter carries a covariance in its three largest directions, scaled so that each value keeps its standard
-    deviation. Where only standard deviations are known, it carries one direction, as if all values were wrong together.
+    The filter carries a covariance in three directions at most: the two largest, and one for what is left of each
+    value's variance, as if these parts were wrong together. So each value keeps its standard deviation. Where only
+    standard deviations are known, all values are taken to be wrong together.
 
     Args:
         rig: the rig.
@@ -421,6 +422,8 @@ def _columns(std: np.ndarray, covariance: Any) -> list[np.ndarray]:
     if covariance is None:
         return [std]
     values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=float))
-    kept = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :_MOST_DIRECTIONS]
-    size = np.sqrt(np.sum(kept**2, axis=1))
-    return list((kept * np.divide(std, size, out=np.zeros_like(std), where=size > 0.0)[:, None]).T)
+    columns = list((vectors * np.sqrt(np.maximum(values, 0.0))).T[::-1])
+    if len(columns) > _MOST_DIRECTIONS:
+        columns = columns[: _MOST_DIRECTIONS - 1]
+        columns.append(np.sqrt(np.maximum(std**2 - np.sum(np.square(columns), axis=0), 0.0)))
+    return columns
