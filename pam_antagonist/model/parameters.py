@@ -200,7 +200,9 @@ def _copy_laws(p: np.ndarray) -> None:
     """Write the codes of the laws that are present, whose values are not all 0, where all lanes find them."""
     p[LAW:CURVE] = 0.0
     numbers = p[LAW_NUMBERS : LAW_NUMBERS + learned.LAWS * learned.NUMBERS].reshape(learned.LAWS, learned.NUMBERS)
-    for k in np.flatnonzero(numbers[:, -learned.NODES :].any(axis=1) & (numbers[:, 0] > 0.0)):
+    for k in np.flatnonzero(numbers[:, 0]):
+        if not numbers[k, -learned.NODES :].any():
+            continue
         codes = p[LAW + k * learned.SIZE : LAW + (k + 1) * learned.SIZE]
         codes[: learned.STATE] = numbers[k, : learned.STATE]
         slot = SLOT_OF[f"law{k + 1}_memory_1"]
