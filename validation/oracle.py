@@ -165,7 +165,7 @@ def _of_rows(rows: Sequence[Mapping[str, Any]] | None) -> Entry | None:
     """Errors of episodes: as configured first, extended last."""
     if not rows:
         return None
-    return {str(row["name"]): {key: row[key] for key in ("later", "recent", "interleaved")} for row in rows}
+    return {row["model"]: {key: row[key] for key in ("later", "recent", "interleaved")} for row in rows}
 
 
 def _commit() -> str:

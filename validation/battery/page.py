@@ -15,7 +15,6 @@ from pam_antagonist.report.style import DEEP, ESTIMATE, MODEL, PALE
 from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
 from validation.battery.draw import LARGE, LEVELS
-from validation.battery.earlier import EARLIER
 from validation.battery.forms import FORMS, SINGLE
 from validation.battery.outcomes import Outcome
 from validation.battery.plants import DURATION
@@ -35,6 +34,7 @@ class Run:
         count: how many cases.
         nothing: how many further ones with nothing wrong.
         calibrations: how many further ones whose only fault is a calibration.
+        uncatalogued: how many further ones that are outside of every law.
         duration: of a recording [s].
         effect: that all cases are of; None for all kinds.
         done: outcomes of the cases that are finished.
@@ -45,6 +45,7 @@ class Run:
     count: int
     nothing: int
     calibrations: int
+    uncatalogued: int
     duration: float
     effect: str | None
     done: Sequence[Outcome]
@@ -53,7 +54,7 @@ class Run:
     @property
     def asked(self) -> int:
         """How many cases there are."""
-        return self.count + self.nothing + self.calibrations
+        return self.count + self.nothing + self.calibrations + self.uncatalogued
 
 
 def interval_text(interval: tuple[float, float] | None) -> str:
@@ -141,23 +142,6 @@ def misses_table(run: Run) -> Table:
     return Table(("case", "form", "remainder", "size", "said"), rows)
 
 
-def earlier_table() -> Table:
-    """Earlier runs, and what was changed since."""
-
-    def text(pair: tuple[int, int] | None) -> str:
-        if pair is None:
-            return MISSING
-        return f"{pair[0]} of {pair[1]} ({interval_text(Share(*pair).interval)})"
-
-    rows = tuple(
-        (str(run.seed), MISSING if run.cases is None else str(run.cases), text(run.single), text(run.pair),
-         text(run.nothing), text(run.foreign), run.since)
-        for run in EARLIER
-    )  # fmt: skip
-    header = ("seed", "cases", "single: right first", "both of two", "false alarms", "unexplained", "changed since")
-    return Table(header, rows)
-
-
 def tables(run: Run) -> tuple[Table, ...]:
     """What a terminal shows, in order."""
     header, rows = confusion(run.done)
@@ -201,6 +185,7 @@ def as_json(run: Run) -> dict[str, Any]:
         "count": run.count,
         "nothing": run.nothing,
         "calibrations": run.calibrations,
+        "uncatalogued": run.uncatalogued,
         "duration": run.duration,
         "effect": run.effect,
         "finished": len(run.done),
@@ -309,14 +294,6 @@ def _page(run: Run, image: str) -> list[str]:
         "",
         *markdown(misses_table(run)),
         "",
-        "## Earlier runs",
-        "",
-        "The first run on each seed. Rules were changed after each of them, so their joints can no longer judge the",
-        "program. Up to seed 1229 sizes were from 3 to 30 noises, asked for and not measured, and most forms were near",
-        "the catalogue's.",
-        "",
-        *markdown(earlier_table()),
-        "",
         "Software: " + ", ".join(f"{name} {version}" for name, version in versions().items()) + ".",
         "",
     ]  # fmt: skip
@@ -327,6 +304,7 @@ def _command(run: Run) -> str:
     command = f"./run battery --out DIR --count {run.count} --seed {run.seed}"
     command += f" --nothing {run.nothing}" if run.nothing else ""
     command += f" --calibrations {run.calibrations}" if run.calibrations else ""
+    command += f" --uncatalogued {run.uncatalogued}" if run.uncatalogued else ""
     command += f" --effect {run.effect}" if run.effect else ""
     return command + (f" --duration {run.duration:g}" if run.duration != DURATION else "")
 
