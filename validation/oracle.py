@@ -139,9 +139,9 @@ def _diagnosed(name: str, truth: Any, recordings: Sequence[Any], rig: str, **opt
         with tempfile.TemporaryDirectory() as folder:
             found.save(Path(folder) / "found", figures=False)
             report = json.loads((Path(folder) / "found" / "report.json").read_text(encoding="utf-8"))
-    except BadInput as error:
+    except Exception as error:  # a defect in one case is an answer too, and the others go on
         seconds, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
-        report = {"verdict": "refused", "sentence": str(error)}
+        report = {"verdict": "refused" if isinstance(error, BadInput) else "defect", "sentence": repr(error)}
     kept = {key: report.get(key) for key in ("verdict", "sentence", "ambiguous_with", "next_rig")}
     return {
         "case": name, "truth": truth, **kept, "effects": [_effect(effect) for effect in report.get("effects") or []],
@@ -165,7 +165,8 @@ def _of_rows(rows: Sequence[Mapping[str, Any]] | None) -> Entry | None:
     """Errors of episodes: as configured first, extended last."""
     if not rows:
         return None
-    return {row["model"]: {key: row[key] for key in ("later", "recent", "interleaved")} for row in rows}
+    parts = ("later", "recent", "interleaved")
+    return {row["model"]: {f"{key} rmse_deg": row[key][0] for key in parts if row[key]} for row in rows}
 
 
 def _commit() -> str:
@@ -251,8 +252,7 @@ def _leaves(value: Any, path: str = "") -> dict[str, float]:
         return {k: v for key, item in value.items() for k, v in _leaves(item, f"{path} {key}".strip()).items()}
     if isinstance(value, list):
         return {k: v for i, item in enumerate(value) for k, v in _leaves(item, f"{path} {i + 1}").items()}
-    wanted = isinstance(value, float) and ("rmse" in path or path.endswith("value"))
-    return {path: value} if wanted else {}
+    return {path: value} if isinstance(value, float) and "rmse" in path else {}
 
 
 def _grown(old: float, new: float, ratio: float, floor: float) -> str:

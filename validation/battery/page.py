@@ -15,8 +15,10 @@ from pam_antagonist.report.style import DEEP, ESTIMATE, MODEL, PALE
 from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
 from validation.battery.draw import LARGE, LEVELS
-from validation.battery.forms import FORMS, SINGLE
+from validation.battery.forms import FORMS, SINGLE, UNCATALOGUED
+from validation.battery.forms_uncatalogued import LEFT
 from validation.battery.outcomes import Outcome
+from validation.battery.places import PLACES
 from validation.battery.plants import DURATION
 from validation.battery.remainders import OTHER, VARIATION, Remainder, group_of, is_other
 from validation.battery.scores import Share, confusion, detections, scores
@@ -117,6 +119,17 @@ def remainders_table(found: Mapping[str, Remainder]) -> Table:
         for form in SINGLE
     )
     return Table(("effect", "form", "base alone leaves", "remainder", "counts as", "mechanism"), rows)
+
+
+def uncatalogued_table() -> Table:
+    """What is outside of every law, with its place, its arguments, and what the catalogue leaves of it."""
+    rows = []
+    for form in UNCATALOGUED:
+        place, (base, law, name) = PLACES[form.effect], LEFT[form.name]
+        names = (", ".join(f"`{item}`" for item in sorted(part)) for part in place)
+        rows.append((form.name, *names, percent(base), f"{percent(law)} ({name})", form.source))
+    header = ("form", "places, any of", "arguments, any of", "base alone leaves", "with the best law", "mechanism")
+    return Table(header, tuple(rows))
 
 
 def misses_table(run: Run) -> Table:
@@ -281,6 +294,15 @@ def _page(run: Run, image: str) -> list[str]:
         f"the law, reported apart; above {100.0 * OTHER:.0f} % it is truly another form. Pushes have no law.",
         "",
         *markdown(remainders_table(run.remainders)),
+        "",
+        "## Outside of every law",
+        "",
+        "Effects from the literature that no law of the catalogue can imitate, drawn by `--uncatalogued`. They were",
+        "written by another hand than the search",
+        "([`forms_uncatalogued.py`](../validation/battery/forms_uncatalogued.py)). Places and arguments, which are the",
+        "truth for a search, stand in [`places.py`](../validation/battery/places.py).",
+        "",
+        *markdown(uncatalogued_table()),
         "",
         "## Confusion matrix",
         "",

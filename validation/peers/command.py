@@ -11,6 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pam_antagonist import BadInput
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
@@ -106,7 +108,9 @@ def _entry(joint: Joint, peer: str, part: float | None) -> Entry:
 
 def _soft(sensor: soft_sensors.Sensor) -> Callable[[Joint], Entry]:
     def run(joint: Joint) -> Entry:
-        fit = [joints.course(one, joint.rig) for one in joint.fit]
+        # A joint that is held teaches a map of its pressures nothing but a wrong one.
+        every = [joints.course(one, joint.rig) for one in joint.fit]
+        fit = [one for one in every if np.ptp(one.angle) > joints.MOVES]
         held = [joints.course(one, joint.rig, begin) for one, begin in joint.held]
         found = sensor(fit, held)
         pieces = [(one.angle[one.counts], found.angle[k][one.counts], found.std[k][one.counts] if found.std else None)

@@ -16,6 +16,8 @@ NAMES = ("rig_a_lab/supply_droop", *(f"strangers/{name}" for name in at_hand.STR
 ARM = NAMES[-1]
 WARM_UP = 5.0
 """Seconds before the held-out end of a recording in which a filter may settle."""
+MOVES = float(np.radians(2.0))
+"""A joint that moves by more than this was free."""
 _KEPT = 1.0 / 3.0
 _RATE = 100.0
 """Soft sensors get at most so many samples a second, each the mean of a sample's span."""
