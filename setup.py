@@ -83,13 +83,16 @@ setup(
         "import": ["h5py>=3.8", "pandas>=2.0", "pyarrow>=14"],
         # What ours is compared with by the laboratory: peers. torch takes some gigabytes.
         "peers": ["pysindy>=2", "scikit-learn>=1.3", "torch>=2"],
-        # Figures of report.html by plotly, pictures by matplotlib.
-        "reports": ["matplotlib>=3.6", "Pillow>=9.4", "plotly>=5.15"],
-        # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`.
+        # Figures of report.html.
+        "reports": ["plotly>=5.15"],
+        # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`. matplotlib draws
+        # the pictures of pages that the laboratory writes.
         "test": [
             "filterpy>=1.4.5,<3",
             "hypothesis>=6.80",
+            "matplotlib>=3.6",
             "mypy==2.4.1",
+            "Pillow>=9.4",
             "pytest>=7.4",
             "pytest-xdist>=3.8",
             "ruff==0.17.5",

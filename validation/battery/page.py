@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.report.figure import Axis, Band, Figure, Heatmap, Line, Panel
-from pam_antagonist.report.matplotlib_renderer import picture
 from pam_antagonist.report.style import DEEP, ESTIMATE, MODEL, PALE
 from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
@@ -22,6 +21,7 @@ from validation.battery.places import PLACES
 from validation.battery.plants import DURATION
 from validation.battery.remainders import OTHER, VARIATION, Remainder, group_of, is_other
 from validation.battery.scores import Share, confusion, detections, scores
+from validation.pictures import picture
 
 _MARK = {True: "yes", False: "NO", None: ""}
 _BLUE, _RED = "rgba(0, 114, 178, 0.15)", "rgba(213, 94, 0, 0.15)"

@@ -9,10 +9,10 @@ from pathlib import Path
 from urllib.parse import quote
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report.matplotlib_renderer import made_here, picture
 from validation.paper import page
 from validation.paper.result import Result
 from validation.paper.scenario import Scenario
+from validation.pictures import made_here, picture
 
 
 def folder_of(path: Path) -> Path:

@@ -81,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _parts(peer: str, whole: bool) -> tuple[float | None, ...]:
     """Lengths of what is fitted [s], None for all; filters with a rig that is known fit nothing."""
-    curve = () if whole or peer in ("before", "ekf", "filterpy") else (10.0, 20.0, 40.0, 80.0)
+    curve = () if whole or peer not in page.CURVES else (10.0, 20.0, 40.0, 80.0)
     return (None, *curve)
 
 
@@ -89,7 +89,7 @@ def _may(peer: str, name: str) -> bool:
     if peer in _LIBRARY and not available(_LIBRARY[peer]):
         return False
     # Other filters and residual equations need voltages; the arm has episodes.
-    by_valves = peer in ("ekf", "filterpy", "sindy", "gp_residual")
+    by_valves = peer in ("identified", "ekf", "filterpy", "sindy", "gp_residual")
     return not (by_valves and (name == ARM or name.endswith("wrist")))
 
 
@@ -118,6 +118,12 @@ def _soft(sensor: soft_sensors.Sensor) -> Callable[[Joint], Entry]:
         return {**asdict(with_model.errors(pieces)), "numbers": found.numbers}
 
     return run
+
+
+def _identified(joint: Joint) -> Entry:
+    rig = residuals.base(joint)
+    numbers = int(np.sum(rig.parameters() != joint.rig.parameters()))
+    return {**asdict(with_model.ours(joint, rig)), "numbers": numbers}
 
 
 def _before(joint: Joint) -> Entry:
@@ -167,6 +173,7 @@ PEERS: dict[str, Callable[[Joint], Entry]] = {
     "gp": _soft(soft_sensors.gaussian_process),
     "gru": _soft(soft_sensors.recurrent),
     "before": _before,
+    "identified": _identified,
     "after": _after,
     "ekf": _other(with_model.extended_kalman),
     "filterpy": _other(with_model.filterpy_ukf),

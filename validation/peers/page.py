@@ -11,7 +11,7 @@ import numpy as np
 from pam_antagonist.cli import common
 from pam_antagonist.report import terminal
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel
-from pam_antagonist.report.matplotlib_renderer import picture
+from validation.pictures import picture
 from pam_antagonist.report.style import PALETTE
 from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
@@ -23,15 +23,16 @@ _WORDS = {
     "gp": "Gaussian process, inputs at three times",
     "gru": "recurrent network, GRU, 2 × 64",
     "before": "our filter, rig as configured",
+    "identified": "our filter, rig of identify",
     "after": "our filter, rig of close_loop",
     "ekf": "extended Kalman filter, rig of close_loop",
     "filterpy": "UKF of filterpy, rig of close_loop",
     "sindy": "identify, and PySINDy on what it leaves",
     "gp_residual": "identify, and a Gaussian process on what it leaves",
 }
-_SENSORS = ("linear", "lagged", "gp", "gru", "before", "after", "ekf", "filterpy")
-_ALONE = ("before", "after", "sindy", "gp_residual")
-_CURVES = ("linear", "lagged", "gp", "gru", "after")
+_SENSORS = ("linear", "lagged", "gp", "gru", "before", "identified", "after", "ekf", "filterpy")
+_ALONE = ("before", "identified", "after", "sindy", "gp_residual")
+CURVES = ("linear", "lagged", "gp", "gru", "after")
 _SHORT = {"rig_a_lab/supply_droop": "rig A, supply that droops", ARM: "the arm"}
 _TEXT = """\
 # Peers, side by side
@@ -107,7 +108,8 @@ def alone_table(done: Sequence[Mapping[str, Any]]) -> Table:
         found = item.get("alone_deg")
         return None if found is None else float(found)
 
-    words = {"before": "our model, as configured", "after": "our model, after close_loop"}
+    words = {"before": "our model, as configured", "identified": "our model, after identify",
+             "after": "our model, after close_loop"}  # fmt: skip
 
     def cell(joint: str, peer: str) -> str:
         found = value(joint, peer)
@@ -130,7 +132,7 @@ def curves_figure(done: Sequence[Mapping[str, Any]]) -> Figure | None:
     panels: list[Panel] = []
     for joint in _joints(done):
         series = []
-        for peer, color in zip(_CURVES, PALETTE, strict=False):
+        for peer, color in zip(CURVES, PALETTE, strict=False):
             error = "alone_deg" if joint == ARM and peer == "after" else "rmse_deg"
             mine = [item for item in done if (item["joint"], item["peer"]) == (joint, peer)]
             points = sorted((item["part"] or item["whole_s"], item[error]) for item in mine if item.get(error))

@@ -60,7 +60,7 @@ def picture(figure: Figure) -> bytes:
     Raises:
         BadInput: a colour or a letter that matplotlib does not know, or matplotlib is not installed.
     """
-    with needs("reports", "pictures"):
+    with needs("test", "pictures"):
         import matplotlib
         from PIL import Image
         from PIL.PngImagePlugin import PngInfo

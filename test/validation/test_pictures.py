@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import figures, matplotlib_renderer
+from pam_antagonist.report import figures
 from pam_antagonist.report.figure import (
     TIME,
     Axis,
@@ -27,7 +27,8 @@ from pam_antagonist.report.figure import (
     Region,
     Series,
 )
-from pam_antagonist.report.matplotlib_renderer import SHARPNESS, WIDTH, made_here, picture
+from validation import pictures
+from validation.pictures import SHARPNESS, WIDTH, made_here, picture
 
 Pixels = NDArray[np.int64]
 RED, GREEN, BLUE = "#d01010", "#10a010", "#1010d0"
@@ -371,7 +372,7 @@ def test_where_a_palette_would_be_off_all_colours_are_kept(monkeypatch: pytest.M
     rng = np.random.default_rng(1)
     figure = series(*(line(color, rng.random(101), color, quiet=True) for color in (RED, GREEN, BLUE)))
     small = picture(figure)
-    monkeypatch.setattr(matplotlib_renderer, "_TOLERANCE", 0)
+    monkeypatch.setattr(pictures, "_TOLERANCE", 0)
     large = picture(figure)
     assert len(large) > 2 * len(small)
     few, all_ = (image.open(io.BytesIO(content)) for content in (small, large))
@@ -383,14 +384,14 @@ def test_where_a_palette_would_be_off_all_colours_are_kept(monkeypatch: pytest.M
 def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     code = (
         "import sys\n"
-        "from pam_antagonist.report import figure, figures, matplotlib_renderer\n"
+        "from pam_antagonist.report import figure, figures\nfrom validation import pictures\n"
         "import importlib.util, validation.paper.command, pam_antagonist.cli.replay\n"
         "if importlib.util.find_spec('rclpy'):\n"
         "    from pam_antagonist.nodes import bridge, controller, estimator, plant, recorder\n"
         "assert not {'matplotlib', 'PIL'} & set(sys.modules)\n"
         "import numpy as np\n"
         "panel = figures.spreads([('a', np.ones(3), '#000000')], 'x')\n"
-        "matplotlib_renderer.picture(figure.Figure('t', '', (panel,)))\n"
+        "pictures.picture(figure.Figure('t', '', (panel,)))\n"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
