@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from validation import oracle
+from validation import at_hand, oracle
 
 LEAK: dict[str, Any] = {
     "case": "battery/000 leak 1", "truth": {"effects": [["leak", 1]]}, "verdict": "effect",
@@ -72,3 +72,14 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     (tmp_path / "old").write_text("{}\n")
     assert oracle.main([str(tmp_path / "new"), "--against", str(tmp_path / "old"), "--compare-only"]) == 2
     assert "no file of an oracle" in capsys.readouterr().err
+
+
+def test_the_frozen_answers_are_whole_and_their_joints_can_be_made_again(capsys: pytest.CaptureFixture[str]) -> None:
+    frozen = Path(__file__).parents[1] / "diagnosis" / "oracle.jsonl"
+    entries = oracle.read(frozen)
+    joints = [oracle._case(entry["truth"]) for name, entry in entries.items() if name.startswith("battery/")]
+    assert len(joints) == 60 and sum(case.kind == "none" for case in joints) == 20
+    assert all(f"battery/{case.name}" in entries and hash(case) for case in joints)
+    assert set(at_hand.NAMES) - set(entries) <= {"measured/pamy_joint0"}
+    assert oracle.main([str(frozen), "--against", str(frozen), "--compare-only"]) == 0
+    assert capsys.readouterr().out == f"{len(entries)} of {len(entries)} cases compared: 0 things are worse\n"

@@ -11,11 +11,11 @@ import numpy as np
 from pam_antagonist.cli import common
 from pam_antagonist.report import terminal
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel
-from validation.pictures import picture
 from pam_antagonist.report.style import PALETTE
 from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
 from validation.peers.joints import ARM
+from validation.pictures import picture
 
 _WORDS = {
     "linear": "linear map of the two pressures",
