@@ -81,6 +81,8 @@ setup(
         "hardware": ["pyserial>=3.5"],
         # What import_csv reads beside text: MATLAB 7.3, Parquet. pandas is for results as data frames.
         "import": ["h5py>=3.8", "pandas>=2.0", "pyarrow>=14"],
+        # What ours is compared with by the laboratory: peers. torch takes some gigabytes.
+        "peers": ["pysindy>=2", "scikit-learn>=1.3", "torch>=2"],
         # Figures of report.html.
         "reports": ["plotly>=5.15"],
         # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`. matplotlib draws

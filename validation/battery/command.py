@@ -44,6 +44,7 @@ examples:
   {run} battery --out result --shard 1/2 &   {run} battery --out result --shard 2/2
   {run} battery --out result --count 80 --nothing 100 --docs docs/battery.md
   {run} battery --out result --count 0 --nothing 100
+  {run} battery --out result --count 0 --uncatalogued 22
   {run} battery --out result --count 40 --effect friction
   {run} battery --out result --dask tcp://10.0.0.5:8786
   {run} battery --out result --remainders
@@ -68,6 +69,13 @@ def parser() -> common.Parser:
         default=0,
         metavar="N",
         help="further cases whose only fault is a wrong zero or clock (default: 0)",
+    )
+    out.add_argument(
+        "--uncatalogued",
+        type=whole(0, 100_000),
+        default=0,
+        metavar="N",
+        help="further cases with an effect from the literature that no law can imitate (default: 0)",
     )
     out.add_argument(
         "--effect",
@@ -119,7 +127,10 @@ def _main(arguments: argparse.Namespace) -> int:
         raise BadInput("--json: expected without --remainders and --bags, which make no summary.json")
     if arguments.remainders:
         return _remainders(_folder(arguments.out))
-    every = cases(arguments.seed, arguments.count, arguments.nothing, arguments.calibrations, arguments.effect)
+    every = cases(
+        arguments.seed, arguments.count, arguments.nothing, arguments.calibrations, arguments.effect,
+        arguments.uncatalogued,
+    )  # fmt: skip
     first, shards = arguments.shard
     mine = every[first - 1 :: shards]
     if arguments.bags is not None:
@@ -138,6 +149,7 @@ def _main(arguments: argparse.Namespace) -> int:
         arguments.count,
         arguments.nothing,
         arguments.calibrations,
+        arguments.uncatalogued,
         arguments.duration,
         arguments.effect,
     )

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from validation.battery.forms import FOREIGN, SINGLE, Form
+from validation.battery.forms import FOREIGN, SINGLE, UNCATALOGUED, Form
 from validation.battery.plants import Case
 from validation.battery.remainders import is_other
 
@@ -22,6 +22,8 @@ NOTHING_FROM = 1000
 """Number of the first of the further cases with nothing wrong."""
 CALIBRATIONS_FROM = 3000
 """Number of the first of the cases whose only fault is a calibration."""
+UNCATALOGUED_FROM = 5000
+"""Number of the first of the cases that are outside of every law."""
 CALIBRATIONS = {
     "encoder_zero": tuple(float(np.radians(size)) for size in (0.2, 0.5, 1.0, 2.0)),
     "torque_zero": (0.05, 0.1, 0.3),
@@ -38,7 +40,7 @@ Item = TypeVar("Item")
 
 
 def cases(
-    seed: int, count: int, nothing: int = 0, calibrations: int = 0, effect: str | None = None
+    seed: int, count: int, nothing: int = 0, calibrations: int = 0, effect: str | None = None, uncatalogued: int = 0
 ) -> list[tuple[int, Case]]:
     """A battery: half of it single effects, the rest pairs, nothing at all, and what is in no catalogue.
 
@@ -51,6 +53,7 @@ def cases(
         nothing: how many further cases with nothing wrong.
         calibrations: how many further cases whose only fault is a zero or late stamps.
         effect: if given, the cases are all of this effect, in all its forms in turn and in sizes that count.
+        uncatalogued: how many further cases with an effect from the literature that no law can imitate.
 
     Returns:
         Each case with its number.
@@ -60,7 +63,7 @@ def cases(
     """
     if effect is not None and effect not in EFFECTS:
         raise BadInput(f"battery: the effect {effect!r} has no forms here; expected one of {', '.join(EFFECTS)}")
-    numbers = count, nothing, calibrations
+    numbers = count, nothing, calibrations, uncatalogued
     if seed < 0 or min(numbers) < 0 or count > NOTHING_FROM or sum(numbers) < 1:
         raise BadInput(
             f"battery: seed {seed}, {count} cases, {nothing} with nothing wrong and {calibrations} with a calibration, "
@@ -82,7 +85,10 @@ def cases(
     # Drawn by themselves, so that they do not depend on how many others there are.
     draw = _Draw(np.random.default_rng([seed, CALIBRATIONS_FROM]))
     read = range(CALIBRATIONS_FROM, CALIBRATIONS_FROM + calibrations)
-    return out + [(number, _misread(_case(number, "calibration", [], seed, draw), draw)) for number in read]
+    out += [(number, _misread(_case(number, "calibration", [], seed, draw), draw)) for number in read]
+    draw = _Draw(np.random.default_rng([seed, UNCATALOGUED_FROM]))
+    outside = range(UNCATALOGUED_FROM, UNCATALOGUED_FROM + uncatalogued)
+    return out + [(number, _case(number, "foreign", [draw.outside()], seed, draw)) for number in outside]
 
 
 def _misread(case: Case, draw: _Draw) -> Case:
@@ -132,6 +138,10 @@ class _Draw:
     def form_of(self, effect: str) -> Form:
         """The form of the next case of an effect, whether or not the catalogue can imitate it."""
         return self._next((effect, "form"), tuple(form for form in SINGLE if form.effect == effect))
+
+    def outside(self) -> Form:
+        """The form of the next case that is outside of every law."""
+        return self._next("outside", UNCATALOGUED)
 
     def size(self, kind: str, form: Form, least: float = 0.0) -> float:
         """The size of a form in the next case of a kind."""

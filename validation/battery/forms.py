@@ -7,13 +7,15 @@ Signs, times and widths are drawn at random. A form whose effect the catalogue d
 from __future__ import annotations
 
 from pam_antagonist.model.effects import CATALOGUE
-from validation.battery import forms_air, forms_motion, forms_valve
+from validation.battery import forms_air, forms_motion, forms_uncatalogued, forms_valve
 from validation.battery.form import Deviation, Form
 
-__all__ = ["FOREIGN", "FORMS", "SINGLE", "Deviation", "Form"]
+__all__ = ["FOREIGN", "FORMS", "SINGLE", "UNCATALOGUED", "Deviation", "Form"]
 
 _ALL = (*forms_motion.FORMS, *forms_valve.FORMS, *forms_air.FORMS)
-FORMS: dict[str, Form] = {form.name: form for form in _ALL}
+UNCATALOGUED = forms_uncatalogued.FORMS
+"""Outside of every law, and drawn by themselves, so that they change no battery of old."""
+FORMS: dict[str, Form] = {form.name: form for form in (*_ALL, *UNCATALOGUED)}
 """All forms by name."""
 SINGLE: tuple[Form, ...] = tuple(form for name in CATALOGUE for form in _ALL if form.effect == name)
 """Other forms of the catalogue's effects."""

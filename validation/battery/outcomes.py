@@ -19,6 +19,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import load_rig
 from pam_antagonist.strict_json import write_json
+from validation.battery.places import LEARNED, Found, are_arguments, found, is_place
 from validation.battery.plants import DURATION, JOINTS, RIG, Case
 
 HOLDOUT = 1.0 / 3.0
@@ -66,6 +67,7 @@ class Outcome:
         reached: sizes that the effects really had.
         code: fingerprint of the program that made the diagnosis.
         calibrations: that were found.
+        where: the place of each effect that was found.
     """
 
     name: str
@@ -86,6 +88,7 @@ class Outcome:
     reached: tuple[float, ...] = ()
     code: str = ""
     calibrations: tuple[str, ...] = ()
+    where: tuple[Found, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,19 +97,35 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """Single: the right effect first. Pair: both found. None: nothing. Foreign: unexplained. Calibration: named."""
+        """Single: the right effect first. Pair: both found. None: nothing. Calibration: named.
+
+        Foreign: unexplained, or a law that was learned, in the right place.
+        """
         if self.kind == "single":
             return self.names[:1] == (self.effects[0][0],)
         if self.kind == "pair":
             return {name for name, _ in self.effects} <= set(self.names)
         if self.kind == "calibration":
             return self.verdict == "none" and self.calibrations == self.form
+        if self.kind == "foreign" and set(self.names) == {LEARNED}:
+            return self.places_right
         return self.verdict == {"none": "none", "foreign": "unexplained"}[self.kind]
+
+    @property
+    def places_right(self) -> bool:
+        """Whether each effect was found in its place, by any name; one that is alone has to come first."""
+        first = self.where if self.kind == "pair" else self.where[:1]
+        return bool(self.names) and all(any(is_place(one, effect) for one in first) for effect in self.effects)
+
+    @property
+    def arguments_right(self) -> bool:
+        """Whether the first that was found is in its place and depends on what the effect depends on."""
+        return self.places_right and are_arguments(self.where[0], self.effects[0])
 
     @property
     def superfluous(self) -> bool:
         """Whether an effect was named that is not there."""
-        return not set(self.names) <= {name for name, _ in self.effects}
+        return not set(self.names) <= {LEARNED, *(name for name, _ in self.effects)}
 
     @property
     def right_muscle(self) -> bool | None:
@@ -118,7 +137,21 @@ class Outcome:
     @property
     def reduction(self) -> float | None:
         """Of the error that a true model takes away, the share that the extended one took away."""
-        before, after, true = (self.errors.get(key) for key in ("recalibrated", "extended", "true"))
+        return self._taken_away("recalibrated")
+
+    @property
+    def excess_removed(self) -> float | None:
+        """The same of the error as configured."""
+        return self._taken_away("as_configured")
+
+    @property
+    def angle_left(self) -> float | None:
+        """The angle's held-out error of the extended model, as a share of the configured one's."""
+        before, after = (self.errors.get(f"angle_{key}") for key in ("as_configured", "extended"))
+        return after / before if before and after is not None else None
+
+    def _taken_away(self, since: str) -> float | None:
+        before, after, true = (self.errors.get(key) for key in (since, "extended", "true"))
         if before is None or after is None or true is None or before <= 1.05 * true:
             return None
         return (before - after) / (before - true)
@@ -154,9 +187,11 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
     channel = max(moved, key=lambda name: moved[name]) if moved else None
     errors: dict[str, float | None] = {}
     if channel is not None:
-        errors = dict.fromkeys(("recalibrated", "extended"))
+        errors = dict.fromkeys(("as_configured", "recalibrated", "extended"))
         if diagnosis.errors is not None:
             errors = {key: _error(getattr(diagnosis.errors, key), channel) for key in errors}
+            ends = ("as_configured", "extended")
+            errors.update({f"angle_{key}": _error(getattr(diagnosis.errors, key), "angle") for key in ends})
         errors["true"] = true_error(case, recordings, channel)
     return Outcome(
         name=case.name,
@@ -177,6 +212,7 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
         reached=case.reached,
         code=fingerprint(),
         calibrations=tuple(str(item.name) for item in diagnosis.calibrations),
+        where=tuple(found(effect) for effect in diagnosis.effects),
     )
 
 
@@ -275,6 +311,7 @@ def load(folder: Path, number: int, case: Case, duration: float) -> Outcome | No
         content["leading"] = tuple(Candidate(*values) for values in content["leading"])
         for key in ("form", "sizes", "reached", "ambiguous_with", "calibrations"):
             content[key] = tuple(content.get(key, ()))
+        content["where"] = tuple(Found(tuple(a), muscle, tuple(b)) for a, muscle, b in content.get("where", ()))
         outcome = Outcome(**content)
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise BadInput(f"{path}: no outcome of a battery ({error}); expected one, or no such file") from None

@@ -14,9 +14,10 @@ from pam_antagonist.report.style import DEEP, ESTIMATE, MODEL, PALE
 from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
 from validation.battery.draw import LARGE, LEVELS
-from validation.battery.earlier import EARLIER
-from validation.battery.forms import FORMS, SINGLE
+from validation.battery.forms import FORMS, SINGLE, UNCATALOGUED
+from validation.battery.forms_uncatalogued import LEFT
 from validation.battery.outcomes import Outcome
+from validation.battery.places import PLACES
 from validation.battery.plants import DURATION
 from validation.battery.remainders import OTHER, VARIATION, Remainder, group_of, is_other
 from validation.battery.scores import Share, confusion, detections, scores
@@ -35,6 +36,7 @@ class Run:
         count: how many cases.
         nothing: how many further ones with nothing wrong.
         calibrations: how many further ones whose only fault is a calibration.
+        uncatalogued: how many further ones that are outside of every law.
         duration: of a recording [s].
         effect: that all cases are of; None for all kinds.
         done: outcomes of the cases that are finished.
@@ -45,6 +47,7 @@ class Run:
     count: int
     nothing: int
     calibrations: int
+    uncatalogued: int
     duration: float
     effect: str | None
     done: Sequence[Outcome]
@@ -53,7 +56,7 @@ class Run:
     @property
     def asked(self) -> int:
         """How many cases there are."""
-        return self.count + self.nothing + self.calibrations
+        return self.count + self.nothing + self.calibrations + self.uncatalogued
 
 
 def interval_text(interval: tuple[float, float] | None) -> str:
@@ -118,6 +121,17 @@ def remainders_table(found: Mapping[str, Remainder]) -> Table:
     return Table(("effect", "form", "base alone leaves", "remainder", "counts as", "mechanism"), rows)
 
 
+def uncatalogued_table() -> Table:
+    """What is outside of every law, with its place, its arguments, and what the catalogue leaves of it."""
+    rows = []
+    for form in UNCATALOGUED:
+        place, (base, law, name) = PLACES[form.effect], LEFT[form.name]
+        names = (", ".join(f"`{item}`" for item in sorted(part)) for part in place)
+        rows.append((form.name, *names, percent(base), f"{percent(law)} ({name})", form.source))
+    header = ("form", "places, any of", "arguments, any of", "base alone leaves", "with the best law", "mechanism")
+    return Table(header, tuple(rows))
+
+
 def misses_table(run: Run) -> Table:
     """What was not right, or had something beside it that was not there."""
 
@@ -139,23 +153,6 @@ def misses_table(run: Run) -> Table:
         if not item.right or item.superfluous
     )
     return Table(("case", "form", "remainder", "size", "said"), rows)
-
-
-def earlier_table() -> Table:
-    """Earlier runs, and what was changed since."""
-
-    def text(pair: tuple[int, int] | None) -> str:
-        if pair is None:
-            return MISSING
-        return f"{pair[0]} of {pair[1]} ({interval_text(Share(*pair).interval)})"
-
-    rows = tuple(
-        (str(run.seed), MISSING if run.cases is None else str(run.cases), text(run.single), text(run.pair),
-         text(run.nothing), text(run.foreign), run.since)
-        for run in EARLIER
-    )  # fmt: skip
-    header = ("seed", "cases", "single: right first", "both of two", "false alarms", "unexplained", "changed since")
-    return Table(header, rows)
 
 
 def tables(run: Run) -> tuple[Table, ...]:
@@ -201,6 +198,7 @@ def as_json(run: Run) -> dict[str, Any]:
         "count": run.count,
         "nothing": run.nothing,
         "calibrations": run.calibrations,
+        "uncatalogued": run.uncatalogued,
         "duration": run.duration,
         "effect": run.effect,
         "finished": len(run.done),
@@ -297,6 +295,15 @@ def _page(run: Run, image: str) -> list[str]:
         "",
         *markdown(remainders_table(run.remainders)),
         "",
+        "## Outside of every law",
+        "",
+        "Effects from the literature that no law of the catalogue can imitate, drawn by `--uncatalogued`. They were",
+        "written by another hand than the search",
+        "([`forms_uncatalogued.py`](../validation/battery/forms_uncatalogued.py)). Places and arguments, which are the",
+        "truth for a search, stand in [`places.py`](../validation/battery/places.py).",
+        "",
+        *markdown(uncatalogued_table()),
+        "",
         "## Confusion matrix",
         "",
         "Rows: what was there, of any size. Columns: what was found first. In brackets: what is in no catalogue.",
@@ -309,14 +316,6 @@ def _page(run: Run, image: str) -> list[str]:
         "",
         *markdown(misses_table(run)),
         "",
-        "## Earlier runs",
-        "",
-        "The first run on each seed. Rules were changed after each of them, so their joints can no longer judge the",
-        "program. Up to seed 1229 sizes were from 3 to 30 noises, asked for and not measured, and most forms were near",
-        "the catalogue's.",
-        "",
-        *markdown(earlier_table()),
-        "",
         "Software: " + ", ".join(f"{name} {version}" for name, version in versions().items()) + ".",
         "",
     ]  # fmt: skip
@@ -327,6 +326,7 @@ def _command(run: Run) -> str:
     command = f"./run battery --out DIR --count {run.count} --seed {run.seed}"
     command += f" --nothing {run.nothing}" if run.nothing else ""
     command += f" --calibrations {run.calibrations}" if run.calibrations else ""
+    command += f" --uncatalogued {run.uncatalogued}" if run.uncatalogued else ""
     command += f" --effect {run.effect}" if run.effect else ""
     return command + (f" --duration {run.duration:g}" if run.duration != DURATION else "")
 

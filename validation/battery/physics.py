@@ -54,6 +54,11 @@ _NAMES = (
     *("tire_1", "tire_2", "tire_time", "tire_work"),
     # In no catalogue.
     *("exchange", "cogging", "cogging_number", "swell_1", "swell_2", "crosstalk", "bend_1", "bend_2"),
+    # Outside of every law (forms_uncatalogued): a check valve, relief valves, kinked hoses, folds of the bladder, jets.
+    *("check", "relief_1", "relief_2", "relief_at", "kink_1", "kink_2", "kink_way"),
+    *("fold_1", "fold_2", "jet_1", "jet_2"),
+    # Damping that is other one way, a spring that engages, and which way.
+    *("damping_1", "damping_2", "damping_lean", "engage", "engage_at", "way"),
 )
 Q = {name: index for index, name in enumerate(_NAMES)}
 _DAHL, _DAHL_WIDTH, _DAHL_POWER = Q["dahl_1"], Q["dahl_width"], Q["dahl_power"]
@@ -74,6 +79,9 @@ _GAS, _GAS_TIME, _GAS_FLOW, _WALL, _WALL_TIME = Q["gas_1"], Q["gas_time"], Q["ga
 _TIRE, _TIRE_TIME, _TIRE_WORK = Q["tire_1"], Q["tire_time"], Q["tire_work"]
 _EXCHANGE, _COGGING, _COGGING_NUMBER = Q["exchange"], Q["cogging"], Q["cogging_number"]
 _SWELL, _CROSSTALK, _BEND = Q["swell_1"], Q["crosstalk"], Q["bend_1"]
+_CHECK, _RELIEF, _RELIEF_AT, _KINK, _KINK_WAY = Q["check"], Q["relief_1"], Q["relief_at"], Q["kink_1"], Q["kink_way"]
+_FOLD, _JET, _DAMPING, _DAMPING_LEAN = Q["fold_1"], Q["jet_1"], Q["damping_1"], Q["damping_lean"]
+_ENGAGE, _ENGAGE_AT, _WAY = Q["engage"], Q["engage_at"], Q["way"]
 
 # States behind [ψ, ψ̇, P_1, P_2].
 _LOOP, _ELEMENT, _SUPPLY_AT, _OPEN, _OPENING, _AT_VALVE = 4, 6, 14, 15, 17, 19
@@ -82,6 +90,7 @@ _LATE, _WARM, _WALL_WARM, _BRISTLE_AT, _TIRED, _RUNNING, SIZE = 21, 29, 31, 33, 
 _MIDDLE, _HALF_RANGE = 450e3, 250e3
 _SPOOL_DAMPING, _REGULATOR_LAG, _MIDDLE_FORCE = 0.7, 0.03, 200.0
 _REFERENCE_FLOW = 1e-4
+_RELIEF_BAND, _KINKED_AT = 30e3, 0.15
 
 _leverage, _length, _length_rate = lever_arm.leverage, muscle.length, muscle.length_rate
 _volume, _force, _pressure_rate, _open_rate = muscle.volume, muscle.force, flow.pressure_rate, flow.open_rate
@@ -139,13 +148,33 @@ def _slip(i, travel, x, q):
 def _escaped(i, pressure, muscle_length, p, q):
     """Mass flow of the leaks [kg/s]: linear in the gauge pressure, or in the difference of squares (capillary).
 
-    A seam opens above a pressure, in proportion to what is above it. A crack opens beyond the middle length.
+    A seam opens above a pressure, in proportion to what is above it. A crack opens beyond the middle length. A relief
+    valve opens above its set pressure, and is wide open within a band.
     """
     outside = p[ATMOSPHERE]
     gauge = pressure - outside
     seam = q[_SEAM + i] * max(pressure - q[_SEAM_PRESSURE], 0.0) * gauge
     crack = q[_CRACK + i] * max(muscle_length - _length(i, 0.0, p), 0.0) * gauge
-    return q[_SEEP + i] * gauge + q[_CAPILLARY + i] * (pressure * pressure - outside * outside) + seam + crack
+    lifted = min(max((pressure - q[_RELIEF_AT]) / _RELIEF_BAND, 0.0), 1.0)
+    relief = q[_RELIEF + i] * lifted * _orifice_flow(pressure, outside, p)
+    return q[_SEEP + i] * gauge + q[_CAPILLARY + i] * (pressure * pressure - outside * outside) + seam + crack + relief
+
+
+@inlined
+def _crossing(pressure_1, pressure_2, p, q):
+    """Mass flow from chamber 1 to chamber 2 [kg/s]: in proportion to the difference; through a check valve one way."""
+    total = q[_EXCHANGE] * (pressure_1 - pressure_2)
+    if q[_CHECK] != 0.0 and q[_WAY] * (pressure_1 - pressure_2) > 0.0:
+        high, low = max(pressure_1, pressure_2), min(pressure_1, pressure_2)
+        total += q[_CHECK] * q[_WAY] * _orifice_flow(high, low, p)
+    return total
+
+
+@inlined
+def _passing(i, angle, q):
+    """Share of the valve's flow that a hose lets pass: a tube flattens with its curvature squared (Brazier 1927)."""
+    bend = min(max(q[_KINK_WAY] * angle, 0.0) / _KINKED_AT, 1.0)
+    return 1.0 - q[_KINK + i] * bend * bend
 
 
 @inlined
@@ -184,11 +213,15 @@ def _line_flow(i, upper, lower, q):
 
 @inlined
 def _load(angle, q):
-    """Torque of the loads [N m]: a geared pendulum whose rest is not at 0, a spring that hardens, bumpers, cogging."""
+    """Torque of the loads [N m]: a geared pendulum whose rest is not at 0, a spring that hardens, bumpers, cogging.
+
+    A spring that engages acts beyond an angle on one side.
+    """
     stretch = angle - q[_SPRING_ANGLE]
     pull = q[_SPRING] * stretch * (1.0 + q[_SPRING_HARDENING] * stretch * stretch)
     deep = max(abs(angle) - q[_BUMPER_GAP], 0.0)
     pull += q[_BUMPER] * deep * math.sqrt(deep) * (1.0 if angle > 0.0 else -1.0)
+    pull += q[_ENGAGE] * q[_WAY] * max(q[_WAY] * angle - q[_ENGAGE_AT], 0.0)
     return (
         q[_PENDULUM] * math.sin(q[_PENDULUM_GEAR] * angle - q[_PENDULUM_ANGLE])
         - pull
@@ -222,12 +255,19 @@ def _late_force(i, static, x, q):
 
 @inlined
 def _contraction_force(i, sine, cosine, pressure, x, q, p):
-    """Contraction force of muscle i [N], forms included."""
-    static = _force(i, _length(i, sine, p), pressure, p)
+    """Contraction force of muscle i [N], forms included.
+
+    A contracting element is damped by the pressure, otherwise while it gets longer than while it gets shorter (Reynolds
+    et al. 2003).
+    """
+    static, rate = _force(i, _length(i, sine, p), pressure, p), _length_rate(i, cosine, x[1], p)
     bent = (pressure - _MIDDLE) / _HALF_RANGE
     total = _late_force(i, static, x, q) + q[_DAHL + i] * x[_LOOP + i] + q[_BEND + i] * bent * bent
     if q[_SLIP + i] != 0.0:
-        total += q[_SLIP + i] * _slip_share(i, pressure, _length_rate(i, cosine, x[1], p), x, q)
+        total += q[_SLIP + i] * _slip_share(i, pressure, rate, x, q)
+    if q[_DAMPING + i] != 0.0:
+        lean = q[_DAMPING_LEAN] if rate > 0.0 else -q[_DAMPING_LEAN]
+        total += q[_DAMPING + i] * pressure / _MIDDLE * rate * (1.0 + lean)
     return total
 
 
@@ -276,7 +316,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
     sine, cosine, _ = _leverage(angle, p)
     supply = p[SUPPLY] + supply_change + x[_SUPPLY_AT]
     drawn_in_all = 0.0
-    crossing = q[_EXCHANGE] * (x[2] - x[3])
+    crossing = _crossing(x[2], x[3], p, q)
     for i in range(2):
         chamber = x[2 + i]
         at_valve = x[_AT_VALVE + i] if q[_LINE + i] != 0.0 else chamber
@@ -286,12 +326,17 @@ def rates(x, wanted, push, supply_change, p, q, dx):
             alpha = x[_OPEN + i]
             dx[_OPEN + i] = x[_OPENING + i]
             dx[_OPENING + i] = omega * (omega * (wanted[i] - alpha) - 2.0 * _SPOOL_DAMPING * x[_OPENING + i])
-        alpha += q[_CROSSTALK] * (wanted[1 - i] - 0.4)
+        alpha += q[_CROSSTALK] * (wanted[1 - i] - 0.4) - q[_JET + i] * (at_valve - _MIDDLE) / _HALF_RANGE
         alpha = min(max(alpha, 0.0), 1.0)
         through, drawn = _valve_flow(i, alpha, at_valve, supply, p)
+        passing = _passing(i, angle, q)
+        through, drawn = passing * through, passing * drawn
         drawn_in_all += drawn
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
         volume, slope = _volume(i, muscle_length, p)
+        unfolded = max(muscle_length - _length(i, 0.0, p), 0.0)
+        volume += q[_FOLD + i] * unfolded * unfolded
+        slope += 2.0 * q[_FOLD + i] * unfolded
         arriving = through
         if q[_LINE + i] != 0.0:
             arriving = _line_flow(i, at_valve, chamber, q)

@@ -11,6 +11,7 @@ import numpy as np
 from pam_antagonist.model.effects import CATALOGUE
 from validation.battery.draw import LARGE, LEVELS
 from validation.battery.outcomes import Outcome
+from validation.battery.places import LEARNED
 from validation.battery.plants import KINDS
 from validation.battery.remainders import group_of
 
@@ -125,6 +126,9 @@ def scores(outcomes: Sequence[Outcome]) -> list[Score]:
     leads = [
         item.right or [candidate.effect for candidate in item.leading[:1]] == [item.effects[0][0]] for item in single
     ]
+    alone = [item for item in (*by_kind["single"], *by_kind["foreign"]) if is_large(item)]
+    angles = [item.angle_left for item in foreign if item.angle_left is not None]
+    removed = [item.excess_removed for item in alone if item.excess_removed is not None]
     reductions = [item.reduction for item in single if item.right and item.reduction is not None]
     return [
         Score.of("single effect: the right one first", [item.right for item in single], 0.95),
@@ -151,6 +155,18 @@ def scores(outcomes: Sequence[Outcome]) -> list[Score]:
         Score.of("in no catalogue: unexplained", [item.right for item in foreign], 0.95),
         Score("error that a true model takes away, taken away (median)",
               median(reductions) if reductions else None, len(reductions), None, 0.7),
+        Score.of("one effect, in any form or in no catalogue: its place", [item.places_right for item in alone], 0.95),
+        Score.of("one effect, in any form or in no catalogue: and its arguments",
+                 [item.arguments_right for item in alone], 0.9),
+        Score("one effect: held-out excess of the configured rig, removed (median)",
+              median(removed) if removed else None, len(removed), None, 0.9),
+        Score.of("two effects: both places", [item.places_right for item in pairs], 0.85),
+        Score.of("in no catalogue: its place", [item.places_right for item in foreign], 0.9),
+        Score("in no catalogue: held-out error of the angle, of the configured one (median)",
+              median(angles) if angles else None, len(angles), None, 0.1, at_most=True),
+        Score.of("nothing: a law added", [LEARNED in item.names for item in by_kind["none"]], 0.01, at_most=True),
+        Score.of("pushes: a law added", [LEARNED in item.names for item in alone
+                                         if item.effects[0][0] == "external_torque"], 0.0, at_most=True),
     ]  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from battery_outcomes import CREEP, DROOP, LEAK, outcome
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.errors import ChannelErrors
-from validation.battery import command, outcomes, remainders, scores
+from validation.battery import command, outcomes, places, remainders, scores
 from validation.battery.draw import NOTHING_FROM, cases
 from validation.battery.plants import JOINTS, Case
 
@@ -64,6 +64,34 @@ def said(verdict: str, *effects: tuple[str, int | None], ambiguous=(), before=No
 )
 def test_what_is_right(item: outcomes.Outcome, right: bool) -> None:
     assert item.right is right
+
+
+@pytest.mark.parametrize(
+    ("effect", "says", "place", "arguments"),
+    [
+        (("relief", 2), {"place": "flow_2", "arguments": ["pressure_2"]}, True, True),
+        (("relief", 2), {"place": "leak", "muscle": 2, "arguments": ["pressure"]}, True, True),
+        (("relief", 2), {"place": "flow_1", "arguments": ["pressure_1"]}, False, False),
+        (("relief", 2), {"place": "flow_2", "arguments": ["angle"]}, True, False),
+        (("relief", 2), {"place": "flow_2", "arguments": ["pressure", "angle"]}, True, False),
+        (("relief", 2), {"place": "flow_2", "arguments": []}, True, False),
+        (("check", None), {"place": "exchange", "arguments": ["pressure_difference"]}, True, True),
+        (("relief", 2), {"name": "leak", "muscle": 2}, True, True),
+        (("relief", 2), {"name": "leak", "muscle": 1}, False, False),
+        (("relief", 2), {"name": "of a package"}, False, False),
+    ],
+)
+def test_the_place_and_the_arguments_of_a_law(
+    effect: tuple[str, int | None], says: dict, place: bool, arguments: bool
+) -> None:
+    one = places.found(SimpleNamespace(**{"name": "learned", "muscle": None, **says}))
+    name = says.get("name", "learned")
+    item = outcome("foreign", [effect], "effect", [(name, None)], where=(one,))
+    assert (item.places_right, item.arguments_right) == (place, arguments)
+    assert item.right is (place and name == "learned")
+    assert not outcome("foreign", [effect], "unexplained", [(name, None)], where=(one,)).places_right
+    both = outcome("pair", [effect, CREEP], "effect", [(name, None), CREEP], where=(one, places.Found((), None, ())))
+    assert both.places_right is False
 
 
 def test_muscles_are_counted_apart() -> None:

@@ -17,8 +17,9 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import load_rig
 from validation.battery import physics
-from validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, NOTHING_FROM, cases
-from validation.battery.forms import FOREIGN, SINGLE, Form
+from validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, NOTHING_FROM, UNCATALOGUED_FROM, cases
+from validation.battery.forms import FOREIGN, SINGLE, UNCATALOGUED, Form
+from validation.battery.places import PLACES
 from validation.battery.plants import JOINTS, KINDS, Case, staircase
 from validation.battery.remainders import is_other, known
 
@@ -71,7 +72,7 @@ def test_nothing_moves_nothing() -> None:
     assert set(NOTHING.moved(5.0).values()) == {0.0}
 
 
-@pytest.mark.parametrize("form", [*SINGLE, *FOREIGN], ids=lambda form: form.name)
+@pytest.mark.parametrize("form", [*SINGLE, *FOREIGN, *UNCATALOGUED], ids=lambda form: form.name)
 def test_a_size_is_what_a_channel_moves_in_noises(form: Form) -> None:
     size = min(10.0, form.largest)
     # Pushes are spread over a minute; the others show in less.
@@ -181,6 +182,16 @@ def test_a_battery_of_one_effect_takes_its_forms_in_turn() -> None:
     assert {case.sizes[0] for case in battery} == {level for level in LEVELS if level >= LARGE}
     with pytest.raises(BadInput, match="the effect 'frictoin' has no forms here; expected one of hysteresis"):
         cases(1, 1, effect="frictoin")
+
+
+def test_what_is_outside_of_every_law_has_a_place_and_changes_no_other_battery() -> None:
+    battery = cases(1, 5, 2, uncatalogued=2 * len(UNCATALOGUED))
+    assert battery[:7] == cases(1, 5, 2)
+    outside = [case for number, case in battery if number >= UNCATALOGUED_FROM]
+    assert sorted(case.form[0] for case in outside) == sorted(2 * [form.name for form in UNCATALOGUED])
+    assert len(UNCATALOGUED) >= 10 and all(form.source for form in UNCATALOGUED)
+    assert {case.kind for case in outside} == {"foreign"} and min(case.sizes[0] for case in outside) >= LARGE
+    assert set(PLACES) >= {form.effect for form in (*SINGLE, *FOREIGN, *UNCATALOGUED)}
 
 
 def test_further_cases_with_nothing_wrong() -> None:

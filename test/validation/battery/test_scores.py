@@ -8,6 +8,7 @@ from battery_outcomes import CREEP, DROOP, LEAK, outcome
 from validation.battery import page, scores
 from validation.battery.draw import LEVELS
 from validation.battery.outcomes import Candidate
+from validation.battery.places import Found
 from validation.battery.remainders import Remainder
 
 
@@ -39,6 +40,16 @@ def test_scores() -> None:
     assert values["a calibration and nothing else: named, and no effect"] == (0.5, 2, False)
     assert values["in no catalogue: unexplained"] == (1.0, 1, True)
     assert values["error that a true model takes away, taken away (median)"] == (pytest.approx(0.75), 1, True)
+    assert values["nothing: a law added"] == (0.0, 4, True)
+    assert values["two effects: both places"] == (0.0, 1, False)
+    at = Found(("exchange",), None, ("pressure_difference",))
+    numbers = {"as_configured": 10.0, "extended": 2.4, "true": 2.0, "angle_as_configured": 2.0, "angle_extended": 0.1}
+    learned = outcome("foreign", [("check", None)], "effect", [("learned", None)], where=(at,), errors=numbers)
+    values = {score.what: score.value for score in scores.scores([learned])}
+    assert values["in no catalogue: its place"] == values["in no catalogue: unexplained"] == 1.0
+    assert values["one effect, in any form or in no catalogue: and its arguments"] == 1.0
+    assert values["in no catalogue: held-out error of the angle, of the configured one (median)"] == 0.05
+    assert values["one effect: held-out excess of the configured rig, removed (median)"] == pytest.approx(0.95)
     assert all(score.value is None and score.holds is None for score in scores.scores([]))
 
 
@@ -67,7 +78,7 @@ def test_intervals_are_those_of_clopper_and_pearson() -> None:
     assert scores.Share(38, 40).interval == pytest.approx((0.8308, 0.9939), abs=1e-4)
     assert scores.Share(0, 12).interval == pytest.approx((0.0, 0.2646), abs=1e-4)
     assert scores.Share(0, 0).interval is None and scores.Share(0, 0).value is None
-    run = page.Run(1, 2, 0, 0, 60.0, None, [outcome("single", [LEAK], "effect", [LEAK])], {})
+    run = page.Run(1, 2, 0, 0, 0, 60.0, None, [outcome("single", [LEAK], "effect", [LEAK])], {})
     (first, *_) = page.figures_table(run).rows
     assert first[:4] == ("single effect: the right one first", "100.0 %", "2.5 to 100.0 %", "1")
 

@@ -1,0 +1,108 @@
+"""Where each effect of the battery sits in the equations, and what it depends on: the truth for a search.
+
+Places and arguments have the names of learned laws; ``line``, ``volume`` and ``encoder`` are places for which there may
+be no law. An effect has several where they are one function: a leak by a pressure is a valve that this pressure opens.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+LEARNED = "learned"
+"""Name of an effect whose law was measured."""
+
+
+class Place(NamedTuple):
+    """A place of an effect, and the arguments of its law.
+
+    Attributes:
+        places: names of the place, any of which is right.
+        arguments: any of which are right; a constant has none.
+    """
+
+    places: frozenset[str]
+    arguments: frozenset[str]
+
+
+def _place(places: str, arguments: str) -> Place:
+    return Place(frozenset(places.split()), frozenset(arguments.split()))
+
+
+_AIR, _PULL, _MOTION = "flow leak valve", "force strength torque", "length angle length_rate velocity speed"
+PLACES: Mapping[str, Place] = {
+    "hysteresis": _place(_PULL, _MOTION),
+    "leak": _place(_AIR, "pressure"),
+    "supply_droop": _place("supply", "draw valve_flow time"),
+    "valve_lag": _place("valve", "open_rate"),
+    "valve_offset": _place("valve flow", "open_rate time"),
+    "line_resistance": _place("line sensor flow valve", "valve_flow pressure open_rate"),
+    "pressure_sensor": _place("sensor", "pressure time"),
+    "load_torque": _place(_PULL, "angle length"),
+    "friction": _place("friction torque", "velocity speed"),
+    "gear_friction": _place("friction torque", "angle velocity speed"),
+    "creep": _place(_PULL, "pressure length angle time"),
+    "thermal": _place(_AIR, "pressure valve_flow length_rate"),
+    "external_torque": _place("torque", "time"),
+    "valve_play": _place("valve", "open_rate"),
+    "warm_up": _place(_PULL, "time"),
+    "play": _place("encoder", "angle length"),
+    "cogging": _place("torque", "angle length"),
+    "bend": _place(_PULL, "pressure"),
+    "crack": _place(_AIR, "length angle pressure"),
+    "compressor": _place("supply", "draw time"),
+    "ripple": _place("supply", "time"),
+    "exchange": _place("exchange", "pressure_difference"),
+    "swell": _place("volume flow", "pressure length_rate"),
+    "crosstalk": _place("valve flow", "other_open_rate open_rate"),
+    # Outside of every law.
+    "check": _place("exchange", "pressure_difference"),
+    "relief": _place(_AIR, "pressure"),
+    "kink": _place("valve flow line", "length angle valve_flow"),
+    "fold": _place("volume flow", "length angle length_rate"),
+    "jet": _place(_AIR, "pressure"),
+    "coil": _place("valve flow", "open_rate"),
+    "damping": _place(f"{_PULL} friction", "length_rate velocity speed pressure"),
+    "engage": _place(_PULL, "angle length"),
+    "gauge_tube": _place("sensor line", "pressure"),
+    "multiplexer": _place("sensor", "other_pressure pressure_difference"),
+    "eccentric": _place("encoder", "angle length"),
+}
+"""Place of each effect of the battery, by its name."""
+
+
+class Found(NamedTuple):
+    """Where a diagnosis says that an effect sits.
+
+    Attributes:
+        place: names of it, any of which may be meant; empty for an effect that only a package knows.
+        muscle: 1, 2, or None for both or none.
+        arguments: of its law.
+    """
+
+    place: tuple[str, ...]
+    muscle: int | None
+    arguments: tuple[str, ...]
+
+
+def found(effect: Any) -> Found:
+    """The place of an effect of a diagnosis: as it says, or that of the catalogue's law."""
+    name, muscle = str(effect.name), effect.muscle
+    if name != LEARNED:
+        known = PLACES.get(name, Place(frozenset(), frozenset()))
+        return Found(tuple(sorted(known.places)), muscle, tuple(sorted(known.arguments)))
+    plain, of = re.sub(r"_[12]$", "", effect.place), re.findall(r"_([12])$", effect.place)
+    arguments = (re.sub(r"^(pressure|length|length_rate|open_rate)_[12]$", r"\1", item) for item in effect.arguments)
+    return Found((plain,), int(of[0]) if of else muscle, tuple(arguments))
+
+
+def is_place(one: Found, effect: tuple[str, int | None]) -> bool:
+    """Whether something was found where an effect sits: in its equation, and of its muscle where it has one."""
+    name, muscle = effect
+    return bool(PLACES[name].places.intersection(one.place)) and (muscle is None or one.muscle in (None, muscle))
+
+
+def are_arguments(one: Found, effect: tuple[str, int | None]) -> bool:
+    """Whether a law in the right place depends on what the effect depends on, and on nothing else."""
+    return is_place(one, effect) and bool(one.arguments) and PLACES[effect[0]].arguments.issuperset(one.arguments)

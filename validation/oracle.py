@@ -1,0 +1,259 @@
+"""``oracle``: what close_loop says of known recordings, case by case, and what got worse since it was frozen.
+
+A line of an oracle's file is one case: verdict, effects with sizes and standard deviations, calibrations, errors, time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pam_antagonist import diagnose
+from pam_antagonist.cli import common
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import CATALOGUE
+from validation import at_hand
+from validation.battery.draw import cases
+from validation.battery.plants import RIG, Case
+
+_DESCRIPTION = """\
+Run close_loop on recordings whose answer was frozen, and say what got worse.
+
+The cases are the recordings at hand (rig A, the strangers, the sealed joint, the arm; DATA is their folder) and 60
+joints of the battery, 40 with effects in other forms than the catalogue's and 20 with nothing wrong. Each finished case
+is appended to FILE; the same command again continues. With --against, each case is compared with the same case of an
+earlier file: verdict, effects, sizes, calibrations, held-out errors, processor time.
+Status: 0 nothing is worse, 1 something is, 2 bad input.
+"""
+_EXAMPLES = """\
+examples:
+  {run} oracle now.jsonl --data ../shared/data --against test/diagnosis/oracle.jsonl
+  {run} oracle now.jsonl --only battery --against test/diagnosis/oracle.jsonl
+  {run} oracle now.jsonl --only none --against test/diagnosis/oracle.jsonl --compare-only
+"""
+_SEED, _COUNT, _NOTHING = 39117, 47, 13
+"""Of the 47 cases of the battery 7 have nothing wrong."""
+SIGMAS = 3.0
+"""Sizes that differ by more than so many standard deviations of both are said to differ."""
+ERROR_RATIO, ERROR_FLOOR = 1.1, {"deg": 0.002, "nm": 0.0005, "pa": 20.0}
+"""A held-out error is worse from this ratio on, and by more than a tenth or so of what the sensors of rig A add."""
+
+TIME_RATIO = 1.5
+LEARNED = "learned"
+"""Name of an effect whose law was measured: no claim that the truth could contradict."""
+
+Entry = dict[str, Any]
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("oracle", _DESCRIPTION, _EXAMPLES)
+    out.add_argument("file", type=Path, metavar="FILE", help="JSON lines, one a case; may exist")
+    out.add_argument("--data", type=Path, metavar="DATA", help="folder of the recordings at hand (default: none)")
+    out.add_argument("--only", default="", metavar="TEXT", help="only cases whose name contains this")
+    out.add_argument("--against", type=Path, metavar="OLD", help="compare with this file")
+    out.add_argument("--compare-only", action="store_true", help="run nothing, compare what is finished")
+    return out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; the result is its exit status."""
+    return common.run(parser, _run, argv)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    old = {} if arguments.against is None else read(arguments.against)
+    done = read(arguments.file) if arguments.file.exists() else {}
+    if not arguments.compare_only:
+        for name, work in _work(old, arguments.data):
+            if arguments.only in name and name not in done:
+                print(f"oracle: {name}", file=sys.stderr, flush=True)
+                done[name] = work()
+                with arguments.file.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(_rounded(done[name]), ensure_ascii=False) + "\n")
+    if arguments.against is None:
+        return common.DONE
+    both = [name for name in old if name in done and arguments.only in name]
+    said = [line for name in both for line in compared(old[name], done[name])]
+    worse = [line for line in said if line.startswith("worse")]
+    print("\n".join([*said, f"{len(both)} of {len(old)} cases compared: {len(worse)} things are worse"]))
+    return 1 if worse else common.DONE
+
+
+def read(path: Path) -> dict[str, Entry]:
+    """The cases of a file, by name."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        return {entry["case"]: entry for entry in map(json.loads, lines)}
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise BadInput(f"{path}: no file of an oracle ({error}); expected what oracle writes") from None
+
+
+def _work(old: Mapping[str, Entry], data: Path | None) -> Iterator[tuple[str, Any]]:
+    """Names, and what diagnoses each case: those of the old file, so that no change of the battery changes them."""
+    if data is not None:
+        yield from ((name, lambda name=name: _at_hand(name, data)) for name in at_hand.NAMES)
+    frozen = [_case(entry["truth"]) for entry in old.values() if entry["case"].startswith("battery/")]
+    yield from ((f"battery/{case.name}", lambda case=case: _of_battery(case)) for case in frozen or _drawn())
+
+
+def _drawn() -> list[Case]:
+    """The battery's joints, one with nothing wrong behind two others."""
+    every = [case for _, case in cases(_SEED, _COUNT, _NOTHING)]
+    nothing, others = ([case for case in every if (case.kind == "none") is none] for none in (True, False))
+    return [case for k, one in enumerate(nothing) for case in (*others[2 * k : 2 * k + 2], one)]
+
+
+def _case(truth: Mapping[str, Any]) -> Case:
+    effects = tuple((name, muscle) for name, muscle in truth["effects"])
+    lists = {"effects": effects, "form": tuple(truth["form"]), "sizes": tuple(truth["sizes"]), "calibration": None}
+    return Case(**{**truth, **lists})
+
+
+def _of_battery(case: Case) -> Entry:
+    return _diagnosed(f"battery/{case.name}", asdict(case), case.recordings(), RIG, seed=case.seed % 2**31)
+
+
+def _at_hand(name: str, data: Path) -> Entry:
+    with tempfile.TemporaryDirectory() as scratch:
+        joint = at_hand.joint(name, data, Path(scratch))
+        truth = None if joint.truth is None else {"effects": [(effect, None) for effect in joint.truth]}
+        also = {"also": joint.also} if joint.also else {}
+        return _diagnosed(name, truth, joint.recordings, joint.rig, **also)
+
+
+def _diagnosed(name: str, truth: Any, recordings: Sequence[Any], rig: str, **options: Any) -> Entry:
+    """A case's entry, from the ``report.json`` that ``close_loop`` would write."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        found = diagnose(recordings, rig, jobs=1, profiles=False, estimator=False, **options)
+        seconds, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+        with tempfile.TemporaryDirectory() as folder:
+            found.save(Path(folder) / "found", figures=False)
+            report = json.loads((Path(folder) / "found" / "report.json").read_text(encoding="utf-8"))
+    except Exception as error:  # a defect in one case is an answer too, and the others go on
+        seconds, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+        report = {"verdict": "refused" if isinstance(error, BadInput) else "defect", "sentence": repr(error)}
+    kept = {key: report.get(key) for key in ("verdict", "sentence", "ambiguous_with", "next_rig")}
+    return {
+        "case": name, "truth": truth, **kept, "effects": [_effect(effect) for effect in report.get("effects") or []],
+        "calibration": [
+            {key: item.get(key) for key in ("name", "value", "std", "unit")} for item in report.get("calibration") or []
+        ],
+        "errors": report.get("errors") or _of_rows(report.get("errors_deg")), "values": report.get("values"),
+        "seconds": seconds, "cpu_s": cpu_s, "commit": _commit(),
+    }  # fmt: skip
+
+
+def _effect(effect: Any) -> Entry:
+    """Of an effect what is compared; episodes have names alone."""
+    if isinstance(effect, str):
+        return {"name": effect, "muscle": None, "parameters": {}}
+    kept = ("name", "muscle", "parameters", "delta_bic", "holdout_gain", "onset_s", "place", "arguments", "like")
+    return {key: effect[key] for key in kept if key in effect}
+
+
+def _of_rows(rows: Sequence[Mapping[str, Any]] | None) -> Entry | None:
+    """Errors of episodes: as configured first, extended last."""
+    if not rows:
+        return None
+    parts = ("later", "recent", "interleaved")
+    return {row["model"]: {f"{key} rmse_deg": row[key][0] for key in parts if row[key]} for row in rows}
+
+
+def _commit() -> str:
+    where = Path(__file__).parent
+    said = subprocess.run(["git", "rev-parse", "HEAD"], cwd=where, capture_output=True, text=True, check=False)
+    return said.stdout.strip()
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
+
+
+def compared(old: Entry, new: Entry) -> list[str]:
+    """What differs in a case, a line each, that begins with ``worse``, ``better`` or ``other``."""
+    true = None if old["truth"] is None else {name for name, _ in old["truth"]["effects"]}
+    said = [(_judged(_right(old, true), _right(new, true)), f"verdict {old['verdict']} -> {new['verdict']}")]
+    said = said if old["verdict"] != new["verdict"] else []
+    before, after = ({(item["name"], item["muscle"]): item for item in entry["effects"]} for entry in (old, new))
+    for key in before.keys() ^ after.keys():
+        found, there = key in after, key[0] == LEARNED or (true is not None and key[0] in true)
+        word = "other" if key[0] == LEARNED else "better" if true is not None and found is there else "worse"
+        said.append((word, f"effect {_words(key)} is {'new' if found else 'gone'}"))
+    for key in before.keys() & after.keys():
+        said += _sizes(_words(key), before[key]["parameters"], after[key]["parameters"])
+    one, other = ({item["name"]: item for item in entry["calibration"]} for entry in (old, new))
+    # The battery's joints need none.
+    lost = "better" if old["case"].startswith("battery/") else "worse"
+    said += [("worse" if name in other else lost, f"calibration {name} is {'new' if name in other else 'gone'}")
+             for name in one.keys() ^ other.keys()]  # fmt: skip
+    said += _sizes("calibration", {k: one[k] for k in one if k in other}, other)
+    then, now = _leaves(_last(old["errors"])), _leaves(_last(new["errors"]))
+    for path in then.keys() & now.keys():
+        floor = next((value for unit, value in ERROR_FLOOR.items() if unit in path), 0.0)
+        word = _grown(then[path], now[path], ERROR_RATIO, floor)
+        said += [(word, f"held-out {path} {then[path]:.3g} -> {now[path]:.3g}")] if word else []
+    if _grown(old["cpu_s"], new["cpu_s"], TIME_RATIO, 10.0) == "worse":
+        said.append(("worse", f"processor time {old['cpu_s']:.0f} -> {new['cpu_s']:.0f} s"))
+    return [f"{word}: {old['case']}: {text}" for word, text in sorted(said)]
+
+
+def _right(entry: Entry, true: set[str] | None) -> bool | None:
+    """Whether the verdict is what the truth asks for; None where nobody knows it."""
+    if true is None:
+        return None
+    named = {item["name"] for item in entry["effects"]}
+    if true <= set(CATALOGUE):
+        return entry["verdict"] == ("effect" if true else "none") and named == true
+    return entry["verdict"] == "unexplained" or named == {LEARNED}
+
+
+def _judged(before: bool | None, after: bool | None) -> str:
+    return "worse" if before is None or (before and not after) else "better" if after and not before else "other"
+
+
+def _words(key: tuple[str, int | None]) -> str:
+    return key[0] if key[1] is None else f"{key[0]} {key[1]}"
+
+
+def _sizes(what: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Sizes that differ by more than their standard deviations allow."""
+    out = []
+    for name in old.keys() & new.keys():
+        (a, sa), (b, sb) = ((item["value"], item["std"] or 0.0) for item in (old[name], new[name]))
+        if abs(a - b) > SIGMAS * (sa**2 + sb**2) ** 0.5 + 1e-4 * abs(a):
+            out.append(("worse", f"{what} {name} {a:.4g} +- {sa:.2g} -> {b:.4g} +- {sb:.2g}"))
+    return out
+
+
+def _last(errors: Entry | None) -> Any:
+    """Errors of the extended model."""
+    if not errors:
+        return None
+    return errors["extended"] if "extended" in errors else list(errors.values())[-1]
+
+
+def _leaves(value: Any, path: str = "") -> dict[str, float]:
+    """RMS errors by their path."""
+    if isinstance(value, Mapping):
+        return {k: v for key, item in value.items() for k, v in _leaves(item, f"{path} {key}".strip()).items()}
+    if isinstance(value, list):
+        return {k: v for i, item in enumerate(value) for k, v in _leaves(item, f"{path} {i + 1}").items()}
+    return {path: value} if isinstance(value, float) and "rmse" in path else {}
+
+
+def _grown(old: float, new: float, ratio: float, floor: float) -> str:
+    return "worse" if new > ratio * old + floor else "better" if old > ratio * new + floor else ""
