@@ -141,6 +141,8 @@ def propagate(steps, since, dt, u, known_u, effects, memory, settings, work):
             settings.parameter_sets,
             dt,
             memory.noise,
+            # Errors of the steps within a period add up, as one error would.
+            settings.change_noise * (settings.period / dt),
             settings.kappa,
             effects,
             work,
