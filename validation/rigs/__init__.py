@@ -1,1 +1,0 @@
-"""Fresh virtual rigs by which the identification from measured pressures is judged."""
