@@ -42,6 +42,8 @@ _WORTH = 1.05
 """Another pair than the first is taken if it gives a smaller error of the angle by this factor."""
 _STILL = 0.02
 """[rad/s] A slower joint rests."""
+_MOST_REST = math.radians(20.0)
+"""[rad] Largest standard deviation of the first angle."""
 _RESTS = 50
 """Number of rests of a run that are looked at."""
 _OPEN_GATE = 1e4
@@ -65,14 +67,16 @@ def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> 
     """
     rig = _with_start(rig.replaced(directions={}, uncertainty={}), recordings)
     first = _followed(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
-    usual = max(float(np.sqrt(np.mean(first.innovation**2))) * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
+    # A filter that diverges at once has no innovations; its rig is rejected for its errors.
+    size = float(np.sqrt(np.mean(first.innovation**2))) if len(first.innovation) else _FIRST_RATE
+    usual = max(size * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
     least = {0.0: _LEAST_RATE}  # a part relative to the change makes up for what is less
     tried = [_with_process(rig, max(share * usual, least.get(change, 0.0)), _OPEN_GATE, change)
              for share, change in _PAIRS]  # fmt: skip
     found = [_followed(one, recordings, jobs) for one in tried]
     best = min(range(len(found)), key=lambda k: found[k].error * (1.0 if k == 0 else _WORTH))
     # After a step a regulator's model errs by many standard deviations. The gate must not reject the measurement there.
-    gate = max(rig.tuning("default").gate, _GATE_MARGIN * float(np.max(found[best].distance)))
+    gate = max(rig.tuning("default").gate, _GATE_MARGIN * float(np.max(found[best].distance, initial=1.0)))
     return _with_gate(tried[best], gate)
 
 
@@ -84,7 +88,8 @@ def _with_start(rig: Rig, recordings: Sequence[Given]) -> Rig:
         for k in still[:: max(len(still) // _RESTS, 1)]:
             errors.append(equilibrium.rest_angle(run.pressure[k, 0], run.pressure[k, 1], p) - run.angle[k])
     tuning = rig.tuning("default")
-    variance = max(float(np.mean(np.square(errors))) if errors else 0.0, tuning.initial[0])
+    known = np.array(errors)[np.isfinite(errors)]
+    variance = max(min(float(np.mean(known**2)) if len(known) else 0.0, _MOST_REST**2), tuning.initial[0])
     return rig.replaced(
         tunings={**rig.tunings, "default": tuning.replaced(initial=(variance, *tuning.initial[1:]))}
     )  # fmt: skip

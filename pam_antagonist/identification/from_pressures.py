@@ -33,6 +33,7 @@ from pam_antagonist.replays import Replay, after, replay
 from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
+from pam_antagonist.rig.write import refusal
 
 Floats = NDArray[np.float64]
 
@@ -150,6 +151,8 @@ class FromPressures:
                 f"{linear:.3g}°. The recordings do not fit two muscles on one joint, the joint moved too little, or it "
                 "hit a stop that the rig file does not have."
             )
+        if said := refusal(self.rig):
+            return f"{said}. The recordings do not fit two muscles on one joint."
         model, rest = self.pressures
         if model > rest:
             return (
@@ -269,11 +272,19 @@ def concluded(
     seen = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
     progress("all of the data")
     final = _from_all(recordings, base_model(rig), joint, air, jobs)
-    found = {**model_values(final[0].unknowns, final[0].values), **({} if final[1] is None else final[1].parameters)}
-    calibration = _calibration(rig).followed_by(_found(final[0])).calibration()
-    result = moved(covered.rig, found).replaced(calibration=rig.calibration.replaced(**calibration))
+    result = _delivered(covered.rig, rig, *final)
+    if refusal(result):  # no possible rig
+        final = joint, air
+        result = _delivered(covered.rig, rig, *final)
     notes = (*said(runs), *_notes(*final))
     return FromPressures(rig, result, joint, air, final, covered, held, seen, notes, errors(own, runs))
+
+
+def _delivered(tuned: Rig, start: Rig, joint: Fit, air: Fit | None) -> Rig:
+    """The rig file: the tuned rig with values, and with the calibration that belongs to them."""
+    values = model_values(joint.unknowns, joint.values) | ({} if air is None else air.parameters)
+    calibration = _calibration(start).followed_by(_found(joint)).calibration()
+    return moved(tuned, values).replaced(calibration=start.calibration.replaced(**calibration))
 
 
 def _from_all(

@@ -136,8 +136,11 @@ def document(found: FromPressures, hashes: Sequence[str], with_figures: bool) ->
     definitions = (
         ("Value", "By its name in the rig file, which says beside each number what it is. (both): of both muscles."),
         ("Std", "Standard deviation that data and prior leave; it does not count errors of the model."),
-        ("Held-out", "Data that no step used before these errors were computed. Then all values were fitted once more, "
-         "to all of the data: these are the values of the table and of the rig file."),
+        (
+            "Held-out",
+            "Data that no step used before these errors were computed. Then all values were fitted once more, "
+            "to all of the data: these are the values of the table and of the rig file.",
+        ),
         ("Determined", "The data leave less than half of the prior's standard deviation."),
         ("With others only", "The data determine a combination with other values; this one stays near its prior."),
     )

@@ -57,9 +57,7 @@ def _oracle(rig: Rig, tuning: str, recording, joint: str) -> tuple[np.ndarray, n
 
 def _without_consider(rig: Rig, change: float = 0.0) -> Rig:
     # A gate that never closes: filterpy has none.
-    open_gate = {
-        name: tuning.replaced(consider=False, gate=1e9, change=change) for name, tuning in rig.tunings.items()
-    }
+    open_gate = {name: tuning.replaced(consider=False, gate=1e9, change=change) for name, tuning in rig.tunings.items()}
     return rig.replaced(tunings=open_gate)
 
 
