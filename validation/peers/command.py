@@ -73,6 +73,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 out.write(json.dumps(entry, ensure_ascii=False) + "\n")
             done.append(entry)
             advance(1)
+    done.sort(key=lambda entry: NAMES.index(entry["joint"]))
     print("\n\n".join([*page.texts(done), *missing()]))
     if arguments.docs is not None:
         page.write(done, arguments.docs)
