@@ -38,8 +38,6 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "muscle_torque": ("N m", "τ of equation (9), and the torque from outside where it is known"),
     "pressure": ("Pa", "pressure at a sensor"),
     "reading": ("Pa", "what a sensor shows"),
-    "opening": ("-", "open rate at which the valve stands, with what effects make of it"),
-    "now": ("rad, rad/s, Pa, Pa", "ψ, ψ̇ and the pressures in both muscles, as one tuple"),
     "first_pressure": ("Pa", "pressure in muscle 1"),
     "second_pressure": ("Pa", "pressure in muscle 2"),
     **{
@@ -80,11 +78,10 @@ class Hook:
 
 
 _JOINT = ("joint_angle", "joint_velocity", "travel")
-_FRICTION = (*_JOINT, "first_pressure", "second_pressure", "now")
-_LENGTH = ("muscle_length", "length_rate", "wanted_open_rate", "now")
-_LOSS = ("chamber_pressure", "orifice_flow", *_LENGTH)
+_FRICTION = (*_JOINT, "first_pressure", "second_pressure")
+_LOSS = ("chamber_pressure", "orifice_flow")
 _LINE = ("valve_pressure", "chamber_pressure", "valve_flow")
-_FORCE = ("muscle_length", "length_rate", "chamber_pressure", "passive_force", "now")
+_FORCE = ("muscle_length", "length_rate", "chamber_pressure", "passive_force")
 
 HOOKS: dict[str, Hook] = {
     hook.name: hook
@@ -93,9 +90,8 @@ HOOKS: dict[str, Hook] = {
         Hook("voltage_shift", "shift of the curve along the voltage", "V", "subtracts", "valve_voltage", states="none"),
         Hook("open_rate_shift", "change of the open rate", "-", "adds", "wanted_open_rate", states="none"),
         Hook("open_rate", "open rate at which the valve stands", "-", "replaces", "wanted_open_rate", states="needed"),
-        Hook("opening", "open rate at which the valve stands", "-", "replaces", "opening", _LENGTH),
         Hook("asked_pressure", "pressure that the regulator goes by", "Pa", "replaces", "asked_pressure"),
-        Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", ("now",), False),
+        Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", of_muscle=False),
         Hook("chamber_pressure", "pressure in the muscle", "Pa", "replaces", "valve_pressure", states="needed"),
         Hook("mass_loss", "mass flow out of the muscle past the valve", "kg/s", "subtracts", "valve_flow", _LOSS),
         Hook("cooling", "what dP/dt loses", "Pa/s", "subtracts", "polytropic_rate", ("chamber_pressure",)),
@@ -104,7 +100,7 @@ HOOKS: dict[str, Hook] = {
         Hook("muscle_force", "force that the muscle passes on", "N", "replaces", "muscle_force", states="none"),
         Hook("coulomb_torque", "further Coulomb torque", "N m", "adds", "coulomb_torque", _FRICTION, False, floor=True),
         Hook("disturbance_torque", "torque from outside", "N m", "adds", "muscle_torque", (), False, states="needed"),
-        Hook("joint_torque", "torque on the joint", "N m", "adds", "muscle_torque", (*_JOINT, "now"), False),
+        Hook("joint_torque", "torque on the joint", "N m", "adds", "muscle_torque", _JOINT, False),
         Hook("sensor_reading", "what the pressure sensor shows", "Pa", "replaces", "pressure", states="none"),
         Hook("sensor_inverse", "the pressure behind a reading", "Pa", "replaces", "reading", states="none"),
     )
@@ -113,15 +109,15 @@ HOOKS: dict[str, Hook] = {
 
 MUSCLE_RATE = (
     *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "asked_pressure", "wanted_open_rate",
-    "valve_pressure", "chamber_pressure", "valve_flow", "polytropic_rate", "chamber_rate", "now",
+    "valve_pressure", "chamber_pressure", "valve_flow", "polytropic_rate", "chamber_rate",
 )  # fmt: skip
 """What the derivative of a muscle's state may ask for."""
-JOINT_RATE = (*_JOINT, "drawn_flow", "now")
+JOINT_RATE = (*_JOINT, "drawn_flow")
 """What the derivative of a state of the whole joint may ask for."""
 MUSCLE_STEADY = (
     *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "asked_pressure", "wanted_open_rate",
-    "valve_pressure", "chamber_pressure", "valve_flow", "now",
+    "valve_pressure", "chamber_pressure", "valve_flow",
 )  # fmt: skip
 """What the steady value of a muscle's state may ask for."""
-JOINT_STEADY = ("drawn_flow", "now")
+JOINT_STEADY = ("drawn_flow",)
 """What the steady value of a state of the whole joint may ask for."""
