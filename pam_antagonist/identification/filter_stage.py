@@ -70,8 +70,8 @@ def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> 
     # A filter that diverges at once has no innovations; its rig is rejected for its errors.
     size = float(np.sqrt(np.mean(first.innovation**2))) if len(first.innovation) else _FIRST_RATE
     usual = max(size * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
-    least = {0.0: _LEAST_RATE}  # a part relative to the change makes up for what is less
-    tried = [_with_process(rig, max(share * usual, least.get(change, 0.0)), _OPEN_GATE, change)
+    # A part relative to the change makes up for a constant part below the least one.
+    tried = [_with_process(rig, max(share * usual, 0.0 if change else _LEAST_RATE), _OPEN_GATE, change)
              for share, change in _PAIRS]  # fmt: skip
     found = [_followed(one, recordings, jobs) for one in tried]
     best = min(range(len(found)), key=lambda k: found[k].error * (1.0 if k == 0 else _WORTH))
