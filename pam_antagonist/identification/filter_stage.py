@@ -38,6 +38,8 @@ _GATE_MARGIN = 1.5
 _COVERED = 0.95
 _FIRST_SHARE = 0.01
 """First standard deviation of the unknown torque, as a share of a muscle's torque."""
+_CLEARLY = 0.8
+"""Share of the squared error below which another process noise is taken than the configured one."""
 _ROUNDS = 3
 _MARGIN = 1.05
 """Fitted recordings have smaller errors than others will have."""
@@ -70,7 +72,8 @@ def _innovations(rig: Rig, recordings: Sequence[Given], jobs: int) -> tuple[Floa
     """Innovations (K,) [Pa] and Mahalanobis distances (M,) of all samples."""
 
     def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
-        rows = replay(recording, rig, "default", state.condition, None).run.rows
+        lock_angle = state.lock_angle if state.condition == "locked" else None
+        rows = replay(recording, rig, "default", state.condition, lock_angle).run.rows
         return rows["innovation"].ravel(), np.sqrt(rows["nis"])
 
     parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*item) for item in recordings)
@@ -131,3 +134,29 @@ def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -
     known = np.isfinite(measured)
     std = np.sqrt(run.rows["covariance"][:, 0, 0])
     return (run.rows["angle"] - measured)[known], std[known]
+
+
+def with_least_error(rigs: Sequence[Rig], recordings: Sequence[Given], jobs: int = 1) -> Rig:
+    """The one whose filter errs least in angle, or in torque where no angle of a free joint was measured.
+
+    Args:
+        rigs: the first is taken where nothing was measured, or where none is clearly better.
+        recordings: parts that were fitted.
+        jobs: threads.
+    """
+
+    def error(rig: Rig, given: Given) -> tuple[float, float]:
+        recording, state, _ = given
+        lock_angle = state.lock_angle if state.condition == "locked" else None
+        found = replay(recording, rig, "default", state.condition, lock_angle).report.ukf
+        return tuple(math.nan if one is None else one.rmse for one in (found.angle, found.torque))  # type: ignore[return-value]
+
+    parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(error)(rig, given) for rig in rigs for given in recordings)
+    each = np.array(parts, dtype=np.float64).reshape(len(rigs), len(recordings), 2)
+    each[:, [state.condition == "locked" for _, state, _ in recordings], 0] = np.nan
+    for channel in (0, 1):
+        if (known := np.isfinite(each[0, :, channel])).any():
+            squares = np.mean(each[:, known, channel] ** 2, axis=1)
+            best = int(np.argmin(squares))
+            return rigs[best if squares[best] < _CLEARLY * squares[0] else 0]
+    return rigs[0]
