@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import textwrap
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -78,8 +79,12 @@ class IdentifyResult(Shown):
 
     @property
     def lacks_an_effect(self) -> bool:
-        """Whether the filter got worse on held-out data; :func:`diagnose` then searches for the missing effect."""
-        return isinstance(self.report, IdentifyReport) and lacks_an_effect(self.report)
+        """Whether the filter got no better on held-out data; :func:`diagnose` then searches for the missing effect."""
+        if not isinstance(self.report, IdentifyReport):
+            return False
+        errors = self.report.errors_deg
+        no_better = errors.get("identified", 0.0) > errors.get("as_configured", math.inf)
+        return no_better or lacks_an_effect(self.report)
 
     def summary(self) -> str:
         """The tables that the command prints."""
