@@ -189,7 +189,7 @@ def diagnose(
     tried = _each(model, JOINT, base.joint, partial(joint_stage.residual_of, model, runs, horizon=math.inf),
                   partial(_angle_errors, model, held), _seconds(runs), jobs, progress)  # fmt: skip
     if base.air is not None and judged:
-        residual = partial(air_stage.residual_of, own, moving, horizon=air_stage.HORIZONS[-1])
+        residual = partial(air_stage.residual_of, own, moving, 0.0, air_stage.HORIZONS[-1])
         tried += _each(own, AIR, base.air, residual, partial(_pressure_errors, own, judged), _seconds(moving), jobs,
                        progress)  # fmt: skip
     tried.sort(key=lambda item: -item.gain)
@@ -296,7 +296,7 @@ def _pressure_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
     p = par.changed(rig.parameters("locked"), fit.parameters)
     out = [np.zeros(0)]
     for run in runs:
-        shown, starts = air_stage.simulated(run, p, air_stage.HORIZONS[-1])
+        shown, starts = air_stage.simulated(run, p, 0.0, air_stage.HORIZONS[-1])
         out.append((run.pressure - shown)[~starts].ravel())
     return np.concatenate(out)
 

@@ -52,18 +52,21 @@ _GATE_MARGIN = 1.5
 _COVERED = 0.95
 _FIRST_SHARE = 0.01
 """First standard deviation of the unknown torque, as a share of a muscle's torque."""
+_CLEARLY = 0.8
+"""Share of the squared error below which another process noise is taken than the configured one."""
 _ROUNDS = 3
 _MARGIN = 1.05
 """Fitted recordings have smaller errors than others will have."""
 
 
-def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> Rig:
+def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1, guessed: bool = True) -> Rig:
     """The rig with process noise of its pressures, and with a gate that lets the errors of their prediction pass.
 
     Args:
         rig: with all values that were found.
-        recordings: parts that were fitted, of a free joint.
+        recordings: parts that were fitted.
         jobs: threads.
+        guessed: whether the valves were guessed, so that several pairs of the noise's parts are tried.
     """
     rig = _with_start(rig.replaced(directions={}, uncertainty={}), recordings)
     first = _followed(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
@@ -72,7 +75,7 @@ def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> 
     usual = max(size * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
     least = {0.0: _LEAST_RATE}  # a part relative to the change makes up for what is less
     tried = [_with_process(rig, max(share * usual, least.get(change, 0.0)), _OPEN_GATE, change)
-             for share, change in _PAIRS]  # fmt: skip
+             for share, change in (_PAIRS if guessed else _PAIRS[:1])]  # fmt: skip
     found = [_followed(one, recordings, jobs) for one in tried]
     best = min(range(len(found)), key=lambda k: found[k].error * (1.0 if k == 0 else _WORTH))
     # After a step a regulator's model errs by many standard deviations. The gate must not reject the measurement there.
@@ -118,9 +121,12 @@ class _Followed:
 
 def _followed(rig: Rig, recordings: Sequence[Given], jobs: int) -> _Followed:
     def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats, Floats]:
-        run = replay(recording, rig, "default", state.condition, None).run
-        assert recording.angle is not None
-        return run.rows["innovation"].ravel(), np.sqrt(run.rows["nis"]), run.rows["angle"] - recording.angle[run.index]
+        lock_angle = state.lock_angle if state.condition == "locked" else None
+        run = replay(recording, rig, "default", state.condition, lock_angle).run
+        error = np.zeros(0)
+        if state.condition == "free" and recording.angle is not None:
+            error = run.rows["angle"] - recording.angle[run.index]
+        return run.rows["innovation"].ravel(), np.sqrt(run.rows["nis"]), error
 
     parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*item) for item in recordings)
     columns = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -181,3 +187,29 @@ def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -
     known = np.isfinite(measured)
     std = np.sqrt(run.rows["covariance"][:, 0, 0])
     return (run.rows["angle"] - measured)[known], std[known]
+
+
+def with_least_error(rigs: Sequence[Rig], recordings: Sequence[Given], jobs: int = 1) -> Rig:
+    """The one whose filter errs least in angle, or in torque where no angle of a free joint was measured.
+
+    Args:
+        rigs: the first is taken where nothing was measured, or where none is clearly better.
+        recordings: parts that were fitted.
+        jobs: threads.
+    """
+
+    def error(rig: Rig, given: Given) -> tuple[float, float]:
+        recording, state, _ = given
+        lock_angle = state.lock_angle if state.condition == "locked" else None
+        found = replay(recording, rig, "default", state.condition, lock_angle).report.ukf
+        return tuple(math.nan if one is None else one.rmse for one in (found.angle, found.torque))  # type: ignore[return-value]
+
+    parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(error)(rig, given) for rig in rigs for given in recordings)
+    each = np.array(parts, dtype=np.float64).reshape(len(rigs), len(recordings), 2)
+    each[:, [state.condition == "locked" for _, state, _ in recordings], 0] = np.nan
+    for channel in (0, 1):
+        if (known := np.isfinite(each[0, :, channel])).any():
+            squares = np.mean(each[:, known, channel] ** 2, axis=1)
+            best = int(np.argmin(squares))
+            return rigs[best if squares[best] < _CLEARLY * squares[0] else 0]
+    return rigs[0]
