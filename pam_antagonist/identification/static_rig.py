@@ -19,7 +19,6 @@ from pam_antagonist.identification.static_volume import COEFFICIENTS as VOLUME_C
 from pam_antagonist.identification.static_volume import VolumeFit, fit_volume
 from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 
 Floats = NDArray[np.float64]
@@ -329,8 +328,7 @@ def work_out(
         warnings += _about_volume(volumes, volume, rig, report_only)
     if force_map is not None:
         chosen = form or rig.model.force
-        known = with_base_laws(rig) if is_from_data_sheet(rig) else rig
-        nominal = known.value(f"muscle_{muscles[0]}.force.c6") if known.model.force == "braided" else 0.0
+        nominal = rig.value(f"muscle_{muscles[0]}.force.c6") if rig.model.force == "braided" else 0.0
         forms = compare_forms(force_map, rig.geometry.length, nominal=nominal)
         fit = forms[chosen]
         if not isinstance(fit, ForceFit):

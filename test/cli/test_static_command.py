@@ -223,7 +223,7 @@ def test_a_joint_of_a_data_sheet_gets_the_measured_map_of_its_braided_muscles(tm
     assert rig.value("muscle_1.force.c6") == pytest.approx(0.3, rel=1e-4)
     assert rig.value("muscle_1.force.c1") == pytest.approx(272.0, rel=0.02)
     assert not any(f"muscle_{i}.force.c{k}" in rig.priors for i in (1, 2) for k in (6, 7))
-    assert {"muscle_1.force.c3", "muscle_2.force.c3"} <= set(rig.uncertainty)
+    assert {"muscle_1.force.c1", "muscle_2.force.c1"} <= set(rig.uncertainty)
     (tmp_path / "pushes.yaml").write_text(f"based_on: {out / 'rig.yaml'}\nmuscle_1: {{force: {{c2: -3.0}}}}\n")
     with pytest.raises(BadInput, match="muscle_1.force.c2: -3, expected above 0 with model.force: braided"):
         load_rig(tmp_path / "pushes.yaml")
