@@ -44,7 +44,7 @@ setup(
     maintainer_email=maintainer.attrib["email"],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/templates/*", "nodes/*.html", "validation/battery/*.json"]},
+    package_data={NAME: ["py.typed", "report/templates/*", "nodes/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "LICENSE"]),
@@ -81,13 +81,16 @@ setup(
         "hardware": ["pyserial>=3.5"],
         # What import_csv reads beside text: MATLAB 7.3, Parquet. pandas is for results as data frames.
         "import": ["h5py>=3.8", "pandas>=2.0", "pyarrow>=14"],
-        # Figures of report.html by plotly, pictures by matplotlib.
-        "reports": ["matplotlib>=3.6", "Pillow>=9.4", "plotly>=5.15"],
-        # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`.
+        # Figures of report.html.
+        "reports": ["plotly>=5.15"],
+        # filterpy is the independent filter that ours is compared with, by a test and by `benchmark`. matplotlib draws
+        # the pictures of pages that the laboratory writes.
         "test": [
             "filterpy>=1.4.5,<3",
             "hypothesis>=6.80",
+            "matplotlib>=3.6",
             "mypy==2.4.1",
+            "Pillow>=9.4",
             "pytest>=7.4",
             "pytest-xdist>=3.8",
             "ruff==0.17.5",

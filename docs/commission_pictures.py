@@ -11,7 +11,7 @@ import numpy as np
 
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.rig import load_rig
-from pam_antagonist.validation.excitation.rehearse import steps_of
+from validation.excitation.rehearse import steps_of
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

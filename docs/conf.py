@@ -55,7 +55,6 @@ NAVIGATION = {
         "explanation/model",
         "explanation/estimator",
         "explanation/control",
-        "observability",
         "explanation/identification",
         "explanation/close_loop",
         "architecture",
@@ -88,7 +87,6 @@ exclude_patterns = [
     "layouts.py",
     "release.py",
     "demo_picture.py",
-    "growth_picture.py",
     "commission_pictures.py",
     "evidence/step_speed.py",
 ]

@@ -22,6 +22,7 @@ from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Param
 from pam_antagonist.program import VARIABLE
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig.json_schema import rig_json_schema
+from validation.__main__ import COMMANDS as MEASUREMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 SCHEMA = ROOT / "config" / "rig.schema.json"
@@ -32,7 +33,7 @@ MESSAGES = ROOT / "pam_antagonist_msgs"
 
 def help_text(name: str) -> str:
     """What ``./run NAME --help`` prints."""
-    module, function = COMMANDS[name].target.split(":")
+    module, function = {**COMMANDS, **MEASUREMENTS}[name].target.split(":")
     os.environ["COLUMNS"] = "100"
     os.environ[VARIABLE] = "./run"
     out = io.StringIO()
@@ -44,7 +45,7 @@ def help_text(name: str) -> str:
 def commands() -> str:
     """A section a command, with its help."""
     parts = []
-    for name, command in COMMANDS.items():
+    for name, command in {**COMMANDS, **MEASUREMENTS}.items():
         summary = f"{command.summary[0].upper()}{command.summary[1:]}".removesuffix("?") + (
             "?" if command.summary.endswith("?") else "."
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 
@@ -53,44 +53,6 @@ COMMANDS: dict[str, Command] = {
     "static": Command(
         "pam_antagonist.cli.static:main", "fit volume and force map of a muscle to tables of measurements"
     ),
-    "paper": Command(
-        "pam_antagonist.validation.paper.command:main", "repeat every experiment of the paper on simulated joints"
-    ),
-    "benchmark": Command(
-        "pam_antagonist.validation.benchmark.command:main", "measure the speed of estimator, pipeline and replay"
-    ),
-    "battery": Command(
-        "pam_antagonist.validation.battery.command:main", "measure how often close_loop is right, on simulated joints"
-    ),
-    "control_laws": Command(
-        "pam_antagonist.validation.control.command:main", "compare the laws of control, on simulated joints"
-    ),
-    "external_torque": Command(
-        "pam_antagonist.validation.pushes.command:main",
-        "measure how well a torque from outside is estimated, on simulated joints",
-    ),
-    "observability": Command(
-        "pam_antagonist.validation.observability.command:main",
-        "compute how well each sensor determines angle and torque from outside",
-    ),
-    "excitation": Command(
-        "pam_antagonist.validation.excitation.command:main",
-        "compare designed experiments with random steps, on simulated joints",
-    ),
-    "tell_apart": Command(
-        "pam_antagonist.validation.excitation.pairs:main",
-        "test whether designed experiments distinguish similar effects",
-    ),
-    "rehearse": Command(
-        "pam_antagonist.validation.excitation.rehearse:main", "run commission on simulated joints with a known effect"
-    ),
-    "pamy": Command(
-        "pam_antagonist.validation.pamy.command:main", "apply close_loop to the recording of a real arm with regulators"
-    ),
-    "faults": Command(
-        "pam_antagonist.validation.faults.command:main",
-        "make every fault in a running pipeline and report what the valves did",
-    ),
     "device_emulator": Command(
         "pam_antagonist.cli.device_emulator:main", "emulate a rig's microcontroller, with a simulated joint"
     ),
@@ -109,21 +71,25 @@ COMMANDS: dict[str, Command] = {
 
 _PLACES = {
     "Commands": "pam_antagonist.cli.",
-    "Benchmarks and validation": "pam_antagonist.validation.",
     "ROS 2 nodes": "pam_antagonist.nodes.",
 }
 """Title in the help -> package of its executables."""
 
 
-def usage() -> str:
-    """Text of the help: one line for each executable, by groups."""
+def usage(commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] = _PLACES) -> str:
+    """Text of the help: one line for each executable, by groups.
+
+    Args:
+        commands: by name.
+        places: title of a group -> beginning of its targets.
+    """
     from pam_antagonist.program import program
 
-    width = max(len(name) for name in COMMANDS)
+    width = max(len(name) for name in commands)
     lines = [f"usage: {program()} NAME [arguments]"]
-    for title, package in _PLACES.items():
+    for title, package in places.items():
         lines += ["", title]
-        for name, command in COMMANDS.items():
+        for name, command in commands.items():
             if command.target.startswith(package):
                 lines.append(f"  {name.ljust(width)}  {command.summary}")
     return "\n".join(
@@ -136,11 +102,15 @@ def usage() -> str:
     )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(
+    argv: Sequence[str] | None = None, commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] = _PLACES
+) -> int:
     """Run the executable that the first argument names.
 
     Args:
         argv: name and arguments; default: those of the process.
+        commands: by name.
+        places: title of a group -> beginning of its targets.
 
     Returns:
         Exit status of the executable; 2 for an unknown name.
@@ -148,25 +118,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     from pam_antagonist.program import piped
 
     arguments = list(sys.argv[1:] if argv is None else argv)
-    return piped(lambda: _main(arguments))
+    return piped(lambda: _main(arguments, commands, places))
 
 
-def _main(arguments: list[str]) -> int:
+def _main(arguments: list[str], commands: Mapping[str, Command], places: Mapping[str, str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(usage())
+        print(usage(commands, places))
         return 0 if arguments else 2
     name, rest = arguments[0], arguments[1:]
     if name == "--version":
         print(f"pam_antagonist {importlib.import_module('pam_antagonist').__version__}")
         return 0
     if name == "--completion":
-        return int(importlib.import_module("pam_antagonist.cli.completion").main(rest, COMMANDS))
-    if name not in COMMANDS:
-        close = difflib.get_close_matches(name, COMMANDS, 1)
+        return int(importlib.import_module("pam_antagonist.cli.completion").main(rest, commands))
+    if name not in commands:
+        close = difflib.get_close_matches(name, commands, 1)
         hint = f"did you mean {close[0]}? " if close else ""
-        print(f"error: unknown command {name!r}: {hint}Expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        print(f"error: unknown command {name!r}: {hint}Expected one of {', '.join(commands)}", file=sys.stderr)
         return 2
-    module, function = COMMANDS[name].target.split(":")
+    module, function = commands[name].target.split(":")
     return int(getattr(importlib.import_module(module), function)(rest) or 0)
 
 

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.__main__ import COMMANDS
+from pam_antagonist.__main__ import COMMANDS as PRODUCT
+from validation.__main__ import COMMANDS as MEASUREMENTS
+
+COMMANDS = {**PRODUCT, **MEASUREMENTS}
 
 ROOT = Path(__file__).resolve().parents[1]
 # What ./run itself uses; the compilers and cmake are what it looks for.
@@ -33,8 +36,9 @@ def checkout(tmp_path: Path) -> Path:
     """As much of a fresh clone as ./run reads before it sets anything up."""
     for name in ("run", "requirements.txt", "setup.py", "setup.cfg"):
         shutil.copy(ROOT / name, tmp_path)
-    (tmp_path / "pam_antagonist").mkdir()
-    shutil.copy(ROOT / "pam_antagonist/__main__.py", tmp_path / "pam_antagonist")
+    for package in ("pam_antagonist", "validation"):
+        (tmp_path / package).mkdir()
+        shutil.copy(ROOT / package / "__main__.py", tmp_path / package)
     shutil.copytree(ROOT / "pam_antagonist_msgs", tmp_path / "pam_antagonist_msgs")
     return tmp_path
 

@@ -67,12 +67,13 @@ def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     lock_angle = common.lock_angle(arguments)
     given = from_options(arguments, dict(rig.calibration))
-    results = {}
+    results, measured = {}, False
     for bag in arguments.bags:
         recording = read_bag(
             bag, topics=common.topics(arguments), namespace=arguments.namespace, joint_name=arguments.joint_name,
             recover=arguments.recover, corrections=Corrections(align_clocks=given.align_clocks), judge=False,
         )  # fmt: skip
+        measured = measured or recording.angle is not None
         results[str(bag)] = check(recording, rig, arguments.joint, lock_angle, given)
         if arguments.json != "-":
             print(_text(bag, recording, rig, results[str(bag)]))
@@ -80,7 +81,9 @@ def _main(arguments: argparse.Namespace) -> int:
         print(f"\n{terminal.render(in_first_lines(rests_on))}")
     if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
         options = " ".join([f"--rig {arguments.rig} --out DIR", *from_options(arguments).options()])
-        print(f"\n{common.next_command('replay', arguments.bags, options)}")
+        # A rig that was never identified is identified first: until then a replay tells little.
+        command = "identify" if measured and not rig.identified else "replay"
+        print(f"\n{common.next_command(command, arguments.bags, options)}")
     if arguments.json:
         content = {bag: checked.as_dict() for bag, checked in results.items()}
         common.give_json(arguments.json, dumps(content) + "\n")

@@ -17,7 +17,7 @@ from pam_antagonist import __version__
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.numbers import JOBS, SEED, real
-from pam_antagonist.cli.progress import CLOSE_LOOP, SEALED_CLOSE_LOOP, planned, said_by
+from pam_antagonist.cli.progress import phases
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import corrections
@@ -162,9 +162,8 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordin
 
     cluster.refuse_for_episodes(arguments.dask)
     fitted, kept = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
-    found = episodes.diagnosed(
-        fitted, kept, rig, arguments.also, share, arguments.jobs, said_by("close_loop")
-    )  # fmt: skip
+    with phases("close_loop") as progress:
+        found = episodes.diagnosed(fitted, kept, rig, arguments.also, share, arguments.jobs, progress)
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
     if found.next_rig is None:
@@ -183,10 +182,11 @@ def _from_pressures(arguments: argparse.Namespace, rig: Rig, share: float, recor
     if arguments.resume:
         raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
     fitted, kept = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
-    found = diagnose(
-        fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=kept,
-        jobs=arguments.jobs, seed=arguments.seed, progress=said_by("close_loop"),
-    )  # fmt: skip
+    with phases("close_loop") as progress:
+        found = diagnose(
+            fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=kept,
+            jobs=arguments.jobs, seed=arguments.seed, progress=progress,
+        )  # fmt: skip
     assert isinstance(found, PressuresDiagnoseResult)
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
@@ -240,8 +240,7 @@ def _diagnosed(
 ) -> DiagnoseResult:
     from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
 
-    plan = SEALED_CLOSE_LOOP if rig.valves.sealed else CLOSE_LOOP
-    with planned("close_loop", [*fitted, *held_out], plan) as progress:
+    with phases("close_loop") as progress:
         found = diagnose(
             fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
             jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,

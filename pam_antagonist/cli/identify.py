@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
-from pam_antagonist.cli.progress import IDENTIFY, SEALED_IDENTIFY, planned, said_by
+from pam_antagonist.cli.progress import phases
 from pam_antagonist.errors import BadInput
 
 if TYPE_CHECKING:
@@ -98,10 +97,7 @@ def _run(arguments: argparse.Namespace) -> int:
     damage = given.damage(arguments, recordings)
     if damage:
         print(terminal.warnings(damage))
-    plan = SEALED_IDENTIFY if rig.valves.sealed else IDENTIFY
-    quick = from_pressures.is_for(rig)
-    how = nullcontext(said_by("identify")) if quick else planned("identify", recordings, plan)
-    with cluster.connected(arguments.dask), how as progress:
+    with cluster.connected(arguments.dask), phases("identify") as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,
@@ -135,9 +131,8 @@ def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[R
     for name in ("free", "freeze"):
         if getattr(arguments, name):
             raise BadInput(f"--{name}: which parameters are fitted to episodes cannot be chosen; leave --{name} out")
-    found = identify(
-        recordings, rig, holdout=arguments.holdout, jobs=arguments.jobs, progress=said_by("identify")
-    )  # fmt: skip
+    with phases("identify") as progress:
+        found = identify(recordings, rig, holdout=arguments.holdout, jobs=arguments.jobs, progress=progress)
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
     if found.rejected:

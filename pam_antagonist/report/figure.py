@@ -1,7 +1,7 @@
 """Figures as typed data, independent of how they are drawn.
 
-A figure holds panels. A panel holds two axes and the series on them, from back to front. Two renderers draw it:
-:mod:`pam_antagonist.report.plotly_renderer` for the page, :mod:`pam_antagonist.report.matplotlib_renderer`.
+A figure holds panels. A panel holds two axes and the series on them, from back to front.
+:mod:`pam_antagonist.report.plotly_renderer` draws it on the page.
 Colours are CSS colours of the light theme; the page maps them to the dark one.
 """
 

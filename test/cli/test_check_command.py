@@ -10,6 +10,8 @@ import pytest
 
 from pam_antagonist.cli import check, replay
 from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.write import write_rig
 
 
 @pytest.fixture(scope="session")
@@ -34,6 +36,16 @@ def test_a_good_bag_ends_with_status_0(free: Recording, capsys: pytest.CaptureFi
     assert "✗" not in out
     # What the intervals of other commands rest on comes last.
     assert out.index("each pressure follows its own valve") < out.index("Assumption: rig shin2022") < out.index("next:")
+
+
+def test_a_rig_that_was_never_identified_is_identified_next(
+    free: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert check.main([str(free.path), "--rig", "shin2022"]) == 0
+    assert f"identify {free.path} --rig shin2022 --out DIR" in capsys.readouterr().out
+    write_rig(load_rig("shin2022").replaced(identified="an earlier bag"), tmp_path / "rig.yaml")
+    assert check.main([str(free.path), "--rig", str(tmp_path / "rig.yaml")]) == 0
+    assert f"replay {free.path} --rig" in capsys.readouterr().out
 
 
 def test_what_is_wrong_is_said_with_the_option(exchanged: Path, capsys: pytest.CaptureFixture[str]) -> None:

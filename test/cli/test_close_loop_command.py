@@ -14,7 +14,7 @@ from pam_antagonist.cli.close_loop import main
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
-from pam_antagonist.validation.battery.plants import Case
+from validation.battery.plants import Case
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rig_a"
 

@@ -13,7 +13,7 @@ from joblib import Parallel, delayed
 
 from pam_antagonist.cli import close_loop, identify, simulate
 from pam_antagonist.cli.cluster import connected
-from pam_antagonist.validation.battery import command as battery
+from validation.battery import command as battery
 
 pytestmark = pytest.mark.slow
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.__main__ import main
+from pam_antagonist.__main__ import COMMANDS, main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.transport import SerialTransport
+from validation.__main__ import COMMANDS as MEASUREMENTS
 
 
 @pytest.mark.parametrize(
@@ -27,7 +28,7 @@ def test_without_ros_what_needs_it_says_so(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, absent, None)
-    assert main(arguments) == 2
+    assert main(arguments, {**COMMANDS, **MEASUREMENTS}) == 2
     said = capsys.readouterr().err
     assert f"needs ROS 2 ({absent} is not installed)" in said and said.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -75,7 +75,7 @@ def test_bash_completes_names_options_choices_and_files(tmp_path: Path, capsys: 
             [bash, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
         ).stdout.split()
 
-    assert completed("re") == ["replay", "reachable", "rehearse", "record"]
+    assert completed("re") == ["replay", "reachable", "record"]
     assert completed("replay", "--tun") == ["--tuning"]
     assert completed("identify", "bag", "--joint", "") == ["auto", "free", "locked"]
     assert completed("replay", "my_") == ["my_bag"]

@@ -11,7 +11,7 @@ from pam_antagonist.control import Box, Mode, Wanted
 from pam_antagonist.control.yielding import largest_torque
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.validation.control.loop import make_laws, run
+from validation.control.loop import make_laws, run
 
 RIG = load_rig("shin2022")
 P, BOX = RIG.parameters(), Box.of(RIG.parameters())

@@ -12,7 +12,7 @@ from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import BLOCK_S
 from pam_antagonist.model.effects import DISTURBANCE
-from pam_antagonist.validation.battery.forms import SINGLE
+from validation.battery.forms import SINGLE
 
 SEED = 13
 SIZE = 8.0

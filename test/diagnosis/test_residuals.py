@@ -14,7 +14,7 @@ from pam_antagonist.diagnosis.residual_statistics import equation_errors
 from pam_antagonist.diagnosis.selection import recalibrate
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.inference.point import Point
-from pam_antagonist.validation.battery.plants import staircase
+from validation.battery.plants import staircase
 
 STEP = 0.02
 COUNT = 1000

@@ -12,10 +12,13 @@ from pathlib import Path
 import pages
 import pytest
 
-from pam_antagonist.__main__ import COMMANDS, usage
+from pam_antagonist.__main__ import COMMANDS as PRODUCT
+from pam_antagonist.__main__ import usage
 from pam_antagonist.nodes import bridge, controller, estimator, plant
 from pam_antagonist.recording.topics import TOPICS
+from validation.__main__ import COMMANDS as MEASUREMENTS
 
+COMMANDS = {**PRODUCT, **MEASUREMENTS}
 DEVELOPMENT = {"test", "python", "colcon", "docs"}
 NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller}
 FOREIGN = {"--ros-args", "--params-file", "--enclave"}

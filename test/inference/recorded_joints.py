@@ -13,7 +13,7 @@ from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
-from pam_antagonist.validation.battery.plants import JOINTS, Case
+from validation.battery.plants import JOINTS, Case
 
 Make = Callable[..., Recording]
 

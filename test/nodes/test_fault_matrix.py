@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from pam_antagonist.validation.faults.catalogue import FAULTS
-from pam_antagonist.validation.faults.command import chosen
+from validation.faults.catalogue import FAULTS
+from validation.faults.command import chosen
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.slow]
 
@@ -18,7 +18,7 @@ MOST_IMPORTANT = (
 
 
 def test_the_valves_are_safe_in_time_and_control_comes_back() -> None:
-    from pam_antagonist.validation.faults.run import run_faults
+    from validation.faults.run import run_faults
 
     names = None if os.environ.get("PAM_PROOF") else MOST_IMPORTANT
     outcomes = run_faults(chosen(FAULTS, names), "shin2022")

@@ -21,7 +21,7 @@ from pam_antagonist.paths import config_dir
 from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.rig import load_rig
-from pam_antagonist.validation.paper.scenario import load_scenario
+from validation.paper.scenario import load_scenario
 
 DEEP = bool(os.environ.get("PAM_PROOF"))
 EXAMPLES = settings(

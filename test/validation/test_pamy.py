@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pam_antagonist.validation.pamy.command import main
+from validation.pamy.command import main
 
 EPISODES, ROWS, PERIOD = 60, 70, 0.01
 FREQUENCY, DAMPING = 40.0, 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pam_antagonist.validation.battery.outcomes import Outcome
+from validation.battery.outcomes import Outcome
 
 
 def outcome(kind: str, effects=(), verdict: str = "none", found=(), **values) -> Outcome:

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from pam_antagonist.validation.battery.forms import SINGLE, Form
-from pam_antagonist.validation.battery.remainders import group_of, known, remainder, with_law
+from validation.battery.forms import SINGLE, Form
+from validation.battery.remainders import group_of, known, remainder, with_law
 
 ONE_AN_EFFECT = list({form.effect: form for form in reversed(with_law())}.values())
 

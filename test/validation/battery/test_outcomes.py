@@ -14,9 +14,9 @@ from battery_outcomes import CREEP, DROOP, LEAK, outcome
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.validation.battery import command, outcomes, remainders, scores
-from pam_antagonist.validation.battery.draw import NOTHING_FROM, cases
-from pam_antagonist.validation.battery.plants import JOINTS, Case
+from validation.battery import command, outcomes, remainders, scores
+from validation.battery.draw import NOTHING_FROM, cases
+from validation.battery.plants import JOINTS, Case
 
 NOTHING = Errors(None, None, (np.nan, np.nan))
 

@@ -16,11 +16,11 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import load_rig
-from pam_antagonist.validation.battery import physics
-from pam_antagonist.validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, NOTHING_FROM, cases
-from pam_antagonist.validation.battery.forms import FOREIGN, SINGLE, Form
-from pam_antagonist.validation.battery.plants import JOINTS, KINDS, Case, staircase
-from pam_antagonist.validation.battery.remainders import is_other, known
+from validation.battery import physics
+from validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, NOTHING_FROM, cases
+from validation.battery.forms import FOREIGN, SINGLE, Form
+from validation.battery.plants import JOINTS, KINDS, Case, staircase
+from validation.battery.remainders import is_other, known
 
 RIG = load_rig("shin2022")
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from battery_outcomes import CREEP, DROOP, LEAK, outcome
 
-from pam_antagonist.validation.battery import page, scores
-from pam_antagonist.validation.battery.draw import LEVELS
-from pam_antagonist.validation.battery.outcomes import Candidate
-from pam_antagonist.validation.battery.remainders import Remainder
+from validation.battery import page, scores
+from validation.battery.draw import LEVELS
+from validation.battery.outcomes import Candidate
+from validation.battery.remainders import Remainder
 
 
 def test_scores() -> None:
@@ -74,7 +74,7 @@ def test_intervals_are_those_of_clopper_and_pearson() -> None:
 
 def test_small_effects_and_variations_are_reported_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     known = {"near the law": Remainder(8.0, 10.0, 5.0, 0.4), "far from it": Remainder(8.0, 10.0, 5.0, 2.0)}
-    monkeypatch.setattr("pam_antagonist.validation.battery.remainders.known", lambda: known)
+    monkeypatch.setattr("validation.battery.remainders.known", lambda: known)
     items = [
         outcome("single", [LEAK], "effect", [LEAK], form=("far from it",), reached=(7.6,)),
         outcome("single", [LEAK], "none", form=("far from it",), reached=(0.9,)),

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from pam_antagonist.validation.battery import command, outcomes
-from pam_antagonist.validation.battery.plants import Case
+from validation.battery import command, outcomes
+from validation.battery.plants import Case
 
 CASES = (
     Case("a leak", "single", (("leak", 1),), ("capillary",), 31, (15.0,)),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.validation.benchmark import command as benchmark
+from validation.benchmark import command as benchmark
 
 
 @pytest.mark.ros

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.rig import load_rig
-from pam_antagonist.validation.control import trials
-from pam_antagonist.validation.control.command import main
+from validation.control import trials
+from validation.control.command import main
 
 RIG = load_rig("shin2022")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.validation.excitation.command import main
+from validation.excitation.command import main
 
 
 def test_a_joint_is_compared_and_the_figures_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,9 +12,9 @@ import pytest
 from pam_antagonist import simulate
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.rig import load_rig
-from pam_antagonist.validation.excitation import rehearse
-from pam_antagonist.validation.excitation.pairs import usual
-from pam_antagonist.validation.excitation.sizes import Sizes
+from validation.excitation import rehearse
+from validation.excitation.pairs import usual
+from validation.excitation.sizes import Sizes
 
 RIG = load_rig("shin2022")
 

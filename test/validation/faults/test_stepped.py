@@ -17,12 +17,12 @@ def _ros() -> None:
 
 
 def test_the_offset_is_every_process_s(tmp_path: Path) -> None:
-    from pam_antagonist.validation.faults.stepped import Step
+    from validation.faults.stepped import Step
 
     here = Step(tmp_path / "step", new=True)
     assert here.ns == 0
     code = (
-        "import sys\nfrom pam_antagonist.validation.faults.stepped import Step, Path\nstep = Step(Path(sys.argv[1]))\n"
+        "import sys\nfrom validation.faults.stepped import Step, Path\nstep = Step(Path(sys.argv[1]))\n"
     )
     code += "print(step.ns, flush=True)\nsys.stdin.readline()\nprint(step.ns)\nstep.ns = 7"
     with subprocess.Popen(
@@ -36,7 +36,7 @@ def test_the_offset_is_every_process_s(tmp_path: Path) -> None:
 
 
 def test_a_node_s_time_has_the_step_in_it(tmp_path: Path) -> None:
-    from pam_antagonist.validation.faults.stepped import Step, stepped
+    from validation.faults.stepped import Step, stepped
 
     step = Step(tmp_path / "step", new=True)
     now_ns = stepped(lambda node: 1000, step)
@@ -46,13 +46,13 @@ def test_a_node_s_time_has_the_step_in_it(tmp_path: Path) -> None:
 
 
 def test_the_node_is_run_as_ever(tmp_path: Path) -> None:
-    from pam_antagonist.validation.faults.stepped import Step
+    from validation.faults.stepped import Step
 
     Step(tmp_path / "step", new=True)
     command = [
         sys.executable,
         "-m",
-        "pam_antagonist.validation.faults.stepped",
+        "validation.faults.stepped",
         "estimator",
         str(tmp_path / "step"),
         "--help",

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pam_antagonist.hardware.emulator import LOG_HEADER
-from pam_antagonist.validation.faults.valve_log import (
+from validation.faults.valve_log import (
     BRIDGE_SAFE,
     CONTROLLER_SAFE,
     Row,

@@ -12,12 +12,12 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.line_faults import parse_fault
 from pam_antagonist.strict_json import plain
-from pam_antagonist.validation.faults import table
-from pam_antagonist.validation.faults.catalogue import FAULTS, RELAYED
-from pam_antagonist.validation.faults.causes import AtDevice, Killed, Messages
-from pam_antagonist.validation.faults.command import chosen
-from pam_antagonist.validation.faults.command import main as command
-from pam_antagonist.validation.faults.fault import (
+from validation.faults import table
+from validation.faults.catalogue import FAULTS, RELAYED
+from validation.faults.causes import AtDevice, Killed, Messages
+from validation.faults.command import chosen
+from validation.faults.command import main as command
+from validation.faults.fault import (
     Fault,
     Observed,
     Outcome,
@@ -27,8 +27,8 @@ from pam_antagonist.validation.faults.fault import (
     Wanted,
     judge,
 )
-from pam_antagonist.validation.faults.relay import Line, Order, parse_order
-from pam_antagonist.validation.faults.valve_log import BRIDGE_SAFE, Row
+from validation.faults.relay import Line, Order, parse_order
+from validation.faults.valve_log import BRIDGE_SAFE, Row
 
 MS = 1_000_000
 ON = (6.0, 5.0)
@@ -205,7 +205,7 @@ def test_what_a_relay_does_to_messages() -> None:
 def test_the_table_as_json_on_standard_output(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = pytest.importorskip("pam_antagonist.validation.faults.run", exc_type=ImportError)
+    run = pytest.importorskip("validation.faults.run", exc_type=ImportError)
 
     def made(faults: list[Fault], rig: str, done: Any) -> list[Outcome]:
         outcome = judge(faults[0], seen((121, BRIDGE_SAFE), (310, ON)))

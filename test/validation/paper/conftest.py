@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pam_antagonist.validation.paper.scenario import Hysteresis, Mismatch, Scenario, load_scenario
+from validation.paper.scenario import Hysteresis, Mismatch, Scenario, load_scenario
 
 
 @pytest.fixture(scope="session")

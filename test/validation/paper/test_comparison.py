@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pam_antagonist.validation.paper.comparison import Model, comparison_table, ranked
-from pam_antagonist.validation.paper.result import Beside, Context, Result, Spread
+from validation.paper.comparison import Model, comparison_table, ranked
+from validation.paper.result import Beside, Context, Result, Spread
 
 MODELS = (Model("a", "A", (1.0, 1.0, 0.1)), Model("b", "B", (2.0, 2.0, 0.2)), Model("c", "C fitted", None))
 

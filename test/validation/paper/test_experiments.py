@@ -9,9 +9,9 @@ import pytest
 
 from pam_antagonist.control import Mode
 from pam_antagonist.control.tracking import tracking
-from pam_antagonist.validation.paper import bench, control, influence, kappa, offline
-from pam_antagonist.validation.paper.scenario import Hysteresis
-from pam_antagonist.validation.paper.seed_work import Errors, SeedWork, figures_of
+from validation.paper import bench, control, influence, kappa, offline
+from validation.paper.scenario import Hysteresis
+from validation.paper.seed_work import Errors, SeedWork, figures_of
 
 
 def test_without_mismatch_only_the_sensors_noise_is_left(exact):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.estimation import metrics
-from pam_antagonist.validation.paper import linear
+from validation.paper import linear
 
 
 def _linear_joint(seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from pam_antagonist.validation.paper import live, online
-from pam_antagonist.validation.paper.result import Context
-from pam_antagonist.validation.paper.scenario import START
-from pam_antagonist.validation.paper.seed_work import SeedWork
+from validation.paper import live, online
+from validation.paper.result import Context
+from validation.paper.scenario import START
+from validation.paper.seed_work import SeedWork
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.slow]
 SECONDS = 6.0

@@ -14,11 +14,11 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel
-from pam_antagonist.validation.paper import docs, page
-from pam_antagonist.validation.paper.command import main
-from pam_antagonist.validation.paper.experiments import EXPERIMENTS
-from pam_antagonist.validation.paper.result import Result
-from pam_antagonist.validation.paper.scenario import Scenario
+from validation.paper import docs, page
+from validation.paper.command import main
+from validation.paper.experiments import EXPERIMENTS
+from validation.paper.result import Result
+from validation.paper.scenario import Scenario
 
 QUICK = ["static", "influence"]
 

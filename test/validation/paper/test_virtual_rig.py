@@ -10,8 +10,8 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.simulation.plant import Plant
-from pam_antagonist.validation.paper import scenario as scenarios
-from pam_antagonist.validation.paper.scenario import VirtualRig, drive, load_scenario, virtual_rig
+from validation.paper import scenario as scenarios
+from validation.paper.scenario import VirtualRig, drive, load_scenario, virtual_rig
 
 
 @pytest.mark.parametrize("joint", ["free", "locked"])

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.validation.pushes import trial
-from pam_antagonist.validation.pushes.command import main
+from validation.pushes import trial
+from validation.pushes.command import main
 
 
 def test_figures_are_those_of_a_known_estimate() -> None:

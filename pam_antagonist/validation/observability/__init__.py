@@ -1,1 +1,0 @@
-"""What can be known of angle and torque from outside, by which sensor, from the model alone."""

@@ -1,0 +1,40 @@
+"""``python -m validation NAME ...`` or ``./run NAME ...``: measurements of the product, from a checkout."""
+
+from __future__ import annotations
+
+import sys
+
+from pam_antagonist.__main__ import Command, main
+
+COMMANDS: dict[str, Command] = {
+    "paper": Command("validation.paper.command:main", "repeat every experiment of the paper on simulated joints"),
+    "benchmark": Command("validation.benchmark.command:main", "measure the speed of estimator, pipeline and replay"),
+    "battery": Command("validation.battery.command:main", "measure how often close_loop is right, on simulated joints"),
+    "control_laws": Command("validation.control.command:main", "compare the laws of control, on simulated joints"),
+    "external_torque": Command(
+        "validation.pushes.command:main",
+        "measure how well a torque from outside is estimated, on simulated joints",
+    ),
+    "excitation": Command(
+        "validation.excitation.command:main",
+        "compare designed experiments with random steps, on simulated joints",
+    ),
+    "tell_apart": Command(
+        "validation.excitation.pairs:main",
+        "test whether designed experiments distinguish similar effects",
+    ),
+    "rehearse": Command(
+        "validation.excitation.rehearse:main", "run commission on simulated joints with a known effect"
+    ),
+    "pamy": Command("validation.pamy.command:main", "apply close_loop to the recording of a real arm with regulators"),
+    "faults": Command(
+        "validation.faults.command:main",
+        "make every fault in a running pipeline and report what the valves did",
+    ),
+}
+"""Name of a measurement -> description."""
+
+PLACES = {"Benchmarks and validation": "validation."}
+
+if __name__ == "__main__":
+    sys.exit(main(None, COMMANDS, PLACES))
