@@ -100,9 +100,7 @@ class Bench:
             self.watcher.watch_valves()
         if self._relayed:
             arguments = [str(self.folder / "relay_orders"), str(self.domain), *self._relayed]
-            self.processes.start(
-                "relay", arguments, self._environment(), module="validation.faults.relay"
-            )
+            self.processes.start("relay", arguments, self._environment(), module="validation.faults.relay")
         names = ("estimator", "controller", "plant" if self._simulated else "bridge")
         for name in names:
             self.start(name)
@@ -136,9 +134,7 @@ class Bench:
             self.processes.start(name, arguments, self._environment())
         else:
             arguments = [str(self._step), *arguments]
-            self.processes.start(
-                name, arguments, self._environment(), module="validation.faults.stepped"
-            )
+            self.processes.start(name, arguments, self._environment(), module="validation.faults.stepped")
 
     def record(self, out: Path) -> None:
         """Start a recorder."""

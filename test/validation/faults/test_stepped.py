@@ -21,9 +21,7 @@ def test_the_offset_is_every_process_s(tmp_path: Path) -> None:
 
     here = Step(tmp_path / "step", new=True)
     assert here.ns == 0
-    code = (
-        "import sys\nfrom validation.faults.stepped import Step, Path\nstep = Step(Path(sys.argv[1]))\n"
-    )
+    code = "import sys\nfrom validation.faults.stepped import Step, Path\nstep = Step(Path(sys.argv[1]))\n"
     code += "print(step.ns, flush=True)\nsys.stdin.readline()\nprint(step.ns)\nstep.ns = 7"
     with subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path / "step")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
