@@ -15,12 +15,13 @@ pressures follow from what was measured, and a loop of pressures brings them abo
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.design.limits import Limits
 from pam_antagonist.errors import BadInput
@@ -63,16 +64,16 @@ _SWING = 0.12
 """Largest swing beyond the angle at rest, as a share of the limit, for the next move to be faster."""
 
 
-class Program(Protocol):
-    """What drives a joint, sample by sample, by what was measured."""
+class Program(ABC):
+    """What drives a joint, sample by sample, by what was measured.
 
-    @property
-    def confined(self) -> bool:
-        """Whether the angle has to be within its limit by now; a joint without air hangs as it likes."""
+    Attributes:
+        confined: whether the angle has to be within its limit by now; a joint without air hangs as it likes.
+        seconds: length at most [s].
+    """
 
-    @property
-    def seconds(self) -> float:
-        """Length at most [s]."""
+    confined = False
+    seconds = math.inf
 
     def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         """Commands for the next sample; None at the end.
@@ -82,6 +83,10 @@ class Program(Protocol):
             pressure: measured (2,) [Pa].
             angle: measured [rad].
         """
+        return self._commanded(time, pressure, angle)
+
+    @abstractmethod
+    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None: ...
 
 
 @dataclass
@@ -101,14 +106,12 @@ class Pulse:
     level: Floats
 
 
-class FirstAir:
+class FirstAir(Program):
     """Open one valve after the other, slowly, until a pressure rises.
 
     Args:
         rig: the joint.
     """
-
-    confined = False
 
     def __init__(self, rig: Rig) -> None:
         self._low, self._high = rig.command_limits
@@ -120,14 +123,10 @@ class FirstAir:
         self._before, self._angle = np.zeros(2), 0.0
         self._peak = np.zeros(2)
         self.pulses: list[Pulse] = []
+        self.seconds = _SETTLE_S + 2.0 * (_RAMP_S + _HOLD_S + _VENT_S)
 
-    @property
-    def seconds(self) -> float:
-        """Length at most [s]."""
-        return _SETTLE_S + 2.0 * (_RAMP_S + _HOLD_S + _VENT_S)
-
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        """See :class:`Program`."""
+    @override
+    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         out, elapsed, own = [self._low, self._low], time - self._since, self._valve
         if self._phase == "settle":
             if elapsed < _SETTLE_S:
@@ -161,7 +160,7 @@ class FirstAir:
         self._phase, self._since = phase, time
 
 
-class _Confined:
+class _Confined(Program):
     """What slow and quick turns share: mean and half difference of the wanted pressures, and the encoder's rate."""
 
     def __init__(self, rig: Rig, limits: Limits, towards: Towards) -> None:
@@ -225,14 +224,10 @@ class Slow(_Confined):
         self._turns = [(share, turn) for share, turns in zip(_COMMON, _TURNS, strict=True) for turn in (0.0, *turns)]
         self._k, self._since, self._arrived = 0, 0.0, -1.0
         self.unreached = 0
+        self.seconds = _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * len(self._turns)
 
-    @property
-    def seconds(self) -> float:
-        """Length at most [s]."""
-        return _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * len(self._turns)
-
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        """See :class:`Program`."""
+    @override
+    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         self._see(time, angle)
         if self._k == len(self._turns):
             return None
@@ -268,7 +263,8 @@ class Quick(_Confined):
         self, rig: Rig, limits: Limits, towards: Towards, slow: Recording, seconds: float, seed: int = 0
     ) -> None:
         super().__init__(rig, limits, towards)
-        self._seconds, self._rng = seconds, np.random.default_rng(seed)
+        self._length, self._rng = seconds, np.random.default_rng(seed)
+        self.seconds = seconds + _CENTRE_S
         self._map, self._reach = _held_by(slow, self._angle_limit)
         self._move_s, self._size, self._turned_back = _MOVES_S[0], 0.5, False
         self._from = self._to = (self._mean, 0.0)
@@ -276,17 +272,12 @@ class Quick(_Confined):
         self._begun, self._next, self._end, self._ready = 0.0, math.inf, math.inf, False
 
     @property
-    def seconds(self) -> float:
-        """Length at most [s]."""
-        return self._seconds + _CENTRE_S
-
-    @property
     def fastest(self) -> float:
         """Duration of the last moves [s]."""
         return self._move_s
 
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        """See :class:`Program`."""
+    @override
+    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         self._see(time, angle)
         if not self._ready:
             # Fill the muscles, with the joint in the middle, as in the beginning.
@@ -298,7 +289,7 @@ class Quick(_Confined):
                 self.confined = self._ready = True
                 self._begun = self._next = time
                 self._start = self._least = self._most = self._last
-                self._end = time + self._seconds
+                self._end = time + self._length
                 self._to = self._mean, self._half
             return self._commands(pressure)
         if time >= self._end:

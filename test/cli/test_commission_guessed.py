@@ -92,4 +92,4 @@ def test_gains_go_by_the_sample_period_and_the_regulators(tmp_path: Path) -> Non
         (tmp_path / drive).mkdir()
         found[drive] = gains_for(guess(tmp_path / drive, drive).replaced(sample_period=period))
     assert found["regulators"].bandwidth < found["valves"].bandwidth
-    assert found["regulators"].integral < found["valves"].integral
+    assert found["regulators"].integral <= found["valves"].integral
