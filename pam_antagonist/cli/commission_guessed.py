@@ -14,11 +14,10 @@ from typing_extensions import override
 
 from pam_antagonist.checks.wiring import guessed
 from pam_antagonist.cli.commission_steps import Commission, StepFailed
-from pam_antagonist.cli.rehearsal import explore
+from pam_antagonist.cli.driving import explored
 from pam_antagonist.control.model_law import ModelGains, voltage_towards
 from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
 from pam_antagonist.design.first_fill import pulse_faults
-from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig, load_rig
 
@@ -59,11 +58,6 @@ class GuessedCommission(Commission):
         Raises:
             StepFailed: it ended early.
         """
-        if self._owner.source != "rehearsal":
-            raise BadInput(
-                f"rig {self._rig.name} was never identified: so far commission drives such a joint in a rehearsal only "
-                "(--source rehearsal); record and identify by hand, see docs/how-to/your_rig.md"
-            )
         folder = self._record.attempt(name)
         limits = self._limits
         document = {
@@ -72,15 +66,13 @@ class GuessedCommission(Commission):
             "limits": {"pressure_pa": list(limits.pressure), "angle_rad": limits.angle, "rate_rad_s": limits.rate},
         }
         (folder / "plan.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        joint = load_rig(self._owner.rig, regulators=True)
         self._at(name, "driving the joint", program.seconds)
-        samples, ended = explore(joint, program, limits, self._owner.seed, self._owner.mismatch, folder / "bag")
-        if ended:
+        if ended := explored(self._owner, self._rig, program, limits, folder):
             raise StepFailed(
                 f"{name}: the experiment ended early, {ended}; let the air out, and give wider limits if the rig "
                 "allows it (--max-angle, --max-pressure)"
             )
-        seconds = len(samples) * self._rig.sample_period
+        seconds = read_bag(folder / "bag", judge=False).duration_s
         return {"bag": str((folder / "bag").relative_to(self._out)), "rig_s": seconds}
 
     def _towards(self) -> Towards:

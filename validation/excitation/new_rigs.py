@@ -41,6 +41,8 @@ _EXAMPLES = """\
 examples:
   {run} rehearse_new_rigs --out rehearsed
 """
+_MOVES_S = 40.0
+"""[s] Of the quick moves, at the end of their recording."""
 _SEED, _HOLD_S, _LAST_S = 1, 5.0, 1.0
 _ALLOWED_DEG, _ALLOWED_SHARE = 1.0, 0.03
 """Largest error of the controlled joint at rest [deg], or as a share of its range."""
@@ -208,9 +210,9 @@ def _beyond(out: Path) -> float:
     limit = json.loads((bag.parent / "plan.json").read_text(encoding="utf-8"))["limits"]["angle_rad"]
     angle = read_bag(bag, judge=False).angle
     assert angle is not None
-    # The muscles are filled first; the limb hangs as it likes until then.
-    inside = np.flatnonzero(np.abs(angle) < 0.5 * limit)
-    return math.degrees(float(np.max(np.abs(angle[inside[0] :]))) - limit)
+    # The muscles are filled first; the joint hangs as it likes until then.
+    moves = round(_MOVES_S / load_rig(out.parent / "rig.yaml", regulators=True).sample_period)
+    return math.degrees(float(np.max(np.abs(angle[-moves:]))) - limit)
 
 
 def controlled(folder: Path) -> dict[str, Any]:
