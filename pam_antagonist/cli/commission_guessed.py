@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +42,10 @@ def gains_for(rig: Rig) -> ModelGains:
     if rig.drive == "regulator":
         lag = rig.effects.get("regulator_lag", {})
         slowest = min((value for name, value in lag.items() if name.startswith("frequency")), default=math.inf)
-        integral = min(integral, 0.15 * slowest)
-    return replace(usual, bandwidth=min(usual.bandwidth, _SAMPLES / rig.sample_period), integral=integral)
+        integral = min(integral, 0.05 * slowest)
+    # The torque against friction changes its side late behind a regulator: it fades over a wider distance.
+    approach = usual.approach if rig.drive == "valve" else 3.0 * usual.approach
+    return ModelGains(min(usual.bandwidth, _SAMPLES / rig.sample_period), integral, approach)
 
 
 class GuessedCommission(Commission):
