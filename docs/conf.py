@@ -68,6 +68,7 @@ NAVIGATION = {
         "rehearsals",
         "evidence/identification",
         "evidence/other_rigs",
+        "evidence/new_rig_rehearsals",
         "evidence/force_map",
         "paper",
         "faults",

@@ -197,9 +197,11 @@ def rehearsed(described: Described, seed: int, folder: Path) -> dict[str, Any]:
     outcome = {
         "rig": described.name,
         "status": status,
-        "said": next((step["said"] for step in steps.values() if not step["done"]), steps["identify"]["said"]),
+        "said": next(
+            (step["said"] for step in steps.values() if not step["done"]), steps.get("identify", {}).get("said", "")
+        ),
         "rig_s": sum(step.get("rig_s", 0.0) for step in steps.values()),
-        "beyond_deg": _beyond(out) if "quick" in steps else None,
+        "beyond_deg": _beyond(out) if steps.get("quick", {}).get("done") else None,
     }
     return {**outcome, **(controlled(folder) if status == common.DONE else {})}
 
