@@ -18,6 +18,7 @@ from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fit
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.command_driven import pressures
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.schema import limits
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +59,8 @@ def unknowns(rig: Rig) -> list[Unknown]:
 
 
 def _positive(path: str, rig: Rig, share: float, low: float = 0.0, high: float = math.inf) -> Unknown:
-    return Unknown(path, (path,), rig.value(path), share, True, low, high)
+    least, most = limits(path)
+    return Unknown(path, (path,), rig.value(path), share, True, max(low, least), min(high, most))
 
 
 def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats, NDArray[np.bool_]]:

@@ -54,7 +54,11 @@ _FIRST_SHARE = 0.01
 """First standard deviation of the unknown torque, as a share of a muscle's torque."""
 _CLEARLY = 0.8
 """Share of the squared error below which another process noise is taken than the configured one."""
-_ROUNDS = 3
+_ROUNDS = 6
+_CLOSE = math.log(1.05)
+"""The interval's width need not be closer."""
+_LARGEST_STEP = (math.log(0.1), math.log(10.0))
+"""Of the logarithm of the torque."""
 _MARGIN = 1.05
 """Fitted recordings have smaller errors than others will have."""
 
@@ -160,23 +164,40 @@ def with_unknown_torque(
         jobs: threads.
         progress: called with what is being done.
     """
-    torque, noise = _FIRST_SHARE * torque_scale(rig), rig.sensors.error("angle")
-    share = math.nan
+    noise, seen = rig.sensors.error("angle"), []
+    torque = _FIRST_SHARE * torque_scale(rig)
     for number in range(_ROUNDS):
         if progress:
-            progress(f"covariance of the angle, run {number + 1} of {_ROUNDS}")
+            progress(f"covariance of the angle, run {number + 1} of {_ROUNDS} at most")
         now = rig.replaced(uncertainty={**rig.uncertainty, UNKNOWN_TORQUE: torque})
         parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(_errors)(now, *item) for item in recordings)
         error, std = (np.concatenate(column) for column in zip(*parts, strict=True))
-        share = float(np.mean(np.abs(error) <= 1.96 * np.hypot(std, noise)))
-        if number == _ROUNDS - 1:
-            break
-        # Errors within the encoder's own noise need no torque; the interval grows in proportion to it.
+        # Errors within the encoder's own noise need no torque.
         beyond = np.sqrt(np.maximum((error / 1.96) ** 2 - noise**2, 0.0)) / np.maximum(std, 1e-9)
-        factor = _MARGIN * float(np.quantile(beyond, _COVERED)) if number == _ROUNDS - 2 else float(
-            np.quantile(beyond, _COVERED))  # fmt: skip
-        torque *= min(max(factor, 0.05), 50.0)
-    return Covered(now, torque, share)
+        lacking = float(np.clip(math.log(_MARGIN * max(float(np.quantile(beyond, _COVERED)), 1e-9)), *_LARGEST_STEP))
+        share = float(np.mean(np.abs(error) <= 1.96 * np.hypot(std, noise)))
+        seen.append((abs(lacking), math.log(torque), lacking, Covered(now, torque, share)))
+        if abs(lacking) < _CLOSE:
+            break
+        torque = math.exp(_next(seen))
+    return min(seen, key=lambda item: item[0])[-1]
+
+
+def _next(seen: Sequence[tuple[float, float, float, Covered]]) -> float:
+    """Logarithm of the next torque to try.
+
+    The interval grows with the torque, but not in proportion where the joint sticks or nears its stop. Between a torque
+    that is too small and one that is too large, a straight line is taken.
+
+    Args:
+        seen: of each torque the logarithm, and by how much the logarithm of the interval's width falls short.
+    """
+    below = max(((at, lacks) for _, at, lacks, _ in seen if lacks > 0.0), default=None)
+    above = min(((at, lacks) for _, at, lacks, _ in seen if lacks <= 0.0), default=None)
+    if below is None or above is None or below[0] >= above[0]:
+        return seen[-1][1] + seen[-1][2]
+    share = below[1] / (below[1] - above[1])
+    return below[0] + min(max(share, 0.1), 0.9) * (above[0] - below[0])
 
 
 def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:

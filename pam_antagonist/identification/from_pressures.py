@@ -54,7 +54,6 @@ from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
 from pam_antagonist.rig.write import refusal
 
 __all__ = ["FromPressures", "Held", "concluded", "fitted_until", "identify", "parts_of", "with_joint"]
@@ -68,13 +67,8 @@ _SEPARATE = 0.5
 
 
 def is_for(rig: Rig) -> bool:
-    """Whether effects are searched in this way: its muscles are braided ones or of a data sheet, its chambers open."""
-    return (rig.model.force == "braided" or is_from_data_sheet(rig)) and not rig.valves.sealed
-
-
-def base_model(rig: Rig) -> Rig:
-    """The rig with the laws that are fitted; values of a data sheet become those of the laws."""
-    return with_base_laws(rig) if is_from_data_sheet(rig) else rig
+    """Whether effects are searched in this way: its muscles are braided ones, its chambers open."""
+    return rig.model.force == "braided" and not rig.valves.sealed
 
 
 def identify(
@@ -110,7 +104,7 @@ def identify(
     progress = progress or (lambda text: None)
     options = Options(tuple(free), tuple(frozen), holdout, starts, seed)
     ends = fitted_until(recordings, holdout, whole)
-    model = base_model(rig)
+    model = rig
     runs = checked(recordings, ends, model)
     unknown, unknown_air, notes = _chosen(model, runs, options)
     refine = not is_guessed(model)
@@ -228,7 +222,7 @@ def concluded(
         said_before: notes for the user.
     """
     progress = progress or (lambda text: None)
-    own, corrected = with_joint(model or base_model(rig), joint, recordings)
+    own, corrected = with_joint(model or rig, joint, recordings)
     if air is not None:
         own = moved(own, parameters(air.unknowns, air.values))
     runs = moving_parts(own, corrected, ends)
@@ -247,7 +241,7 @@ def concluded(
     final = (joint, air)
     if is_guessed(rig):
         progress("all of the data")
-        final = _from_all(recordings, model or base_model(rig), joint, air, jobs)
+        final = _from_all(recordings, model or rig, joint, air, jobs)
     result = _delivered(covered.rig, rig, *final)
     if final[0] is not joint and refusal(result):  # no possible rig
         final = (joint, air)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from other_rigs import HANGING, LATE_S, WEIGHT, ZERO_ERROR, braided, described, drawn, recorded
+from other_rigs import HANGING, LATE_S, WEIGHT, ZERO_ERROR, described, drawn, recorded
 
 from pam_antagonist import identify
 from pam_antagonist.cli import identify as command
@@ -79,7 +79,8 @@ def test_what_is_found_is_true_within_its_errors(found: FromPressures) -> None:
     assert found.joint.stds[DELAY] < 0.5 * LATE_S
     assert found.air is not None
     assert found.air.values["valve_1.overlap"] == pytest.approx(0.52, abs=0.005)
-    assert any("The angle is late" in note for note in found.notes)
+    late = found.joint.values[DELAY] > 5.0 * found.joint.stds[DELAY]
+    assert any("The angle is late" in note for note in found.notes) == late
 
 
 def test_the_file_has_what_all_of_the_data_determine(found: FromPressures) -> None:
@@ -273,19 +274,15 @@ def test_what_is_frozen_stays_and_what_is_freed_moves(trials: list[Recording]) -
 
 
 @pytest.mark.slow(20)
-@pytest.mark.parametrize(
-    ("lab", "most", "sheet"), [("elbow", 0.4, (1500.0, 6e5, 0.25)), ("wrist", 1.0, (291.0, 4e5, 0.14))]
-)
+@pytest.mark.parametrize(("lab", "most"), [("elbow", 0.4), ("wrist", 1.0)])
 def test_recordings_of_other_laboratories(
-    lab: str, most: float, sheet: tuple[float, float, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lab: str, most: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Their simulators share nothing with this package. The held-out recordings were not given to the command."""
     if not STRANGERS.is_dir():
         pytest.skip("the recordings of other laboratories are not part of this repository")
     known = yaml.safe_load((STRANGERS / lab / "knows.yaml").read_text())
-    assert new_rig.main(["--out", str(tmp_path / "typed.yaml"), *map(str, known["new_rig"])]) == 0
-    typed = load_rig(str(tmp_path / "typed.yaml"), regulators=True)
-    write_rig(typed if typed.model.force == "braided" else braided(typed, *sheet), tmp_path / "rig.yaml", [])
+    assert new_rig.main(["--out", str(tmp_path / "rig.yaml"), *map(str, known["new_rig"])]) == 0
     use: dict[str, list[str]] = {"fit": [], "held_out": [], "extra": []}
     for name, about in known["recordings"].items():
         bag = name.split(".")[0]
