@@ -69,6 +69,7 @@ NAVIGATION = {
         "evidence/identification",
         "evidence/other_rigs",
         "evidence/peers",
+        "evidence/new_rig_rehearsals",
         "evidence/force_map",
         "paper",
         "faults",

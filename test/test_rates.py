@@ -13,11 +13,13 @@ import pytest
 from pam_antagonist.checks.check import check_recording
 from pam_antagonist.diagnosis import diagnose
 from pam_antagonist.estimation import Estimator, simulate_model
+from pam_antagonist.identification.air_stage import fit_air
+from pam_antagonist.identification.joint_stage import from_parameter
+from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.free_parameters import free_parameters, moved
-from pam_antagonist.inference.joint_fit import joint_fit
-from pam_antagonist.inference.joint_problem import JointProblem
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.recording import Recording, read_bag, write_bag
+from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.replays import ReplayReport, replay
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
@@ -164,9 +166,10 @@ def test_blocks_are_20_ms(hz: int) -> None:
 def test_a_wrong_orifice_area_is_identified(hz: int) -> None:
     name = "valve_1.inflow_area"
     wrong = moved(RIG, {name: 1.04 * RIG.value(name)})
-    trial = make_trial(recorded(hz, "locked"), wrong, "locked", 0.0, "locked")
-    free = [item for item in free_parameters(wrong) if item.name == name]
-    found = joint_fit(JointProblem(wrong, [trial], free), rounds=2)
+    free = [from_parameter(item) for item in free_parameters(wrong) if item.name == name]
+    recording = recorded(hz, "locked")
+    found = fit_air(wrong, runs_of(recording, joint_condition(recording), ""), 0.0, free=free, refine=True)
+    assert found is not None
     assert found.values[name] == pytest.approx(RIG.value(name), rel=0.01)
 
 

@@ -28,6 +28,10 @@ COMMANDS: dict[str, Command] = {
     "rehearse": Command(
         "validation.excitation.rehearse:main", "run commission on simulated joints with a known effect"
     ),
+    "rehearse_new_rigs": Command(
+        "validation.excitation.new_rigs:main",
+        "run commission on twelve rigs of new_rig and joints drawn from their priors",
+    ),
     "pamy": Command("validation.pamy.command:main", "apply close_loop to the recording of a real arm with regulators"),
     "faults": Command(
         "validation.faults.command:main",

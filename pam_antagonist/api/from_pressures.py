@@ -1,4 +1,4 @@
-"""Results of ``identify`` and ``diagnose`` for a rig whose muscles have the force of a data sheet."""
+"""Results of ``diagnose`` for a rig whose muscles have the force of a data sheet."""
 
 from __future__ import annotations
 
@@ -12,100 +12,21 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Tried
 from pam_antagonist.diagnosis.from_pressures import diagnose as _diagnose
-from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.filter_stage import Given
-from pam_antagonist.identification.from_pressures import FromPressures, is_for
-from pam_antagonist.identification.from_pressures import identify as _identify
+from pam_antagonist.identification.from_pressures import is_for
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.recording import recording_hash
 from pam_antagonist.report import close_loop_from_pressures as diagnosis_pages
 from pam_antagonist.report import html, terminal
-from pam_antagonist.report import identify_from_pressures as pages
-from pam_antagonist.report.identify_findings import do_not_use
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal, write_rig, write_unread
+from pam_antagonist.rig.write import refusal, write_rig
 from pam_antagonist.shown import Shown
 
-__all__ = ["PressuresDiagnoseResult", "PressuresIdentifyResult", "diagnosed", "identified", "is_for"]
+__all__ = ["PressuresDiagnoseResult", "diagnosed", "is_for"]
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PressuresIdentifyResult(Shown):
-    """A rig that was identified from measured pressures and motion.
-
-    Attributes:
-        rig: with the identified values, noise and covariance.
-        found: all results.
-        hashes: SHA-256 of the recordings.
-    """
-
-    rig: Rig
-    found: FromPressures
-    hashes: tuple[str, ...]
-
-    @override
-    def _brief(self) -> str:
-        return f"rig {self.rig.name}; .summary() has the errors"
-
-    @property
-    def rejected(self) -> str:
-        """Why the identified rig should not be used, in a sentence; empty if it may."""
-        return self.found.rejected
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the user should know, the rejection first."""
-        return (*([self.rejected] if self.rejected else []), *self.found.notes)
-
-    @property
-    def report(self) -> Mapping[str, Any]:
-        """The numbers of ``report.json``."""
-        return pages.numbers(self.found, self.hashes)
-
-    def summary(self) -> str:
-        """The tables that the command prints."""
-        return terminal.render(pages.summary(self.found))
-
-    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
-        """Write ``rig.yaml``, ``report.html`` and ``report.json``; a rejected rig is ``rig_rejected.yaml``.
-
-        Args:
-            path: of a new folder.
-            figures: False leaves the figures out of the page.
-            overwrite: whether an earlier result there is replaced.
-
-        Returns:
-            The folder.
-
-        Raises:
-            BadInput: the folder exists, or cannot be written.
-        """
-        names = ", ".join(name for name, _ in self.found.fitted)
-        about = [f"By pam_antagonist identify, from rig {self.found.start.name} and {names}."]
-        if self.rejected:
-            about = [*textwrap.wrap(do_not_use(self.rejected), 110), *about]
-        with output_folder(Path(path), overwrite=overwrite) as folder:
-            html.write(folder, pages.document(self.found, self.hashes, figures), self.report)
-            if self.rejected:
-                write_unread(self.rig, folder / "rig_rejected.yaml", about)
-            else:
-                write_rig(self.rig, folder / "rig.yaml", about)
-        return Path(path)
-
-    def to_dataframe(self) -> DataFrame:
-        """A row for each value: start, value and standard error (needs pandas)."""
-        with needs("import", "a data frame"):
-            import pandas as pd
-        rows = [
-            (name, entry["start"], entry["value"], entry["std"])
-            for part in self.report["values"].values()
-            for name, entry in part.items()
-        ]
-        return pd.DataFrame(rows, columns=["parameter", "start", "value", "std"]).set_index("parameter")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -229,39 +150,3 @@ def diagnosed(
     """
     found = _diagnose(recordings, rig, holdout, seed, jobs, progress, whole)
     return PressuresDiagnoseResult(rig, found, tuple(recording_hash(one) for one, _, _ in recordings))
-
-
-def identified(
-    recordings: Sequence[Given],
-    rig: Rig,
-    chosen: Sequence[str],
-    holdout: float,
-    starts: int,
-    seed: int,
-    jobs: int,
-    progress: Callable[[str], None] | None,
-) -> PressuresIdentifyResult:
-    """Identify a rig from its measured pressures.
-
-    Args:
-        recordings: each with its joint's condition and a name.
-        rig: with forces of the form ``braided``.
-        chosen: parameters that the caller chose to free or to hold; must be empty, because the choice is fixed.
-        holdout: share of the data that is held out.
-        starts: number of starts of the joint's fit.
-        seed: of the further starts.
-        jobs: threads.
-        progress: called with a text about each step.
-
-    Raises:
-        BadInput: chosen parameters, or recordings that allow no identification.
-    """
-    if chosen:
-        raise BadInput(f"{chosen[0]}: which parameters of this rig are fitted cannot be chosen; leave it out")
-    found = _identify(recordings, rig, holdout, starts, seed, jobs, progress)
-    names = ", ".join(name for name, _ in found.fitted)
-    source = " ".join(f"identified from {names}; started from: {rig.source.strip()}".split())
-    named = found.rig.replaced(name=f"{rig.name.removesuffix('_identified')}_identified", source=source)
-    return PressuresIdentifyResult(
-        named.replaced(identified=names), found, tuple(recording_hash(one) for one, _, _ in recordings)
-    )

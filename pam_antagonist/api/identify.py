@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import textwrap
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -12,15 +13,14 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from pam_antagonist.api import episodes, from_pressures
+from pam_antagonist.api import episodes
 from pam_antagonist.api.episodes import EpisodesIdentifyResult
-from pam_antagonist.api.from_pressures import PressuresIdentifyResult
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.from_pressures import FromPressures, is_for
+from pam_antagonist.identification.from_pressures import identify as _identify
 from pam_antagonist.identification.sealed import SealedIdentified, identify_sealed
-from pam_antagonist.identification.session import Identified, Options
-from pam_antagonist.identification.session import identify as _identify
 from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
@@ -62,7 +62,7 @@ class IdentifyResult(Shown):
     own: tuple[Rig, ...]
     warnings: tuple[str, ...]
     report: IdentifyReport | sealed.SealedReport
-    found: Identified | SealedIdentified
+    found: FromPressures | SealedIdentified
     judged: tuple[Judged, ...]
     recordings: tuple[_Named, ...]
     seed: int = 0
@@ -79,8 +79,12 @@ class IdentifyResult(Shown):
 
     @property
     def lacks_an_effect(self) -> bool:
-        """Whether the filter got worse on held-out data; :func:`diagnose` then searches for the missing effect."""
-        return isinstance(self.report, IdentifyReport) and lacks_an_effect(self.report)
+        """Whether the filter got no better on held-out data; :func:`diagnose` then searches for the missing effect."""
+        if not isinstance(self.report, IdentifyReport):
+            return False
+        errors = self.report.errors_deg
+        no_better = errors.get("identified", 0.0) > errors.get("as_configured", math.inf)
+        return no_better or lacks_an_effect(self.report)
 
     def summary(self) -> str:
         """The tables that the command prints."""
@@ -109,8 +113,7 @@ class IdentifyResult(Shown):
             if isinstance(self.report, sealed.SealedReport):
                 sealed.write_report(folder, self.report, self.judged, with_figures=figures)
             else:
-                assert isinstance(self.found, Identified)
-                identify_document.write_report(folder, self.report, self.found, self.judged, with_figures=figures)
+                identify_document.write_report(folder, self.report, self.judged, self.rig, with_figures=figures)
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:
@@ -127,6 +130,16 @@ class IdentifyResult(Shown):
             rows = [(entry.name, entry.start, entry.value, entry.std) for entry in self.report.parameters]
         return pd.DataFrame(rows, columns=["parameter", "start", "value", "std"]).set_index("parameter")
 
+    def _fitted(self) -> list[str]:
+        """The part of each recording that was fitted, in words."""
+        if isinstance(self.found, SealedIdentified):
+            return [f"first {until:.1f} s" for until in self.found.held_from]
+        known = dict(self.found.fitted)
+        return [
+            "held out" if name not in known else "all" if known[name] > one.duration_s else f"first {known[name]:.1f} s"
+            for one, _, name in self.recordings
+        ]
+
     def _write_rigs(self, folder: Path) -> None:
         start = self.found.start
         when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
@@ -134,11 +147,11 @@ class IdentifyResult(Shown):
             f"Identified on {when} by pam_antagonist identify, from rig {start.name}, seed {self.seed}.",
             "Recordings (the part that was fitted, joint, SHA-256):",
             *(
-                f"  {name}: first {until:.1f} s, {state.condition}, {recording_hash(recording)}"
-                for (recording, state, name), until in zip(self.recordings, self.found.held_from, strict=True)
+                f"  {name}: {until}, {state.condition}, {recording_hash(recording)}"
+                for (recording, state, name), until in zip(self.recordings, self._fitted(), strict=True)
             ),
         ]
-        if isinstance(self.found, Identified):
+        if isinstance(self.found, FromPressures):
             about.append(
                 "Standard errors are in report.json. The directions below are the combinations of errors that change "
                 "the estimate most."
@@ -172,7 +185,7 @@ def identify(
     seed: int = 0,
     jobs: int = 2,
     progress: Callable[[str], None] | None = None,
-) -> IdentifyResult | EpisodesIdentifyResult | PressuresIdentifyResult:
+) -> IdentifyResult | EpisodesIdentifyResult:
     """Identify a rig: parameters with error bars, sensor noise, filter tuning.
 
     Args:
@@ -207,17 +220,12 @@ def identify(
     given = as_recordings(recordings, chosen)
     if not given:
         raise BadInput("no recording: expected one at least")
-    if from_pressures.is_for(chosen):
-        named = [(one, joint_condition(one, joint, lock_angle), bag_name(one.path)) for one in given]
-        return from_pressures.identified(
-            [(one.driven_by(chosen.drive), state, name) for one, state, name in named], chosen, [*free, *freeze],
-            holdout, max(starts, 2), seed, jobs, progress,
-        )  # fmt: skip
-    if episodes.are_given(given, chosen):
+    whole = is_for(chosen)
+    if not whole and episodes.are_given(given, chosen):
         return episodes.identified(given, chosen, [*free, *freeze], holdout, jobs, progress)
     read = [
         (
-            recording.driven_by(chosen.drive).in_one_piece(),
+            recording.driven_by(chosen.drive) if whole else recording.driven_by(chosen.drive).in_one_piece(),
             joint_condition(recording, joint, lock_angle),
             bag_name(recording.path),
         )  # fmt: skip
@@ -231,14 +239,12 @@ def identify(
                 f"{name}: its muscles were sealed, as the bag says, but rig {chosen.name} lets air through its valves; "
                 "expected a rig file with valves.sealed: true, such as config/rigs/sealed_joint.yaml"
             )
-    options = Options(tuple(free), tuple(freeze), holdout, starts, seed, jobs)
-    found = _identify(read, chosen, options, progress)
-    judged = judge(read, numbers.rigs_of(found), found.held_from, progress)
-    own = tuple(with_known_curves(each, chosen) for each in (found.own if len(read) > 1 else ()))
-    identified = with_known_curves(found.tuned.rig, chosen)
-    report = numbers.report(read, found, judged, refusal(identified))
-    warnings = (*([do_not_use(report.rejected)] if report.rejected else []), *found.warnings)
-    return IdentifyResult(identified, own, warnings, report, found, tuple(judged), tuple(read), seed)
+    found = _identify(read, chosen, holdout, starts, seed, jobs, progress, free=free, frozen=freeze)
+    identified = with_known_curves(found.rig, chosen)
+    report = numbers.report(read, found, refusal(identified))
+    warnings = (*([do_not_use(report.rejected)] if report.rejected else []), *found.notes)
+    own = tuple(with_known_curves(each, chosen) for each in found.own)
+    return IdentifyResult(identified, own, warnings, report, found, tuple(numbers.judged_of(found)), tuple(read), seed)
 
 
 def _sealed(

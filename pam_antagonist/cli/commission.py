@@ -11,6 +11,7 @@ from pam_antagonist.cli.driving import SIMULATED, add_limits, add_source
 from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
+from pam_antagonist.rig import load_rig
 
 _DESCRIPTION = """\
 Lead from a rig file to a controlled joint, with a person at the rig. The steps are:
@@ -23,6 +24,10 @@ Lead from a rig file to a controlled joint, with a person at the rig. The steps 
   apart       if two effects explain the data equally well: an experiment that distinguishes them, and close_loop again;
               if no motion would decide, the joint is not driven
   gains       a PI controller for the rig that was found, with bandwidth and margins
+
+A rig file of new_rig that was never identified is driven by what is measured, in place of a plan: first air, slow turns
+(low pressures and small angles first), quick moves that become faster as long as the joint does not swing, then
+identify and gains. Joints with regulators: so far in a rehearsal only.
 
 A step that is done is not repeated: after a fault, an interruption or a break, type the same command again. A step
 that found a fault says what to check. DIR holds a folder for each step, rig.yaml, parameters.yaml and report.html.
@@ -75,13 +80,18 @@ def _main(arguments: argparse.Namespace) -> int:
         raise BadInput("--unattended and --plant: only for a simulated joint; expected --source plant or rehearsal")
     if arguments.source != "rehearsal":
         needs_ros("commission")
-    from pam_antagonist.cli.commission_steps import STEPS, Commission, StepFailed
+    from pam_antagonist.cli.commission_guessed import GuessedCommission, is_for
+    from pam_antagonist.cli.commission_steps import Commission, StepFailed
     from pam_antagonist.nodes.processes import ProcessFailed
 
-    work = Commission(arguments)
+    # A file that was never identified is not driven by a plan, which would be its prediction.
+    guess = is_for(load_rig(arguments.rig, regulators=True))
+    if not guess:
+        load_rig(arguments.rig)  # only a guess is commissioned with regulators
+    work = (GuessedCommission if guess else Commission)(arguments)
     try:
         with work.announced():
-            for name in STEPS:
+            for name in work.STEPS:
                 if not work.left_out(name):
                     work.step(name)
     except StepFailed as fault:

@@ -63,10 +63,12 @@ class Commission:
         BadInput: a folder that is of another rig, or of no commissioning.
     """
 
+    STEPS: tuple[str, ...] = STEPS
+
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
         self._out: Path = arguments.out
-        self._rig = load_rig(arguments.rig)
+        self._rig = load_rig(arguments.rig, regulators=True)
         self._limits = limits_of(arguments, self._rig)
         self._say: Callable[[str, float | None], None] = lambda text, seconds: None
         self._owner = Owner.of(arguments, arguments.plant or arguments.rig)
@@ -91,7 +93,7 @@ class Commission:
         """Do a step, unless it is done.
 
         Args:
-            name: one of :data:`STEPS`.
+            name: one of ``STEPS``.
 
         Raises:
             StepFailed: it found a fault, or ended early.
@@ -115,7 +117,7 @@ class Commission:
         print(f"{name}: {result['said']}", flush=True)
 
     def _at(self, name: str, what: str, seconds: float | None = None) -> None:
-        self._say(f"step {STEPS.index(name) + 1} of {len(STEPS)}, {name}: {what}", seconds)
+        self._say(f"step {self.STEPS.index(name) + 1} of {len(self.STEPS)}, {name}: {what}", seconds)
 
     def _ask(self, name: str, text: str) -> None:
         if not self._arguments.unattended:
@@ -305,7 +307,7 @@ class Commission:
             Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
             for name, one in self._record.steps.items()
         ]
-        left = [name for name in STEPS if name not in self._record.steps and not self.left_out(name)]
+        left = [name for name in self.STEPS if name not in self._record.steps and not self.left_out(name)]
         command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
         write_report(self._out, self._rig, steps, command, left)
 

@@ -18,7 +18,10 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pam_antagonist.design import Limits, Plan
+    from pam_antagonist.design.exploration import Program
     from pam_antagonist.rig import Rig
 
 SOURCES = ("plant", "bridge", "none", "rehearsal")
@@ -255,8 +258,46 @@ def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
     return Driven(out / "bag", begun_ns, ended)
 
 
-def _through_nodes(owner: Owner, plan: Plan, out: Path) -> tuple[int, str]:
-    """Stamp at which the plan began [ns], and in words why it ended early; empty where it did not."""
+def explored(owner: Owner, rig: Rig, program: Program, limits: Limits, out: Path) -> str:
+    """Drive the joint by what is measured, and record it into ``out/bag``.
+
+    Args:
+        owner: of the valves.
+        rig: as declared.
+        program: what drives the joint.
+        limits: at which it ends.
+        out: folder, which is there.
+
+    Returns:
+        In words why it ended early; empty where it did not.
+
+    Raises:
+        BadInput: a joint with regulators, which only a rehearsal drives in this way.
+        ProcessFailed: a node ended or does not start.
+    """
+    if owner.source == "rehearsal":
+        from pam_antagonist.cli.rehearsal import explore
+        from pam_antagonist.rig import load_rig
+
+        joint = load_rig(owner.rig, regulators=True)
+        return explore(joint, program, limits, owner.seed, owner.mismatch, out / "bag")[1]
+    if rig.drive == "regulator":
+        raise BadInput(
+            f"rig {rig.name} has pressure regulators and was never identified: so far commission drives such a joint "
+            "in a rehearsal only (--source rehearsal); record and identify it by hand, see docs/how-to/your_rig.md"
+        )
+    from pam_antagonist.design import Plan
+
+    vented, air = (rig.valves.voltage_min,) * 2, rig.atmosphere.pressure
+    plan = Plan(np.array([vented]), rig.sample_period, "free", 0.0, limits, air, vented)
+    return _through_nodes(owner, plan, out, program)[1]
+
+
+def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None = None) -> tuple[int, str]:
+    """Stamp at which the plan began [ns], and in words why it ended early; empty where it did not.
+
+    A program drives the joint in place of the plan's voltages.
+    """
     from pam_antagonist.nodes.drive import DriveClient
     from pam_antagonist.nodes.processes import Processes, ProcessFailed
 
@@ -281,12 +322,21 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path) -> tuple[int, str]:
 
             processes.wait(missing)
             client.settle(rest, lambda seen: bool(np.all(seen <= ready)), check, _LONGEST_VENT_S)
-            with counted(plan.duration, f"excite, joint {plan.joint}") as advance:
+            seconds = plan.duration if program is None else program.seconds
+            with counted(seconds, f"excite, joint {plan.joint}") as advance:
                 begun_ns = client.now_ns()
-                ended = client.drive(plan.voltage, plan.period, rest, plan.limits.broken, check, advance)
+                if program is None:
+                    ended = client.drive(plan.voltage, plan.period, rest, plan.limits.broken, check, advance)
+                else:
+                    ended = client.explore(program.command, seconds, rest, _watched(program, plan), check, advance)
         finally:
             if owner.source in processes.running:
                 processes.stop(owner.source)
             time.sleep(_DRAIN_S)
             processes.stop(*processes.running)
     return begun_ns, ended
+
+
+def _watched(program: Program, plan: Plan) -> Callable[[Any, float], str]:
+    """The limits that a measurement breaks; that of the angle counts once the program has taken the joint inside."""
+    return lambda pressures, angle: plan.limits.broken(pressures, angle if program.confined else math.nan)

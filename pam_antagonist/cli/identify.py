@@ -87,10 +87,11 @@ def _run(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     compile_first(FITS, rig)
     common.lock_angle(arguments)
-    for name in ("free", "freeze") if rig.valves.sealed or from_pressures.is_for(rig) else ():
+    for name in ("free", "freeze") if rig.valves.sealed else ():
         if getattr(arguments, name):
-            which = "a sealed joint" if rig.valves.sealed else "a rig of data sheets (new_rig)"
-            raise BadInput(f"--{name}: which parameters of {which} are fitted cannot be chosen; leave --{name} out")
+            raise BadInput(
+                f"--{name}: which parameters of a sealed joint are fitted cannot be chosen; leave --{name} out"
+            )
     recordings = given.read(arguments, rig)
     if not from_pressures.is_for(rig) and episodes.are_given(recordings, rig):
         return _of_episodes(arguments, rig, recordings)

@@ -225,10 +225,14 @@ def _facts(values: Mapping[str, Any]) -> Facts:
     elif values["valve"] == OWN:
         curve = Curve(voltage=(low, high), open_rate=(0.0, 1.0))
         valve = ValvePart(
-            flow=values["valve_flow"], curve=curve, closed_centre=False, source="its data sheet; the curve is a guess"
+            flow=values["valve_flow"],
+            curve=curve,
+            closed_centre=values["valve_centre"] == "closed",
+            source="its data sheet; the curve is a guess",
         )
     else:
         valve = named("valve", values["valve"], valve_parts())
+    mass = values["limb_mass"]
     return Facts(
         name=values["name"],
         kind=values["kind"],
@@ -250,6 +254,7 @@ def _facts(values: Mapping[str, Any]) -> Facts:
         period=1.0 / values["rate"],
         regulator=regulator,
         regulator_time=values.get("regulator_time", 0.0),
+        limb=None if mass is None else (mass, values["limb_distance"], values["limb_hanging"]),
     )
 
 
@@ -281,7 +286,7 @@ def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
         lines.append("Compare range and hysteresis with the data sheet of yours.")
     if facts.valve.closed_centre:
         lines.append(
-            "Attention: this valve lets no air pass at its middle voltage. Equation (5) does not model that: steady"
+            "This valve lets no air pass at its middle voltage (overlap 0.5). Near it, it holds a pressure, so that the"
         )
-        lines.append("pressures near that voltage are not predicted well. Keep the voltages away from it, or moving.")
+        lines.append("voltages alone do not tell the pressures: recordings with measured pressures are needed.")
     return lines

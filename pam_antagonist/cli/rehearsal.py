@@ -6,11 +6,13 @@ messages, and a computer that is busy.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
-from pam_antagonist.design import Plan
+from pam_antagonist.design import Limits, Plan
+from pam_antagonist.design.exploration import Program
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig
 from pam_antagonist.safety.lookout import RETREAT, TICK, Lookout
@@ -46,7 +48,49 @@ def rehearse(rig: Rig, plan: Plan, seed: int, mismatch: float, bag: Path) -> tup
             continue
         if reason := lookout.ends(plan.limits.broken(sample.pressure, sample.angle)):
             ended, left = f"after {k * plan.period:.1f} s {reason}", round(RETREAT / plan.period)
-    stamps = _FIRST_STAMP_NS + np.rint(np.arange(1, len(samples) + 1) * plan.period * 1e9).astype(np.int64)
+    _write(rig, samples, plan.period, bag)
+    return _FIRST_STAMP_NS, ended
+
+
+def explore(
+    rig: Rig, program: Program, limits: Limits, seed: int, mismatch: float, bag: Path
+) -> tuple[list[PlantSample], str]:
+    """Drive a simulated joint by what is measured of it, from muscles without air on, and write the recording.
+
+    Args:
+        rig: what the joint is in truth.
+        program: what drives it.
+        limits: at which it ends.
+        seed: of the joint's parameters and the sensors' noise.
+        mismatch: standard deviation of the parameters from the rig's [-].
+        bag: folder to be made.
+
+    Returns:
+        The samples, with what was true, and in words why it ended early; empty where it did not.
+    """
+    least = max(rig.atmosphere.pressure, rig.command_limits[0] if rig.drive == "regulator" else 0.0)
+    plant = Plant(rig, seed=seed, mismatch=mismatch, initial_pressure=(least, least))
+    samples: list[PlantSample] = []
+    period, ended = rig.sample_period, ""
+    lookout, every = Lookout(), max(1, round(TICK / period))
+    command = (least, least) if rig.drive == "regulator" else (rig.valves.voltage_min,) * 2
+    while len(samples) * period < program.seconds:
+        samples.append(plant.step(command))
+        seen, k = samples[-1], len(samples) - 1
+        given = program.command(k * period, seen.pressure, seen.angle)
+        if given is None:
+            break
+        command = given
+        angle = seen.angle if program.confined else math.nan
+        if k % every == 0 and (reason := lookout.ends(limits.broken(seen.pressure, angle))):
+            ended = f"after {k * period:.1f} s {reason}"
+            break
+    _write(rig, samples, period, bag)
+    return samples, ended
+
+
+def _write(rig: Rig, samples: list[PlantSample], period: float, bag: Path) -> None:
+    stamps = _FIRST_STAMP_NS + np.rint(np.arange(1, len(samples) + 1) * period * 1e9).astype(np.int64)
     recording = Recording(
         path=bag,
         stamp_ns=stamps,
@@ -55,6 +99,6 @@ def rehearse(rig: Rig, plan: Plan, seed: int, mismatch: float, bag: Path) -> tup
         angle=np.array([sample.angle for sample in samples]),
         torque=np.array([sample.torque for sample in samples]),
         angle_sensor=None if rig.encoder is None else np.array([sample.encoder for sample in samples]),
+        drive=rig.drive,
     )
     write_bag(bag, recording, pressure_variance=rig.sensors.pressure_std**2)
-    return _FIRST_STAMP_NS, ended

@@ -107,6 +107,10 @@ def _stop(text: str) -> float | None:
     return None if text == "none" else _quantity("angle", math.radians(1.0), math.radians(89.0))(text)
 
 
+def _limb_mass(text: str) -> float | None:
+    return None if text == "none" else _quantity("mass", 1e-3, 80.0)(text)
+
+
 def _volts(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
     read = _number(0.0, 10.0, "V")
@@ -140,7 +144,13 @@ def condition(option: str) -> str:
         return "--drive valve"
     if option in ("regulator", "regulator-time"):
         return "--drive regulator"
+    if option in ("limb-distance", "limb-hanging"):
+        return "--limb-mass"
     return f"--{option.split('-', maxsplit=1)[0]} {OWN}"
+
+
+def _has_limb(values: Mapping[str, Any]) -> bool:
+    return values.get("limb_mass") is not None
 
 
 def _is_own(name: str) -> Callable[[Mapping[str, Any]], bool]:
@@ -251,6 +261,14 @@ QUESTIONS = (
         wanted=_is_own("valve"),
     ),
     Question(
+        "valve-centre",
+        "Middle position of the valve: closed or open",
+        "its data sheet: closed if no air passes in the middle, as in a 5/3 valve with closed centre",
+        _one_of("closed", "open"),
+        "closed",
+        _is_own("valve"),
+    ),
+    Question(
         "voltage",
         "Least and largest voltage of a valve [V]",
         "what your driver can put out",
@@ -265,6 +283,27 @@ QUESTIONS = (
         _number(2e-7, 5.0, "kg m²"),
     ),
     Question("mass", "Mass of the parts that the shaft carries", "a scale", _quantity("mass", 0.0, 80.0)),
+    Question(
+        "limb-mass",
+        "Mass of a limb that the joint carries in a vertical plane",
+        "a scale; type none if there is no limb, or if its weight is not known",
+        _limb_mass,
+        "none",
+    ),
+    Question(
+        "limb-distance",
+        "Distance of the limb's centre from the axis",
+        "balance the limb on an edge, then by ruler",
+        _quantity("length", 1e-3, 2.0),
+        wanted=_has_limb,
+    ),
+    Question(
+        "limb-hanging",
+        "Angle of the joint at which the limb hangs straight down",
+        "a protractor; the angle grows when muscle 1 shortens, and may lie outside the joint's range",
+        _quantity("angle", -math.pi, math.pi),
+        wanted=_has_limb,
+    ),
     Question("shaft-radius", "Radius of the shaft", "a calliper", _quantity("length", 5e-4, 0.08), "5mm"),
     Question(
         "stop",

@@ -44,7 +44,7 @@ from pam_antagonist.control.stiffness import Box, set_pressures
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import composition, dynamics, equilibrium, flow, lever_arm, muscle
 from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2, WITH_EFFECTS
-from pam_antagonist.model.parameters import SLOT_OF, STATES, SUPPLY
+from pam_antagonist.model.parameters import FORCE_FORM, SLOT_OF, STATES, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
@@ -56,6 +56,8 @@ _REGULATED = SLOT_OF["regulator_rate_1"]
 _NEAR = 15e3
 """[Pa] The integral changes only while both pressures are so near the wanted ones. This is above the ripple of an
 estimated pressure, and well below the 60 kPa or so by which friction shifts the pressures of the paper's joint."""
+_REST = 1e-4
+"""[N m] Part of a torque that the search of the pressures may leave."""
 _RATE_TIME = 0.010
 """[s] Time constant that smooths the rate of a wanted pressure: the estimated torque from outside is noisy."""
 
@@ -225,7 +227,9 @@ def _step(of_torque, value, stiffness, seen, integral, gains, period, box, leads
     u_2 = voltage_towards(1, seen.pressure_2, second + ahead_2, seen.angle, seen.velocity, bandwidth, p)
     error = value - seen.torque if of_torque else (value - seen.angle) * 0.5 * (softest + stiffest)
     arrived = abs(first - seen.pressure_1) < _NEAR and abs(second - seen.pressure_2) < _NEAR
-    if arrived and missing * error <= 0.0:
+    # Where the map is curved, pressures are found to a small rest: it is no torque out of reach.
+    rest = _REST if p[FORCE_FORM] > 0.0 else 0.0
+    if arrived and (abs(missing) < rest or missing * error <= 0.0):
         integral += period * rate * error
     return u_1, u_2, first, second, softest, stiffest, missing, integral
 

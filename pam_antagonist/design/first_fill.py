@@ -14,11 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.design.exploration import RISE, Pulse
 from pam_antagonist.design.information import STEP, Information
 from pam_antagonist.design.limits import Limits
 from pam_antagonist.design.optimal import Plan
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE
+from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.limits import steady_voltage
 
@@ -188,6 +190,36 @@ def _dead(i: int, values: Floats) -> list[Fault]:
         return []
     text = f"pressure sensor {i + 1} {seen}: it is dead; check its plug, its supply voltage and its channel"
     return [Fault(f"dead_sensor_{i + 1}", text)]
+
+
+def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[Fault]:
+    """Faults that the first air of a joint shows whose rig file is a guess; empty if there are none.
+
+    Args:
+        rig: the joint.
+        recording: of :class:`~pam_antagonist.design.exploration.FirstAir`.
+        pulses: what it saw of each valve.
+    """
+    if found := dead_sensors(recording.pressure):
+        return found
+    rise = np.array([pulse.rise for pulse in pulses])
+    follows = rise > 0.5 * RISE
+    turned = np.array([pulse.turned for pulse in pulses])
+    shown = turned, np.array([1.0, -1.0])
+    if not follows.any():
+        return [_no_air(np.zeros(2), np.ones(2))]
+    if follows[0, 1] and follows[1, 0] and not follows[0, 0] and not follows[1, 1]:
+        return [_crossed(shown)]
+    found = [_unmoved(i, 0.0, 1.0, pulses[0].level) for i in (0, 1) if not follows[i, i]]
+    zeros = []
+    for i in (0, 1):
+        off = float(np.median(recording.pressure[-max(round(_END_S / rig.sample_period), 1) :, i]))
+        off -= rig.command_limits[0] if rig.drive == "regulator" else rig.atmosphere.pressure
+        if abs(off) > _ZERO:
+            text = f"pressure sensor {i + 1} is {off / 1e3:+.0f} kPa off while its muscle is vented: its zero is wrong"
+            zeros.append(Fault(f"zero_{i + 1}", f"{text}, or gauge pressures are taken for absolute ones"))
+    flipped = _encoder(shown) if np.all(np.abs(turned) > _TURNS) else []
+    return [*found, *zeros, *flipped]
 
 
 def _no_air(gauge: Floats, usual: Floats) -> Fault:

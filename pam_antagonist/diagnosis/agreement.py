@@ -2,8 +2,8 @@
 
 Every recording has base parameters and effects of its own. The common rig is their mean, weighted by how well each
 recording determines them. Recordings of one rig may not differ by more than a rig does from day to day. The bound is
-wider than that of :func:`pam_antagonist.inference.joint_fit.check_same_rig`, which knows the spread between recordings.
-Here each recording is fitted by itself, before its effects are known.
+wider than that of an identification, which compares fits on held-out data. Here each recording is fitted by itself,
+before its effects are known.
 """
 
 from __future__ import annotations

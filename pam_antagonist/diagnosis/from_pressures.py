@@ -20,7 +20,6 @@ from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.from_pressures import (
     FromPressures,
-    base_model,
     concluded,
     fitted_until,
     identify,
@@ -182,14 +181,14 @@ def diagnose(
     """
     progress = progress or (lambda text: None)
     base = identify(recordings, rig, holdout, 2, seed, jobs, progress, whole)
-    ends, model = fitted_until(recordings, holdout, whole), base_model(rig)
-    own, corrected = with_joint(model, base.joint, recordings)
+    ends = fitted_until(recordings, holdout, whole)
+    own, corrected = with_joint(rig, base.joint, recordings)
     runs, held = parts_of(recordings, ends), parts_of(recordings, ends, held_out=True)
     moving, judged = air_stage.usable(parts_of(corrected, ends)), air_stage.usable(parts_of(corrected, ends, True))
-    tried = _each(model, JOINT, base.joint, partial(joint_stage.residual_of, model, runs, horizon=math.inf),
-                  partial(_angle_errors, model, held), _seconds(runs), jobs, progress)  # fmt: skip
+    tried = _each(rig, JOINT, base.joint, partial(joint_stage.residual_of, rig, runs, horizon=math.inf),
+                  partial(_angle_errors, rig, held), _seconds(runs), jobs, progress)  # fmt: skip
     if base.air is not None and judged:
-        residual = partial(air_stage.residual_of, own, moving, horizon=air_stage.HORIZONS[-1])
+        residual = partial(air_stage.residual_of, own, moving, 0.0, air_stage.HORIZONS[-1])
         tried += _each(own, AIR, base.air, residual, partial(_pressure_errors, own, judged), _seconds(moving), jobs,
                        progress)  # fmt: skip
     tried.sort(key=lambda item: -item.gain)
@@ -202,7 +201,7 @@ def diagnose(
         joint = fits.get(JOINT, base.joint)
         extended = concluded(recordings, ends, rig, joint, fits.get(AIR, base.air), jobs, progress)
     errors = (
-        _rms(_angle_errors(model, held, base.joint)),
+        _rms(_angle_errors(rig, held, base.joint)),
         math.nan if base.air is None or not judged else _rms(_pressure_errors(own, judged, base.air)),
     )
     left = tuple(place for place in _above_noise(rig, held, errors) if place not in fits)
@@ -296,7 +295,7 @@ def _pressure_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
     p = par.changed(rig.parameters("locked"), fit.parameters)
     out = [np.zeros(0)]
     for run in runs:
-        shown, starts = air_stage.simulated(run, p, air_stage.HORIZONS[-1])
+        shown, starts = air_stage.simulated(run, p, 0.0, air_stage.HORIZONS[-1])
         out.append((run.pressure - shown)[~starts].ravel())
     return np.concatenate(out)
 

@@ -5,6 +5,7 @@ In an angle-driven joint the torque is the torque from outside.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,6 @@ from pam_antagonist.diagnosis.errors import Errors, Innovations, ModelErrors, Sl
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared
 from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison, RecordingEntry
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics
-from pam_antagonist.identification.tuning import innovation_likelihood
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.angle_driven import sweeps
 from pam_antagonist.inference.experiment import Experiment
@@ -339,3 +339,18 @@ def static_map(prepared: Prepared) -> dict[str, float] | None:
         left = np.concatenate([(torque - design @ solution)[rows & ~fit] for design, torque, fit, rows in parts])
         out[name] = float(np.sqrt(np.mean(left**2)))
     return out
+
+
+def innovation_likelihood(run: EstimateRun, counted: slice | NDArray[np.bool_]) -> tuple[float, int]:
+    """Sum of the innovations' log likelihoods, and the number of samples in it.
+
+    Args:
+        run: of the filter.
+        counted: samples of it that count: a slice, or for each sample whether it does (M,).
+    """
+    rows = run.rows[counted]
+    s = rows["innovation_covariance"]
+    determinant = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] * s[:, 1, 0]
+    used = np.isfinite(rows["innovation"]).all(axis=1) & np.isfinite(rows["nis"]) & (determinant > 0.0)
+    value = -0.5 * (rows["nis"][used] + np.log(determinant[used])) - math.log(2.0 * math.pi)
+    return float(value.sum()), int(used.sum())

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
+from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.command_driven import pressures
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.schema import limits
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +31,8 @@ _UNIT = 5e3
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _FEWEST_ROWS = 2
+_LAST_EVALUATIONS = 4
+"""The most derivatives of the last fit, which begins near its end."""
 
 
 def unknowns(rig: Rig) -> list[Unknown]:
@@ -56,19 +59,21 @@ def unknowns(rig: Rig) -> list[Unknown]:
 
 
 def _positive(path: str, rig: Rig, share: float, low: float = 0.0, high: float = math.inf) -> Unknown:
-    return Unknown(path, (path,), rig.value(path), share, True, low, high)
+    least, most = limits(path)
+    return Unknown(path, (path,), rig.value(path), share, True, max(low, least), min(high, most))
 
 
-def simulated(run: Run, p: Floats, horizon: float) -> tuple[Floats, NDArray[np.bool_]]:
+def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Pressures (N, 2) [Pa] that a model gives for commands and measured motion, and the rows that are a start (N,).
 
     Args:
         run: with commands and a measured angle.
         p: parameter vector of a locked joint (m,).
+        zero: reading of the encoder at ψ = 0 [rad].
         horizon: time after which the simulation starts anew from the measurement [s].
     """
     known = np.isfinite(run.angle)
-    angle = np.interp(run.time, run.time[known], run.angle[known])
+    angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
     size = max(round(horizon / run.period), _FEWEST_ROWS)
     first = np.append(np.arange(0, max(len(run) - size // 2, 1), size), len(run))
     starts = np.zeros(len(run), bool)
@@ -93,7 +98,7 @@ def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
     """
     p, of_model, of_rest = rig.parameters("locked"), [np.zeros(1)], [np.zeros(1)]
     for run in usable(runs):
-        shown, starts = simulated(run, p, HORIZONS[-1])
+        shown, starts = simulated(run, p, 0.0, HORIZONS[-1])
         last = np.maximum.accumulate(np.where(starts, np.arange(len(run)), 0))
         of_model.append((run.pressure - shown)[~starts].ravel())
         of_rest.append((run.pressure - run.pressure[last])[~starts].ravel())
@@ -101,24 +106,30 @@ def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
     return first, second
 
 
-def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float) -> Callable[..., Floats]:
+def residual_of(
+    rig: Rig, runs: Sequence[Run], zero: float, horizon: float, unknown: Sequence[Unknown] = (), raw: bool = False
+) -> Callable[..., Floats]:
     """The residuals of all runs for values of the unknowns, in their units.
 
     Args:
         rig: with the values of the joint.
         runs: to be fitted.
-        unknown: of the fit.
+        zero: reading of the encoder at ψ = 0 [rad].
         horizon: of the simulations [s].
+        unknown: of the fit; default: values are by dotted path.
+        raw: whether errors stay in Pa.
     """
     vector = rig.parameters("locked")
 
     def residual(values: Mapping[str, float]) -> Floats:
-        p = par.changed(vector, {path: values[item.name] for item in unknown for path in item.paths})
-        out = []
-        for run in runs:
-            shown, starts = simulated(run, p, horizon)
-            weight = math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / _UNIT
-            out.append(weight * (run.pressure - shown)[~starts].ravel())
+        out = [np.zeros(0)]
+        for name in dict.fromkeys(run.name for run in runs):
+            p = par.changed(vector, parameters(unknown, values, name) if unknown else values)
+            for run in runs:
+                if run.name == name:
+                    shown, starts = simulated(run, p, zero, horizon)
+                    weight = 1.0 if raw else math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / _UNIT
+                    out.append(weight * (run.pressure - shown)[~starts].T.ravel())
         return np.concatenate(out)
 
     return residual
@@ -127,24 +138,40 @@ def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horiz
 def fit_air(
     rig: Rig,
     runs: Sequence[Run],
+    zero: float,
     evaluations: int = 12,
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
+    free: Sequence[Unknown] | None = None,
+    refine: bool = False,
 ) -> Fit | None:
     """Fit chambers and valves, or regulators, with growing horizons; None without commands.
 
     Args:
         rig: with the values of the joint.
         runs: to be fitted.
+        zero: reading of the encoder at ψ = 0 [rad].
         evaluations: the most derivatives of each horizon.
         jobs: threads.
         progress: called with what is being done.
+        free: what may move; default: all that no data sheet tells.
+        refine: whether errors are weighed by their size at last, and each recording may deviate a little.
     """
-    free, given = unknowns(rig), usable(runs)
+    free, given = unknowns(rig) if free is None else list(free), usable(runs)
     found: Fit | None = None
     for horizon in HORIZONS if given else ():
         if progress:
             progress(f"{'regulators' if rig.drive == 'regulator' else 'valves'}, horizons of {horizon:g} s")
         begin = None if found is None else found.amounts
-        found = fitted(free, residual_of(rig, given, free, horizon), begin, evaluations, jobs)
-    return found
+        found = fitted(free, residual_of(rig, given, zero, horizon, free), begin, evaluations, jobs)
+    if found is None or not refine:
+        return found
+    names = list(dict.fromkeys(run.name for run in given))
+    areas = [f"valve_{i}.{way}flow_area" for i in (1, 2) for way in ("in", "out")]
+    extra = deviations({path: {path: rig.value(path)} for path in areas}, free, names)
+    averaged = max(given[0].period / rig.sample_period, 1.0)
+    left = residual_of(rig, given, zero, HORIZONS[-1], [*free, *extra], raw=True)
+    return refined(
+        found, extra, lambda values: {"pressure": left(values)},
+        {"pressure": rig.sensors.error("pressure") / math.sqrt(averaged)}, _LAST_EVALUATIONS, jobs,
+    )  # fmt: skip

@@ -52,18 +52,25 @@ _GATE_MARGIN = 1.5
 _COVERED = 0.95
 _FIRST_SHARE = 0.01
 """First standard deviation of the unknown torque, as a share of a muscle's torque."""
-_ROUNDS = 3
+_CLEARLY = 0.8
+"""Share of the squared error below which another process noise is taken than the configured one."""
+_ROUNDS = 6
+_CLOSE = math.log(1.05)
+"""The interval's width need not be closer."""
+_LARGEST_STEP = (math.log(0.1), math.log(10.0))
+"""Of the logarithm of the torque."""
 _MARGIN = 1.05
 """Fitted recordings have smaller errors than others will have."""
 
 
-def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> Rig:
+def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1, guessed: bool = True) -> Rig:
     """The rig with process noise of its pressures, and with a gate that lets the errors of their prediction pass.
 
     Args:
         rig: with all values that were found.
-        recordings: parts that were fitted, of a free joint.
+        recordings: parts that were fitted.
         jobs: threads.
+        guessed: whether the valves were guessed, so that several pairs of the noise's parts are tried.
     """
     rig = _with_start(rig.replaced(directions={}, uncertainty={}), recordings)
     first = _followed(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
@@ -72,7 +79,7 @@ def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1) -> 
     usual = max(size * math.sqrt(0.01 / rig.sample_period), _LEAST_RATE)
     # A part relative to the change makes up for a constant part below the least one.
     tried = [_with_process(rig, max(share * usual, 0.0 if change else _LEAST_RATE), _OPEN_GATE, change)
-             for share, change in _PAIRS]  # fmt: skip
+             for share, change in (_PAIRS if guessed else _PAIRS[:1])]  # fmt: skip
     found = [_followed(one, recordings, jobs) for one in tried]
     best = min(range(len(found)), key=lambda k: found[k].error * (1.0 if k == 0 else _WORTH))
     # After a step a regulator's model errs by many standard deviations. The gate must not reject the measurement there.
@@ -118,9 +125,12 @@ class _Followed:
 
 def _followed(rig: Rig, recordings: Sequence[Given], jobs: int) -> _Followed:
     def of(recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats, Floats]:
-        run = replay(recording, rig, "default", state.condition, None).run
-        assert recording.angle is not None
-        return run.rows["innovation"].ravel(), np.sqrt(run.rows["nis"]), run.rows["angle"] - recording.angle[run.index]
+        lock_angle = state.lock_angle if state.condition == "locked" else None
+        run = replay(recording, rig, "default", state.condition, lock_angle).run
+        error = np.zeros(0)
+        if state.condition == "free" and recording.angle is not None:
+            error = run.rows["angle"] - recording.angle[run.index]
+        return run.rows["innovation"].ravel(), np.sqrt(run.rows["nis"]), error
 
     parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*item) for item in recordings)
     columns = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -154,23 +164,40 @@ def with_unknown_torque(
         jobs: threads.
         progress: called with what is being done.
     """
-    torque, noise = _FIRST_SHARE * torque_scale(rig), rig.sensors.error("angle")
-    share = math.nan
+    noise, seen = rig.sensors.error("angle"), []
+    torque = _FIRST_SHARE * torque_scale(rig)
     for number in range(_ROUNDS):
         if progress:
-            progress(f"covariance of the angle, run {number + 1} of {_ROUNDS}")
+            progress(f"covariance of the angle, run {number + 1} of {_ROUNDS} at most")
         now = rig.replaced(uncertainty={**rig.uncertainty, UNKNOWN_TORQUE: torque})
         parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(_errors)(now, *item) for item in recordings)
         error, std = (np.concatenate(column) for column in zip(*parts, strict=True))
-        share = float(np.mean(np.abs(error) <= 1.96 * np.hypot(std, noise)))
-        if number == _ROUNDS - 1:
-            break
-        # Errors within the encoder's own noise need no torque; the interval grows in proportion to it.
+        # Errors within the encoder's own noise need no torque.
         beyond = np.sqrt(np.maximum((error / 1.96) ** 2 - noise**2, 0.0)) / np.maximum(std, 1e-9)
-        factor = _MARGIN * float(np.quantile(beyond, _COVERED)) if number == _ROUNDS - 2 else float(
-            np.quantile(beyond, _COVERED))  # fmt: skip
-        torque *= min(max(factor, 0.05), 50.0)
-    return Covered(now, torque, share)
+        lacking = float(np.clip(math.log(_MARGIN * max(float(np.quantile(beyond, _COVERED)), 1e-9)), *_LARGEST_STEP))
+        share = float(np.mean(np.abs(error) <= 1.96 * np.hypot(std, noise)))
+        seen.append((abs(lacking), math.log(torque), lacking, Covered(now, torque, share)))
+        if abs(lacking) < _CLOSE:
+            break
+        torque = math.exp(_next(seen))
+    return min(seen, key=lambda item: item[0])[-1]
+
+
+def _next(seen: Sequence[tuple[float, float, float, Covered]]) -> float:
+    """Logarithm of the next torque to try.
+
+    The interval grows with the torque, but not in proportion where the joint sticks or nears its stop. Between a torque
+    that is too small and one that is too large, a straight line is taken.
+
+    Args:
+        seen: of each torque the logarithm, and by how much the logarithm of the interval's width falls short.
+    """
+    below = max(((at, lacks) for _, at, lacks, _ in seen if lacks > 0.0), default=None)
+    above = min(((at, lacks) for _, at, lacks, _ in seen if lacks <= 0.0), default=None)
+    if below is None or above is None or below[0] >= above[0]:
+        return seen[-1][1] + seen[-1][2]
+    share = below[1] / (below[1] - above[1])
+    return below[0] + min(max(share, 0.1), 0.9) * (above[0] - below[0])
 
 
 def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
@@ -181,3 +208,29 @@ def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -
     known = np.isfinite(measured)
     std = np.sqrt(run.rows["covariance"][:, 0, 0])
     return (run.rows["angle"] - measured)[known], std[known]
+
+
+def with_least_error(rigs: Sequence[Rig], recordings: Sequence[Given], jobs: int = 1) -> Rig:
+    """The one whose filter errs least in angle, or in torque where no angle of a free joint was measured.
+
+    Args:
+        rigs: the first is taken where nothing was measured, or where none is clearly better.
+        recordings: parts that were fitted.
+        jobs: threads.
+    """
+
+    def error(rig: Rig, given: Given) -> tuple[float, float]:
+        recording, state, _ = given
+        lock_angle = state.lock_angle if state.condition == "locked" else None
+        found = replay(recording, rig, "default", state.condition, lock_angle).report.ukf
+        return tuple(math.nan if one is None else one.rmse for one in (found.angle, found.torque))  # type: ignore[return-value]
+
+    parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(error)(rig, given) for rig in rigs for given in recordings)
+    each = np.array(parts, dtype=np.float64).reshape(len(rigs), len(recordings), 2)
+    each[:, [state.condition == "locked" for _, state, _ in recordings], 0] = np.nan
+    for channel in (0, 1):
+        if (known := np.isfinite(each[0, :, channel])).any():
+            squares = np.mean(each[:, known, channel] ** 2, axis=1)
+            best = int(np.argmin(squares))
+            return rigs[best if squares[best] < _CLEARLY * squares[0] else 0]
+    return rigs[0]

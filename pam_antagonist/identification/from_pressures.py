@@ -1,176 +1,74 @@
 """Identification of any rig from its measured pressures: joint, air, filter, and a judgement on held-out data.
 
 1. Joint and muscles from the measured pressures (:mod:`~pam_antagonist.identification.joint_stage`).
-2. Chambers and valves, or regulators, from the measured motion (:mod:`~pam_antagonist.identification.air_stage`).
-3. Noise and covariance of the filter (:mod:`~pam_antagonist.identification.filter_stage`).
-4. Errors on data that no step saw, beside those of the rig as configured and of a linear map of the two pressures.
-5. The same values from all of the data: the rig file is not judged on what it was fitted to, and loses nothing.
+2. The valves' curves, where the recordings hold steady pressures (:mod:`~pam_antagonist.identification.valve_curve`).
+3. Chambers and valves, or regulators, from the measured motion (:mod:`~pam_antagonist.identification.air_stage`).
+4. Noise and covariance of the filter (:mod:`~pam_antagonist.identification.filter_stage`).
+5. Errors on data that no step saw, beside those of the rig as configured and of a linear map of the two pressures.
 
-One long recording and many short trials take the same way, as do valves and regulators.
+One long recording and many short trials take the same way, as do valves and regulators, forces by a data sheet's law
+and by a linear map. A few long recordings may each deviate a little from the values that they have in common.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput
-from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.errors import BadInput, NoResult
+from pam_antagonist.identification import air_stage, joint_stage, noise
 from pam_antagonist.identification.air_stage import errors, fit_air
-from pam_antagonist.identification.filter_stage import Covered, Given, with_process_noise, with_unknown_torque
+from pam_antagonist.identification.filter_stage import (
+    Covered,
+    Given,
+    with_least_error,
+    with_process_noise,
+    with_unknown_torque,
+)
 from pam_antagonist.identification.joint_stage import DELAY, ZERO, fit_joint, model_values
-from pam_antagonist.identification.runs import Run, runs_of, said
-from pam_antagonist.identification.unknowns import Fit, fitted
-from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.inference.pressure_driven import NO_REGULATORS
-from pam_antagonist.model import parameters as par
+from pam_antagonist.identification.parts import (
+    checked,
+    fitted_until,
+    has_commands,
+    is_free,
+    is_guessed,
+    parts_of,
+)
+from pam_antagonist.identification.result import (
+    AS_USUAL,
+    FromPressures,
+    Held,
+    Options,
+    Step,
+    held_of,
+    linear_map,
+)
+from pam_antagonist.identification.runs import Run, said
+from pam_antagonist.identification.stretches import beside_the_lag
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters
+from pam_antagonist.identification.valve_curve import identify_curves
+from pam_antagonist.inference.free_parameters import free_parameters, moved
+from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.replays import Replay, after, replay
-from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
 from pam_antagonist.rig.write import refusal
+
+__all__ = ["FromPressures", "Held", "concluded", "fitted_until", "identify", "parts_of", "with_joint"]
 
 Floats = NDArray[np.float64]
 
-_WHOLE_FROM = 4
-"""From so many short recordings on, whole ones are held out: they start from rest, as those to come will."""
-_SHORT = 30.0
-"""[s] A recording or an episode that is not longer is a trial."""
-_LEAST_MOTION = 1.0
-"""[deg] A joint that moves less tells nothing of its muscles."""
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """Held-out data of one recording.
-
-    Attributes:
-        name: of the recording.
-        from_s: begin of the held-out part [s].
-        whole: the recording, replayed with the identified rig.
-        identified: errors of the held-out part with the identified rig.
-        as_configured: the same with the rig file.
-        pressures_alone: error of the angle where the measured pressures drive the joint, RMS [deg]; NaN where locked.
-        linear: error of a linear map of the two pressures, fitted to the same data, RMS [deg]; NaN likewise.
-        rows: number of rows with a measured angle.
-    """
-
-    name: str
-    from_s: float
-    whole: Replay
-    identified: ReplayReport
-    as_configured: ReplayReport
-    pressures_alone: float
-    linear: float
-    rows: int
-
-    def error(self, column: str) -> float:
-        """Error of the angle, RMS [deg]; NaN without any.
-
-        Args:
-            column: ``identified``, ``as_configured``, ``model_alone``, ``pressures_alone`` or ``linear``.
-        """
-        if column in ("pressures_alone", "linear"):
-            return float(getattr(self, column))
-        report = self.as_configured if column == "as_configured" else self.identified
-        errors = report.model_alone.angle if column == "model_alone" else report.ukf.angle
-        return math.nan if errors is None else errors.rmse
-
-    @property
-    def coverage(self) -> float:
-        """Share of the angles in their 95 % intervals; NaN without any."""
-        errors = self.identified.ukf.angle
-        share = None if errors is None else errors.coverage95
-        return math.nan if share is None else share
-
-
-@dataclass(frozen=True, eq=False)
-class FromPressures:
-    """An identified rig and how it was found.
-
-    Attributes:
-        start: the rig as configured.
-        rig: the result, with values that all of the data determine.
-        joint: values of joint and muscles, from the fitted part.
-        air: values of chambers and valves, or regulators, likewise; None without commands.
-        final: the same two from all of the data.
-        covered: the unknown torque of the filter.
-        held: errors on held-out data.
-        fitted: name of each recording, and the end of its part that was fitted [s].
-        notes: for the user.
-        pressures: errors of the pressures in a second from the commands [Pa]: of the model, and if nothing flowed.
-    """
-
-    start: Rig
-    rig: Rig
-    joint: Fit
-    air: Fit | None
-    final: tuple[Fit, Fit | None]
-    covered: Covered
-    held: tuple[Held, ...]
-    fitted: tuple[tuple[str, float], ...]
-    notes: tuple[str, ...]
-    pressures: tuple[float, float]
-
-    def pooled(self, column: str) -> float:
-        """Error of the angle over all held-out rows, RMS [deg]; NaN without any.
-
-        Args:
-            column: as for :meth:`Held.error`.
-        """
-        known = [(item.error(column), item.rows) for item in self.held if math.isfinite(item.error(column))]
-        total = sum(rows for _, rows in known)
-        return math.sqrt(sum(rows * error**2 for error, rows in known) / total) if total else math.nan
-
-    @property
-    def coverage(self) -> float:
-        """Share of the held-out angles in their 95 % intervals; NaN without any."""
-        known = [(item.coverage, item.rows) for item in self.held if math.isfinite(item.coverage)]
-        total = sum(rows for _, rows in known)
-        return sum(rows * share for share, rows in known) / total if total else math.nan
-
-    @property
-    def rejected(self) -> str:
-        """Why the rig should not be used, in a sentence; empty if it may."""
-        now, before = self.pooled("identified"), self.pooled("as_configured")
-        if not math.isfinite(now):
-            return "the filter gives no angle on the held-out data with it."
-        if now > before:
-            return (
-                f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
-                "The recordings do not fit two muscles on one joint, or their channels are exchanged: run check."
-            )
-        if now > (linear := self.pooled("linear")):
-            return (
-                f"on the held-out data the filter errs by {now:.3g}°, a linear map of the two pressures by "
-                f"{linear:.3g}°. The recordings do not fit two muscles on one joint, the joint moved too little, or it "
-                "hit a stop that the rig file does not have."
-            )
-        if said := refusal(self.rig):
-            return f"{said}. The recordings do not fit two muscles on one joint."
-        model, rest = self.pressures
-        if model > rest:
-            return (
-                f"the commands do not explain the pressures: within a second the model errs by {model / 1e3:.3g} kPa, "
-                f"and by {rest / 1e3:.3g} kPa if nothing flows. The commands are exchanged, or of another joint: run "
-                "check."
-            )
-        return ""
+_OTHER_RIG = 0.15
+"""Relative difference of a valve's area beyond which two recordings may be of two rigs."""
+_SEPARATE = 0.5
+"""Recordings are of two rigs if separate fits leave less than this share of the common fit's held-out squared error."""
 
 
 def is_for(rig: Rig) -> bool:
-    """Whether a rig is identified in this way: its muscles are braided ones or of a data sheet, its chambers open."""
-    return (rig.model.force == "braided" or is_from_data_sheet(rig)) and not rig.valves.sealed
-
-
-def base_model(rig: Rig) -> Rig:
-    """The rig with the laws that are fitted; values of a data sheet become those of the laws."""
-    return with_base_laws(rig) if is_from_data_sheet(rig) else rig
+    """Whether effects are searched in this way: its muscles are braided ones, its chambers open."""
+    return rig.model.force == "braided" and not rig.valves.sealed
 
 
 def identify(
@@ -182,6 +80,8 @@ def identify(
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
     whole: int = 0,
+    free: Sequence[str] = (),
+    frozen: Sequence[str] = (),
 ) -> FromPressures:
     """Identify a rig.
 
@@ -194,26 +94,72 @@ def identify(
         jobs: threads.
         progress: called with a text about each step.
         whole: number of recordings at the end that are held out as a whole, in place of the share.
+        free: names, or beginnings of names, of parameters that may move beside the usual ones.
+        frozen: names, or beginnings of names, of parameters that may not move.
 
     Raises:
-        BadInput: no free joint with a measured angle.
+        BadInput: recordings that tell too little.
+        NoResult: recordings that are not of one rig.
     """
     progress = progress or (lambda text: None)
-    if not any(_is_free(given) for given in recordings):
-        raise BadInput("no recording has a joint that moves and a measured angle: expected one at least, to fit")
-    if not any(_is_judged(given) for given in recordings):
-        raise BadInput(
-            "no recording of a free joint has commands: expected the voltages of the valves, or the commanded "
-            "pressures of the regulators, in one at least"
-        )
+    options = Options(tuple(free), tuple(frozen), holdout, starts, seed)
     ends = fitted_until(recordings, holdout, whole)
-    model = base_model(rig)
-    runs = parts_of(recordings, ends)
-    _check_motion(recordings, runs, ends)
-    joint = fit_joint(model, runs, starts=starts, seed=seed, jobs=jobs, progress=progress)
+    model = rig
+    runs = checked(recordings, ends, model)
+    unknown, unknown_air, notes = _chosen(model, runs, options)
+    refine = not is_guessed(model)
+    joint = fit_joint(model, runs, starts=starts if refine else max(starts, 2), seed=seed, jobs=jobs,
+                      progress=progress, free=unknown, refine=refine)  # fmt: skip
     own, corrected = with_joint(model, joint, recordings)
-    air = fit_air(own, parts_of(corrected, ends), jobs=jobs, progress=progress)
-    return concluded(recordings, ends, rig, joint, air, jobs, progress)
+    steps = [_joint_step(model, runs, joint)]
+    moving = moving_parts(own, corrected, ends)
+    if not is_guessed(model) and rig.drive == "regulator":
+        progress("regulators")
+        model, step = _with_regulators(model, corrected, ends, jobs)
+        own = moved(model, model_values(joint.unknowns, joint.values))
+        steps.append(step)
+    elif not is_guessed(model):
+        progress("valve curve")
+        model, curve = _with_curves(model, moving)
+        own = moved(model, model_values(joint.unknowns, joint.values))
+        steps.append(curve)
+    air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine)
+    if air is not None:
+        steps.append(_air_step(own, moving, air))
+    _refuse_two_rigs(recordings, ends, own, joint, air, jobs)
+    return concluded(recordings, ends, rig, joint, air, jobs, progress, model, options, steps, notes)
+
+
+def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unknown], list[Unknown], tuple[str, ...]]:
+    """The unknowns of the joint and of the air, and what to say of them."""
+    named = free_parameters(rig, options.free, options.frozen)
+    seen = any(np.isfinite(run.torque).any() or (not run.locked and np.isfinite(run.angle).any()) for run in runs)
+    if rig.model.force != "braided":
+        kept = [item for item in named if seen or item.name.startswith((*joint_stage.AIR, *options.free))]
+        if not kept:
+            raise BadInput(
+                "no recording has a measured angle or torque, and pressures alone do not determine the free "
+                f"parameters: {', '.join(sorted(item.name for item in named))}"
+            )
+        notes = () if seen else (
+            "No recording has a measured angle or torque: pressures alone determine "
+            f"{', '.join(item.name for item in kept)} only; all others stay as configured. To determine the others, "
+            "record the angle of a free joint and the torque of a locked one.",
+        )  # fmt: skip
+        air = [joint_stage.from_parameter(item) for item in kept if item.name.startswith(joint_stage.AIR)]
+        return joint_stage.of_parameters(rig, kept), air, notes
+    more = [item for item in named if item.name.startswith(options.free)] if options.free else []
+    both = []
+    for usual, of_air in ((joint_stage.unknowns(rig, runs), False), (air_stage.unknowns(rig), True)):
+        kept_unknowns = [item for item in usual if not _is_frozen(item, options.frozen)]
+        known = {path for item in usual for path in item.paths}
+        further = [item for item in more if item.name.startswith(joint_stage.AIR) == of_air and item.name not in known]
+        both.append([*kept_unknowns, *(joint_stage.from_parameter(item) for item in further)])
+    return both[0], both[1], ()
+
+
+def _is_frozen(item: Unknown, frozen: Sequence[str]) -> bool:
+    return any(path == word or path.startswith(word.rstrip(".") + ".") for word in frozen for path in item.paths)
 
 
 def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, list[Given]]:
@@ -231,7 +177,20 @@ def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, 
 
 
 def _found(joint: Fit) -> Corrections:
-    return Corrections(encoder_zero=joint.values[ZERO], delay_angle=-joint.values[DELAY])
+    return Corrections(encoder_zero=joint.values.get(ZERO, 0.0), delay_angle=-joint.values.get(DELAY, 0.0))
+
+
+def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:
+    """Runs of the fitted parts; where the angle of a free joint was not measured, the model gives it.
+
+    Args:
+        rig: with the values of the joint.
+        recordings: corrected by the found calibration.
+        ends: of the fitted part of each [s].
+    """
+    p = rig.parameters()
+    runs = parts_of(recordings, ends)
+    return [run if np.isfinite(run.angle).any() else joint_stage.by_the_model(run, p) for run in runs]
 
 
 def concluded(
@@ -242,8 +201,12 @@ def concluded(
     air: Fit | None,
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
+    model: Rig | None = None,
+    options: Options = AS_USUAL,
+    steps: Sequence[Step] = (),
+    said_before: Sequence[str] = (),
 ) -> FromPressures:
-    """Noise and covariance of the filter for values that were found, its errors on held-out data, and the final fit.
+    """Noise and covariance of the filter for values that were found, and its errors on held-out data.
 
     Args:
         recordings: each with its joint's condition and a name.
@@ -253,38 +216,62 @@ def concluded(
         air: values of chambers and valves, or regulators; None without commands.
         jobs: threads.
         progress: called with a text about each step.
+        model: the rig that the values were fitted to; default: as configured, with the laws that are fitted.
+        options: as given.
+        steps: of the identification.
+        said_before: notes for the user.
     """
     progress = progress or (lambda text: None)
-    own, corrected = with_joint(base_model(rig), joint, recordings)
+    own, corrected = with_joint(model or rig, joint, recordings)
     if air is not None:
-        own = moved(own, air.parameters)
-    parts = _cut(corrected, ends)
-    progress("process noise of the filter")
-    covered = with_unknown_torque(with_process_noise(own, parts, jobs), parts, jobs, progress)
+        own = moved(own, parameters(air.unknowns, air.values))
+    runs = moving_parts(own, corrected, ends)
+    covered = _with_filter(own, joint, air, _cut(corrected, ends), runs, jobs, progress)
     progress("held-out data")
-    runs = parts_of(corrected, ends)
-    line = _linear(runs)
-    held = tuple(
-        _held(given, before, end, covered.rig, rig, line)
-        for given, before, end in zip(corrected, recordings, ends, strict=True)
-        if _is_judged(given) and end < given[0].duration_s
-    )
+    line = linear_map(runs)
+    deviating = {item.recording: _own_rig(covered.rig, joint, air, item.recording)
+                 for fit in (joint, air) if fit is not None for item in fit.unknowns if item.recording}  # fmt: skip
+    held = []
+    for given, before, end in zip(corrected, recordings, ends, strict=True):
+        if has_commands(given) and end < given[0].duration_s:
+            rigs = {"as_configured": rig, "identified": covered.rig}
+            rigs |= {"own": deviating[given[2]]} if given[2] in deviating else {}
+            held.append(held_of(given, before, end, rigs, line))
     seen = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
-    progress("all of the data")
-    final = _from_all(recordings, base_model(rig), joint, air, jobs)
+    final = (joint, air)
+    if is_guessed(rig):
+        progress("all of the data")
+        final = _from_all(recordings, model or rig, joint, air, jobs)
     result = _delivered(covered.rig, rig, *final)
-    if refusal(result):  # no possible rig
-        final = joint, air
+    if final[0] is not joint and refusal(result):  # no possible rig
+        final = (joint, air)
         result = _delivered(covered.rig, rig, *final)
-    notes = (*said(runs), *_notes(*final))
-    return FromPressures(rig, result, joint, air, final, covered, held, seen, notes, errors(own, runs))
+    notes = (*said_before, *said(runs), *_notes(*final))
+    own_rigs = tuple(deviating.get(name, covered.rig) for _, _, name in recordings if deviating)
+    return FromPressures(
+        rig,
+        result,
+        own_rigs,
+        joint,
+        air,
+        final,
+        covered,
+        tuple(held),
+        seen,
+        notes,
+        errors(own, runs),
+        tuple(steps),
+        options,
+    )
 
 
 def _delivered(tuned: Rig, start: Rig, joint: Fit, air: Fit | None) -> Rig:
     """The rig file: the tuned rig with values, and with the calibration that belongs to them."""
-    values = model_values(joint.unknowns, joint.values) | ({} if air is None else air.parameters)
+    values = model_values(joint.unknowns, joint.values)
+    values |= {} if air is None else parameters(air.unknowns, air.values)
+    out = moved(tuned, values)
     calibration = _calibration(start).followed_by(_found(joint)).calibration()
-    return moved(tuned, values).replaced(calibration=start.calibration.replaced(**calibration))
+    return out.replaced(calibration=start.calibration.replaced(**calibration)) if calibration else out
 
 
 def _from_all(
@@ -297,45 +284,127 @@ def _from_all(
     if air is None:
         return last, None
     own, corrected = with_joint(model, last, recordings)
-    residual = air_stage.residual_of(
-        own, air_stage.usable(parts_of(corrected, everything)), air.unknowns, air_stage.HORIZONS[-1]
-    )
+    usable = air_stage.usable(parts_of(corrected, everything))
+    residual = air_stage.residual_of(own, usable, 0.0, air_stage.HORIZONS[-1], air.unknowns)
     return last, fitted(air.unknowns, residual, air.amounts, jobs=jobs)
 
 
-def _is_free(given: Given) -> bool:
-    recording, state, _ = given
-    return state.condition == "free" and recording.angle is not None and bool(np.isfinite(recording.angle).any())
+def _own_rig(rig: Rig, joint: Fit, air: Fit | None, name: str) -> Rig:
+    """The rig with the deviations of one recording."""
+    own = model_values(joint.unknowns, joint.values, name)
+    return moved(rig, own | ({} if air is None else parameters(air.unknowns, air.values, name)))
 
 
-def _is_judged(given: Given) -> bool:
-    """Whether a filter's angle can be compared with the measured one."""
-    return _is_free(given) and bool(np.isfinite(given[0].voltage).all(axis=1).any())
+def _with_filter(
+    rig: Rig, joint: Fit, air: Fit | None, parts: Sequence[Given], runs: Sequence[Run], jobs: int,
+    progress: Callable[[str], None],
+) -> Covered:  # fmt: skip
+    """The rig with noise and covariance of its filter."""
+    progress("process noise of the filter")
+    free = [given for given in parts if is_free(given)]
+    if is_guessed(rig):
+        return with_unknown_torque(with_process_noise(rig, free, jobs), free, jobs, progress)
+    found = {path for fit in (joint, air) if fit is not None for path in parameters(fit.unknowns, fit.values)}
+    kept = {path: std for path, std in rig.uncertainty.items() if path not in found}
+    quiet = noise.with_noise(rig.replaced(uncertainty=kept), [recording for recording, _, _ in parts])
+    followed = with_process_noise(quiet, parts, jobs, guessed=False).replaced(uncertainty=kept)
+    best = with_least_error([quiet, followed], parts, jobs)
+    best = noise.with_directions(best, joint, runs)
+    return with_unknown_torque(best, free, jobs, progress) if free else Covered(best, 0.0, math.nan)
 
 
-def _check_motion(recordings: Sequence[Given], runs: Sequence[Run], ends: Sequence[float]) -> None:
-    """Refuse data that hold too little to fit, or to judge a fit.
+def _joint_step(rig: Rig, runs: Sequence[Run], joint: Fit) -> Step:
+    """The step of joint and muscles, for the report."""
+    start = {item.name: item.start for item in joint.unknowns}
+    sizes = [
+        {kind: _rms(left) for kind, left in joint_stage.joined(
+            joint_stage.errors_of(rig, runs, joint.unknowns, values)).items()}
+        for values in (start, joint.values)
+    ]  # fmt: skip
+    note = "" if joint.unknowns else "skipped: no parameter of it is free, or shows"
+    source = "measured pressures, which drive the joint"
+    return Step("joint and muscles", source, _moves(rig, joint), sizes[0], sizes[1], note)
+
+
+def _air_step(rig: Rig, runs: Sequence[Run], air: Fit) -> Step:
+    """The step of the air, for the report."""
+    sizes = []
+    for values in ({item.name: item.start for item in air.unknowns}, air.values):
+        left = air_stage.residual_of(rig, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns, raw=True)
+        sizes.append({"pressure": _rms(left(values))})
+    return Step("chambers and valves" if rig.drive == "valve" else "chambers and regulators",
+                "commands and motion, over a second", _moves(rig, air), sizes[0], sizes[1])  # fmt: skip
+
+
+def _moves(rig: Rig, fit: Fit) -> dict[str, tuple[float, float]]:
+    return {path: (rig.value(path), value) for path, value in model_values(fit.unknowns, fit.values).items()}
+
+
+def _with_curves(rig: Rig, runs: Sequence[Run]) -> tuple[Rig, Step]:
+    """The rig with the curves that steady pressures contradict replaced."""
+    changed, findings = identify_curves(rig, runs)
+    note = "; ".join(finding.note for finding in findings)
+    return changed, Step("valve curve", "steady pressures: open rate, voltage, the two combined", {}, {}, {}, note)
+
+
+def _with_regulators(rig: Rig, recordings: Sequence[Given], ends: Sequence[float], jobs: int) -> tuple[Rig, Step]:
+    """The rig with range, dead zone and largest rate of its regulators, as far as stretches between rests show them."""
+    trials = [
+        make_trial(given[0], rig, given[1].condition, given[1].lock_angle, given[2]).part(0.0, end)
+        for given, end in zip(recordings, ends, strict=True)
+        if has_commands(given)
+    ]
+    values, note = beside_the_lag(rig, trials, jobs)
+    moves = {path: (rig.value(path), value) for path, value in values.items()}
+    return moved(rig, values), Step("regulators", "commands and pressures between rests", moves, {}, {}, note)
+
+
+def _refuse_two_rigs(
+    recordings: Sequence[Given], ends: Sequence[float], rig: Rig, joint: Fit, air: Fit | None, jobs: int
+) -> None:
+    """Refuse recordings whose common fit is worse on held-out data than separate ones.
+
+    Args:
+        recordings: each with its joint's condition and a name.
+        ends: of the fitted part of each [s].
+        rig: with the values of the joint.
+        joint: values of joint and muscles.
+        air: values of the air.
+        jobs: threads.
 
     Raises:
-        BadInput: they do.
+        NoResult: it is, and an area of a valve differs by more than that of a rig does.
     """
-    fitted = [run.angle[np.isfinite(run.angle)] for run in runs if not run.locked]
-    moved_by = math.degrees(float(np.ptp(np.concatenate([np.zeros(0), *fitted])))) if any(map(len, fitted)) else 0.0
-    if moved_by < _LEAST_MOTION:
-        raise BadInput(
-            f"the joint moves by {moved_by:.2g}° in the data to be fitted; expected {_LEAST_MOTION:g}° at least, "
-            "better its whole range"
-        )
+    if air is None or not any(item.recording for item in air.unknowns):
+        return
+    common, apart, values = 0.0, 0.0, {}
+    unknown = [item for item in air.unknowns if not item.recording]
     for given, end in zip(recordings, ends, strict=True):
-        if _is_judged(given) and end < given[0].duration_s and _held_runs(given, end):
+        mine = moving_parts(rig, [given], [end])
+        later = air_stage.usable(parts_of([given], [end], held_out=True, locked=True))
+        alone = fit_air(rig, mine, 0.0, jobs=jobs, free=unknown)
+        if alone is None or not later:
             return
-    raise BadInput("the part that is held out has no second with pressures and angle; expected a longer recording")
+        left = air_stage.residual_of(rig, later, 0.0, air_stage.HORIZONS[-1], unknown, raw=True)
+        common += float(np.sum(left(air.values) ** 2))
+        apart += float(np.sum(left(alone.values) ** 2))
+        values[given[2]] = alone.parameters
+    areas = [next(iter(item.adds)) for item in air.unknowns if item.recording]
+    spans = {path: [one[path] for one in values.values()] for path in areas}
+    path = max(spans, key=lambda path: max(spans[path]) / min(spans[path]))
+    own = {name: one[path] for name, one in values.items()}
+    low, high = min(own, key=own.__getitem__), max(own, key=own.__getitem__)
+    share = (own[high] - own[low]) / (0.5 * (own[high] + own[low]))
+    if apart < _SEPARATE * common and share > _OTHER_RIG:
+        raise NoResult(
+            f"{high} and {low} do not fit together: {path} would differ by {100 * share:.0f} %, and separate fits "
+            f"leave {100 * apart / common:.0f} % of the common fit's squared error on held-out data. They are of two "
+            "rigs, or the model lacks an effect; identify them one by one, or see what close_loop finds"
+        )
 
 
-def _held_runs(given: Given, end: float) -> list[Run]:
-    """The runs of a recording's held-out part that have a measured angle."""
-    parts = [part for run in runs_of(*given) if (part := run.part(end, math.inf)) is not None]
-    return [part for part in parts if np.isfinite(part.angle).any()]
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
 
 
 def _calibration(rig: Rig) -> Corrections:
@@ -344,7 +413,7 @@ def _calibration(rig: Rig) -> Corrections:
 
 def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     out = []
-    late, std = joint.values[DELAY], joint.stds[DELAY]
+    late, std = joint.values.get(DELAY, 0.0), joint.stds.get(DELAY, 0.0)
     if abs(late) > max(5.0 * std, 2e-3):
         words = "late against" if late > 0.0 else "ahead of"
         out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")
@@ -355,76 +424,10 @@ def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     return tuple(out)
 
 
-def fitted_until(recordings: Sequence[Given], holdout: float, whole: int = 0) -> list[float]:
-    """For each recording the end of the part that is fitted [s]; 0 where all of it is held out.
-
-    Args:
-        recordings: each with its joint's condition and a name.
-        holdout: share of the data that is held out.
-        whole: number of recordings at the end that are held out as a whole, in place of the share.
-    """
-    free = [k for k, given in enumerate(recordings) if _is_judged(given)]
-    out = [recording.duration_s + 1.0 for recording, _, _ in recordings]
-    if whole:
-        return [*out[:-whole], *[0.0] * whole]
-    if len(free) >= _WHOLE_FROM and all(recordings[k][0].duration_s <= _SHORT for k in free):
-        every = max(round(1.0 / holdout), 2)
-        for k in free[every - 1 :: every]:
-            out[k] = 0.0
-    else:
-        for k in free:
-            out[k] = (1.0 - holdout) * recordings[k][0].duration_s
-    return out
-
-
-def parts_of(recordings: Sequence[Given], ends: Sequence[float], held_out: bool = False) -> list[Run]:
-    """Runs of the fitted parts of recordings, or of the held-out ones of a free joint.
-
-    Args:
-        recordings: each with its joint's condition and a name.
-        ends: of the fitted part of each [s].
-        held_out: which of both.
-    """
-    found = []
-    for (recording, state, name), end in zip(recordings, ends, strict=True):
-        span = (end, math.inf) if held_out else (0.0, end)
-        if span[0] < span[1] and not (held_out and (state.condition == "locked" or end > recording.duration_s)):
-            found += [part for run in runs_of(recording, state, name) if (part := run.part(*span)) is not None]
-    return found
-
-
 def _cut(recordings: Sequence[Given], ends: Sequence[float]) -> list[Given]:
-    """The fitted parts of the recordings of a free joint with an angle and commands."""
+    """The fitted parts of the recordings with commands."""
     return [
         (part, state, name)
         for (recording, state, name), end in zip(recordings, ends, strict=True)
-        if end > 0.0 and _is_judged((part := recording.slice(0.0, end), state, name))
+        if end > 0.0 and has_commands((part := recording.slice(0.0, end), state, name))
     ]
-
-
-def _linear(runs: Sequence[Run]) -> Floats:
-    """Coefficients of a linear map from the two pressures [Pa] to the angle [rad] (3,)."""
-    free = [run for run in runs if not run.locked]
-    pressure, angle = np.concatenate([run.pressure for run in free]), np.concatenate([run.angle for run in free])
-    known = np.isfinite(angle)
-    found, *_ = np.linalg.lstsq(np.column_stack([pressure, np.ones(len(angle))])[known], angle[known], rcond=None)
-    return np.asarray(found)
-
-
-def _held(given: Given, before: Given, end: float, rig: Rig, start: Rig, line: Floats) -> Held:
-    recording, _, name = given
-    whole, old = (replay(one, by, "default", "free") for one, by in ((recording, rig), (before[0], start)))
-    begin = max(end, 0.0)
-    parts = _held_runs(given, begin)
-    p = par.changed(rig.parameters(), NO_REGULATORS)
-    alone = [joint_stage.simulated(run, p, 0.0, 0.0) - run.angle for run in parts]
-    mapped = [np.column_stack([run.pressure, np.ones(len(run))]) @ line - run.angle for run in parts]
-    reports = [item.report if begin == 0.0 else after(item, begin).report for item in (whole, old)]
-    rows = int(np.isfinite(recording.angle[recording.time_s >= begin]).sum()) if recording.angle is not None else 0
-    return Held(name, begin, whole, reports[0], reports[1], _rms_deg(alone), _rms_deg(mapped), rows)
-
-
-def _rms_deg(errors: Sequence[Floats]) -> float:
-    values = np.concatenate([np.zeros(0), *errors])
-    known = values[np.isfinite(values)]
-    return math.degrees(math.sqrt(float(np.mean(known**2)))) if len(known) else math.nan

@@ -9,19 +9,23 @@ second to whole runs, so that no start runs away.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
+from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined
+from pam_antagonist.inference.free_parameters import LINEAR_FORCE, FreeParameter
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.equilibrium import rest_angle
 from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.physical import is_positive
 
 Floats = NDArray[np.float64]
 _torque = dynamics.torque
@@ -38,13 +42,29 @@ _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _ZERO_STD = math.radians(5.0)
 """[rad] Of the encoder's zero, where both muscles are alike."""
+_EYE_STD = math.radians(3.0)
+"""[rad] Of an encoder that was set by eye to the middle between two stops."""
 _LARGEST_ZERO_STD = math.radians(30.0)
 _UNLIKE = 0.35
 """Standard deviation of the difference of two muscles' forces, as a share of a force."""
 _START_STD = 0.7
 """Scatter of further starts about the first one, in standard deviations of the prior."""
+_LEAST_NOISE = 1e-5
+_LAST_EVALUATIONS = 8
+"""The most derivatives of the last fit, which begins near its end."""
 _MOVING = 0.05
 """[rad/s] A slower joint starts at rest."""
+
+
+def torques(run: Run, p: Floats) -> Floats:
+    """Torque of the muscles [N m] at the rows of a run whose angle is known.
+
+    Args:
+        run: corrected by the calibration.
+        p: parameter vector (m,).
+    """
+    known = np.isfinite(run.angle)
+    return np.asarray(_torques(run.angle[known], run.velocity[known], run.pressure[known], p))
 
 
 @kernel
@@ -56,6 +76,39 @@ def _torques(angle: Floats, velocity: Floats, pressure: Floats, p: Floats) -> Fl
         x[0], x[1], x[2], x[3] = angle[k], velocity[k], pressure[k, 0], pressure[k, 1]
         out[k] = _torque(x, p)
     return out
+
+
+AIR = ("valve_", "gas.", "supply.", "effects.regulator_", "effects.valve_offset.")
+"""Beginnings of the names of parameters of the air."""
+
+
+def of_parameters(rig: Rig, free: Sequence[FreeParameter]) -> list[Unknown]:
+    """Unknowns of free parameters; a linear force map is unknown by its values at the middle length and its slopes."""
+    known, out = {item.name: item for item in free if not item.name.startswith(AIR)}, []
+    for i in (1, 2):
+        for kind in "vw":
+            slope, intercept = f"muscle_{i}.force.{kind}1", f"muscle_{i}.force.{kind}2"
+            if slope in known and intercept in known:
+                out += _line(known.pop(slope), known.pop(intercept), rig.geometry.length, kind == "v")
+    return [*out, *(from_parameter(item) for item in known.values())]
+
+
+def from_parameter(item: FreeParameter) -> Unknown:
+    """The unknown of a single free parameter."""
+    if item.start > 0.0 and is_positive(item.name):
+        return Unknown(item.name, (item.name,), item.start, item.prior_std / item.start, True, item.low, item.high)
+    return Unknown(item.name, (item.name,), item.start, item.prior_std, False, item.low, item.high)
+
+
+def _line(slope: FreeParameter, intercept: FreeParameter, middle: float, keeps_sign: bool) -> list[Unknown]:
+    """A line by its value at the middle length and its slope, which does not change that value."""
+    value = slope.start * middle + intercept.start
+    std = math.hypot(slope.prior_std * middle, intercept.prior_std)
+    keeps_sign = keeps_sign and value > 0.0
+    name = f"{slope.name[:-1]}, value at the middle length"
+    share = min(std / value, 0.5) if keeps_sign else std
+    at_middle = Unknown(name, (), value, share, keeps_sign, adds={intercept.name: 1.0})
+    return [at_middle, Unknown(slope.name, (slope.name,), slope.start, slope.prior_std, adds={intercept.name: -middle})]
 
 
 def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
@@ -89,7 +142,9 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
         # −G sin(ψ − ψ_h) = G sin ψ_h cos ψ − G cos ψ_h sin ψ.
         out.append(Unknown(WEIGHT_COS, (), torque * math.sin(hanging), weight))
         out.append(Unknown(WEIGHT_SIN, (), -torque * math.cos(hanging), weight))
-    out.append(Unknown(ZERO, (), *middle(runs, rig.atmosphere.pressure)))
+    # The angles of a file with a stop count from the middle between its stops, to which an encoder is set by eye.
+    zero = middle(runs, rig.atmosphere.pressure) if rig.joint.stop is None else (0.0, _EYE_STD)
+    out.append(Unknown(ZERO, (), *zero))
     out.append(Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1))
     return out
 
@@ -125,14 +180,15 @@ def _positive(rig: Rig, path: str, share: float) -> Unknown:
     return Unknown(path, (path,), rig.value(path), share, True)
 
 
-def model_values(unknown: Sequence[Unknown], values: Mapping[str, float]) -> dict[str, float]:
+def model_values(unknown: Sequence[Unknown], values: Mapping[str, float], recording: str = "") -> dict[str, float]:
     """Parameters by dotted path, the weight of the limb included; without zero and delay.
 
     Args:
         unknown: of the fit.
         values: by name of the unknown.
+        recording: whose own deviations are added.
     """
-    out = {path: values[item.name] for item in unknown for path in item.paths}
+    out = parameters(unknown, values, recording)
     if WEIGHT_COS in values:
         cosine, sine = values[WEIGHT_COS], values[WEIGHT_SIN]
         out["effects.limb_weight.torque"] = math.hypot(cosine, sine)
@@ -162,6 +218,55 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
     return out + zero if delay == 0.0 else np.interp(run.time - delay, run.time, out) + zero
 
 
+def by_the_model(run: Run, p: Floats) -> Run:
+    """A run of a free joint without a measured angle, with the angle that the measured pressures give.
+
+    Args:
+        run: the run.
+        p: parameter vector (m,).
+    """
+    p = par.changed(p, NO_REGULATORS)
+    start = np.array([[rest_angle(run.pressure[0, 0], run.pressure[0, 1], p), 0.0]])
+    first = np.array([0, len(run)])
+    angle = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, _LONGEST_STEP))
+    return replace(run, angle=angle, velocity=np.gradient(angle, run.time))
+
+
+def errors_of(
+    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], values: Mapping[str, float], horizon: float = math.inf
+) -> Iterator[tuple[str, Run, Floats]]:
+    """What a model leaves of each run: kind, run, and the known errors of the angle [rad] or the torque [N m].
+
+    Args:
+        rig: as configured.
+        runs: of free and locked joints.
+        unknown: of the fit.
+        values: of the unknowns, by name.
+        horizon: of the simulations [s].
+    """
+    zero, delay, vector = values.get(ZERO, 0.0), values.get(DELAY, 0.0), rig.parameters()
+    for name in dict.fromkeys(run.name for run in runs):
+        p = par.changed(vector, {**model_values(unknown, values, name), **NO_REGULATORS})
+        for run in runs:
+            if run.name != name:
+                continue
+            if not run.locked and np.isfinite(run.angle).any():
+                left = run.angle - simulated(run, p, zero, delay, horizon)
+                yield "angle", run, left[np.isfinite(run.angle)]
+            known = np.isfinite(run.torque) & np.isfinite(run.angle)
+            if known.any():
+                at = run.angle[known] - zero + delay * run.velocity[known]
+                yield "torque", run, run.torque[known] - _torques(at, run.velocity[known], run.pressure[known], p)
+
+
+def joined(errors: Iterable[tuple[str, Run, Floats]]) -> dict[str, Floats]:
+    """Errors of each kind, of all runs one behind the other."""
+    out: dict[str, list[Floats]] = {}
+    for kind, _, values in errors:
+        out.setdefault(kind, []).append(values)
+    return {kind: np.concatenate(parts) for kind, parts in out.items()}
+
+
 def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float) -> Callable[..., Floats]:
     """The residuals of all runs for values of the unknowns, in their units.
 
@@ -171,25 +276,15 @@ def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horiz
         unknown: of the fit.
         horizon: of the simulations [s].
     """
-    vector = rig.parameters()
-    angle_unit = _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked])
-    torque_unit = _TORQUE_SHARE * _range([run.torque for run in runs])
+    unit = {
+        "angle": _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked]),
+        "torque": _TORQUE_SHARE * _range([run.torque for run in runs]),
+    }
 
     def residual(values: Mapping[str, float]) -> Floats:
-        p = par.changed(vector, {**model_values(unknown, values), **NO_REGULATORS})
-        zero, delay = values[ZERO], values[DELAY]
-        out = []
-        for run in runs:
-            weight = math.sqrt(min(_INDEPENDENT * run.period, 1.0))
-            if not run.locked and np.isfinite(run.angle).any():
-                left = (run.angle - simulated(run, p, zero, delay, horizon)) / angle_unit
-                out.append(weight * left[np.isfinite(run.angle)])
-            known = np.isfinite(run.torque) & np.isfinite(run.angle)
-            if known.any():
-                at = run.angle[known] - zero + delay * run.velocity[known]
-                left = run.torque[known] - _torques(at, run.velocity[known], run.pressure[known], p)
-                out.append(weight * left / torque_unit)
-        return np.concatenate(out)
+        errors = errors_of(rig, runs, unknown, values, horizon)
+        parts = (math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / unit[kind] * left for kind, run, left in errors)
+        return np.concatenate([np.zeros(0), *parts])
 
     return residual
 
@@ -208,6 +303,8 @@ def fit_joint(
     seed: int = 0,
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
+    free: Sequence[Unknown] | None = None,
+    refine: bool = False,
 ) -> Fit:
     """Fit joint and muscles, with growing horizons. Short horizons have several starts, of which the best goes on.
 
@@ -219,9 +316,12 @@ def fit_joint(
         seed: of the drawn starts.
         jobs: threads.
         progress: called with what is being done.
+        free: what may move; default: all that no data sheet tells.
+        refine: whether errors are weighed by their size at last, and each recording may deviate a little. A rig that
+            only data sheets tell of errs by more than its sensors, and its priors are wide.
     """
     progress = progress or (lambda text: None)
-    free = unknowns(rig, runs)
+    free = unknowns(rig, runs) if free is None else list(free)
     rng = np.random.default_rng(seed)
     short, *longer = HORIZONS
     residual = residual_of(rig, runs, free, short)
@@ -234,4 +334,26 @@ def fit_joint(
     for horizon in longer:
         progress("joint and muscles from measured pressures, whole runs")
         found = fitted(free, residual_of(rig, runs, free, horizon), found.amounts, evaluations, jobs)
-    return found
+    if not refine:
+        return found
+    names = list(dict.fromkeys(run.name for run in runs))
+    extra = deviations(_ways(rig), free, names)
+    noise = {kind: max(rig.sensors.error(kind), _LEAST_NOISE) for kind in ("angle", "torque")}
+    progress("joint and muscles, errors weighed by their size")
+    return refined(
+        found, extra, lambda values: joined(errors_of(rig, runs, [*free, *extra], values)), noise, _LAST_EVALUATIONS,
+        jobs,
+    )  # fmt: skip
+
+
+def _ways(rig: Rig) -> dict[str, dict[str, float]]:
+    """How the muscles of a rig may differ from recording to recording, see :func:`unknowns.deviations`."""
+    out = {}
+    middle = 0.5 * (rig.supply.pressure + rig.atmosphere.pressure)
+    forces = dynamics.forces(np.array([0.0, 0.0, middle, middle]), rig.parameters())
+    gain, offset = (("c1",), "c3") if rig.model.force == "braided" else (LINEAR_FORCE, "w2")
+    for i, force in enumerate(forces, 1):
+        path = f"muscle_{i}.force."
+        out[f"force of muscle {i}, gain"] = {path + name: rig.value(path + name) for name in gain}
+        out[f"force of muscle {i}, offset"] = {path + offset: float(force)}
+    return out

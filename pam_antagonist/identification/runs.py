@@ -93,8 +93,7 @@ def runs_of(recording: Recording, state: JointCondition, name: str) -> list[Run]
     Raises:
         BadInput: no stretch is long enough.
     """
-    locked = state.condition == "locked"
-    found = [run for rows in _stretches(recording) if (run := _run(recording, rows, locked, name)) is not None]
+    found = [run for rows in _stretches(recording) if (run := _run(recording, rows, state, name)) is not None]
     if not found:
         raise BadInput(
             f"{name}: no stretch of {_SHORTEST:g} s without a hole, with both pressures; expected at least one"
@@ -112,16 +111,22 @@ def _stretches(recording: Recording) -> Iterator[NDArray[np.intp]]:
             yield from np.split(rows, np.flatnonzero(np.diff(recording.stamp_ns[rows]) > bound) + 1)
 
 
-def _run(recording: Recording, rows: NDArray[np.intp], locked: bool, name: str) -> Run | None:
+def _run(recording: Recording, rows: NDArray[np.intp], state: JointCondition, name: str) -> Run | None:
     time = recording.time_s[rows]
     if len(rows) < 5 or time[-1] - time[0] < _SHORTEST:
         return None
     pressure, held = _at_own_rate(time, recording.pressure[rows])
-    missing = np.full(len(rows), np.nan)
+    missing, locked = np.full(len(rows), np.nan), state.condition == "locked"
     angle = missing if recording.angle is None else recording.angle[rows]
+    angle = np.full(len(rows), state.lock_angle) if locked and not np.isfinite(angle).any() else angle
     torque = missing if recording.torque is None else recording.torque[rows]
-    columns = np.column_stack([time, pressure, recording.voltage[rows], angle, torque])
-    size = int(_FINEST / recording.sample_period_s + 1e-6)
+    # The lag of a regulator is as short as some rows.
+    finest = 0.0 if recording.drive == "regulator" else _FINEST
+    command, size = recording.voltage[rows], int(finest / recording.sample_period_s + 1e-6)
+    if size > 1:
+        # A command belongs to the step that ends at its row: here, to the time between the means of two blocks.
+        command = np.concatenate([np.repeat(command[:1], size // 2, axis=0), command[: -(size // 2)]])
+    columns = np.column_stack([time, pressure, command, angle, torque])
     if size > 1:
         whole = len(columns) // size * size
         columns = columns[:whole].reshape(-1, size, columns.shape[1]).mean(axis=1)

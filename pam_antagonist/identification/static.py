@@ -16,7 +16,6 @@ from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Floats, Undetermined
 from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.new import is_from_data_sheet, with_base_laws
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 from pam_antagonist.software import versions
 
@@ -175,12 +174,11 @@ def work_out(
                 "more lengths"
             )
     if force_map is not None:
-        known = with_base_laws(rig) if rig is not None and is_from_data_sheet(rig) else rig
         nominal, rest = length, length or float(force_map.length.max())
-        if known is not None:
-            rest = known.geometry.length
-            form = form or known.model.force
-            nominal = known.value(f"muscle_{muscles[0]}.force.c6") if known.model.force == "braided" else 0.0
+        if rig is not None:
+            rest = rig.geometry.length
+            form = form or rig.model.force
+            nominal = rig.value(f"muscle_{muscles[0]}.force.c6") if rig.model.force == "braided" else 0.0
         forms = compare_forms(force_map, rest, nominal=nominal)
         form = form or _least_error(forms)
         force = _chosen(force_map, forms, form)
@@ -349,7 +347,7 @@ def _with_fits(rig: Rig, muscles: Sequence[int], volume: StaticFit | None, force
         changes[name] = own
     if force is not None and force.form.name != rig.model.force:
         form = force.form.name
-        changes |= _other_muscle(rig, muscles, form)
+        _check_other_muscle(rig, muscles, form)
         changes["model"] = rig.model.replaced(force=form)
         # Uncertain offsets have another name in another form.
         before, after = f".force.{_OFFSET[rig.model.force]}", f".force.{_OFFSET[form]}"
@@ -374,16 +372,12 @@ def _with_fits(rig: Rig, muscles: Sequence[int], volume: StaticFit | None, force
     return out
 
 
-def _other_muscle(rig: Rig, muscles: Sequence[int], form: str) -> dict[str, Any]:
-    """The muscle without a table in the other's form: as it is, or from its data sheet."""
-    out: dict[str, Any] = {}
+def _check_other_muscle(rig: Rig, muscles: Sequence[int], form: str) -> None:
+    """Refuse a table of one muscle whose form the other one does not have."""
     for number in {1, 2} - set(muscles):
         name = f"muscle_{number}"
-        if form == "braided" and is_from_data_sheet(rig):
-            out[name] = getattr(with_base_laws(rig), name)
-        elif not any(rig.value(f"{name}.force.{key}") for key in UNITS[form]):
+        if not any(rig.value(f"{name}.force.{key}") for key in UNITS[form]):
             raise BadInput(
                 f"form {form} for muscle {muscles[0]}: rig {rig.name} has no coefficients of it for muscle {number}, "
                 f"and both share one form; expected --muscle both, or --form {rig.model.force}"
             )
-    return out

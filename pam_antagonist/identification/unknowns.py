@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+
+from pam_antagonist.inference.likelihood import correlation_length
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +26,14 @@ _STEP = 1e-3
 _ROBUST = 20.0
 """Residuals beyond so many units count less and less."""
 _AT_BOUND = 1e-3
+_NARROWED = 0.5
+"""A value is determined where the data leave less than this share of its prior's standard deviation."""
+_FAR = 3.0
+"""Distance from the rig file's value, in standard deviations of the prior, that contradicts the prior."""
+_NORMAL = 1.96
+SPREAD = 0.01
+"""Relative standard deviation of a recording's own deviation from the common value."""
+_ROUNDS = 2
 _FAILED = 1e3
 """Residual of a simulation that is not finite."""
 
@@ -40,6 +50,8 @@ class Unknown:
         positive: whether it stays above 0.
         low: least value.
         high: largest value.
+        adds: parameters that are a sum of unknowns: factor of this one in each, by dotted path.
+        recording: name of the only one that it belongs to; empty for what all have in common.
     """
 
     name: str
@@ -49,6 +61,8 @@ class Unknown:
     positive: bool = False
     low: float = -math.inf
     high: float = math.inf
+    adds: Mapping[str, float] = field(default_factory=dict)
+    recording: str = ""
 
     def value(self, amount: float) -> float:
         """Value at an amount, in standard deviations from the start."""
@@ -79,12 +93,14 @@ class Fit:
         amounts: found values in standard deviations of the priors (F,).
         covariance: of the amounts (F, F), from the curvature with the priors.
         cost: half the sum of squares, priors included.
+        scale: factor of each kind of residual, see :func:`scale_of`; empty for the stage's own.
     """
 
     unknowns: tuple[Unknown, ...]
     amounts: Floats
     covariance: Floats
     cost: float
+    scale: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:
@@ -94,7 +110,7 @@ class Fit:
     @property
     def parameters(self) -> dict[str, float]:
         """Value of each parameter, by dotted path."""
-        return parameters(self.unknowns, self.amounts)
+        return parameters(self.unknowns, self.values)
 
     @property
     def stds(self) -> dict[str, float]:
@@ -103,6 +119,14 @@ class Fit:
         return {
             item.name: item.std * math.sqrt(variance) * (abs(found[item.name]) if item.positive else 1.0)
             for item, variance in zip(self.unknowns, np.diag(self.covariance), strict=True)
+        }
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """Why the data do not determine each unknown, in few words, by name; empty where they do."""
+        return {
+            item.name: _reason(item, float(amount), math.sqrt(variance), item.name in self.at_bounds)
+            for item, amount, variance in zip(self.unknowns, self.amounts, np.diag(self.covariance), strict=True)
         }
 
     @property
@@ -115,9 +139,103 @@ class Fit:
         )
 
 
-def parameters(unknowns: Sequence[Unknown], amounts: Floats) -> dict[str, float]:
-    """Value of each parameter, by dotted path."""
-    return {path: item.value(float(a)) for item, a in zip(unknowns, amounts, strict=True) for path in item.paths}
+def _reason(item: Unknown, amount: float, std: float, at_bound: bool) -> str:
+    """Why the data do not determine an unknown, from its amount and the amount's standard error."""
+    if at_bound:
+        return "met a bound"
+    if std >= _NARROWED:
+        return "stays near its prior" if abs(amount) <= 1.0 else "moved, but uncertain"
+    if not item.positive and item.start and _NORMAL * std * item.std >= abs(item.value(amount)):
+        return "uncertain by more than its value"
+    return "contradicts its prior" if abs(amount) > _FAR else ""
+
+
+def scale_of(errors: Mapping[str, Floats], least: Mapping[str, float]) -> dict[str, float]:
+    """Factors that turn errors into independent standard deviations.
+
+    A model errs by its sensor's noise or by more, and its errors last. So each kind of error counts by its own size,
+    and values that follow from each other count as one.
+
+    Args:
+        errors: of each kind (N,).
+        least: noise of each kind.
+    """
+    out = {}
+    for kind, values in errors.items():
+        if np.isfinite(values).sum() > 2:
+            size = max(float(np.sqrt(np.nanmean(values**2))), least[kind])
+            out[kind] = 1.0 / (size * math.sqrt(correlation_length(values)))
+    return out
+
+
+def parameters(unknowns: Sequence[Unknown], values: Mapping[str, float], recording: str = "") -> dict[str, float]:
+    """Value of each parameter, by dotted path.
+
+    Args:
+        unknowns: in order.
+        values: of each, by name.
+        recording: whose own deviations are added; default: what all have in common.
+    """
+    out = {path: values[item.name] for item in unknowns for path in item.paths}
+    for item in unknowns:
+        if item.recording in ("", recording):
+            for path, factor in item.adds.items():
+                out[path] = out.get(path, 0.0) + factor * values[item.name]
+    return out
+
+
+def deviations(
+    ways: Mapping[str, Mapping[str, float]], unknowns: Sequence[Unknown], names: Sequence[str]
+) -> list[Unknown]:
+    """Deviations of single recordings from what they have in common.
+
+    A rig is not exactly the same in two recordings: valves warm up, muscles settle. If all values were common, the
+    recording with more samples would decide.
+
+    Args:
+        ways: change of the parameters by a relative deviation of 1, by the name of the way; of free ones only.
+        unknowns: common ones.
+        names: of the recordings.
+    """
+    free = {path for item in unknowns for path in (*item.paths, *item.adds)}
+    return [
+        Unknown(f"{name}: {way}", (), 0.0, SPREAD, adds=changes, recording=name)
+        for name in names if len(names) > 1
+        for way, changes in ways.items() if free.issuperset(changes)
+    ]  # fmt: skip
+
+
+def refined(
+    found: Fit,
+    extra: Sequence[Unknown],
+    errors: Callable[[Mapping[str, float]], Mapping[str, Floats]],
+    least: Mapping[str, float],
+    evaluations: int,
+    jobs: int = 1,
+) -> Fit:
+    """A fit again, with errors weighed by their size, so that its standard errors are those of the values.
+
+    Args:
+        found: the fit; its unknowns come first.
+        extra: further unknowns, that begin at the middle of their priors.
+        errors: that values leave, of each kind (N,).
+        least: noise of each kind.
+        evaluations: the most derivatives of each of two rounds.
+        jobs: threads.
+    """
+    unknowns, amounts = [*found.unknowns, *extra], np.concatenate([found.amounts, np.zeros(len(extra))])
+    scale: dict[str, float] = {}
+    for _ in range(_ROUNDS):
+        left = errors({item.name: item.value(float(a)) for item, a in zip(unknowns, amounts, strict=True)})
+        scale = scale_of(left, least)
+
+        def residual(values: Mapping[str, float], scale: Mapping[str, float] = scale) -> Floats:
+            now = errors(values)
+            return np.concatenate([np.zeros(0), *(factor * now[kind] for kind, factor in scale.items())])
+
+        found = fitted(unknowns, residual, amounts, evaluations, jobs)
+        amounts = found.amounts
+    return replace(found, scale=scale)
 
 
 def fitted(
@@ -136,6 +254,8 @@ def fitted(
         evaluations: the most derivatives.
         jobs: threads.
     """
+    if not unknowns:
+        return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual({}) ** 2)))
     low, high = (np.array(side) for side in zip(*(item.bounds for item in unknowns), strict=True))
 
     def of_data(amounts: Floats) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.trial import PRESSURE_1, Trial
+from pam_antagonist.identification.runs import Run
 from pam_antagonist.model import flow
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -144,7 +144,7 @@ class CurveFinding:
     note: str
 
 
-def identify_curves(rig: Rig, trials: Sequence[Trial]) -> tuple[Rig, list[CurveFinding]]:
+def identify_curves(rig: Rig, runs: Sequence[Run]) -> tuple[Rig, list[CurveFinding]]:
     """κ(u) of both valves by the paper's three steps, where the recordings hold steady pressures.
 
     Between the measured voltages the correction of the declared curve is linear. Beyond them the declared curve is
@@ -152,14 +152,14 @@ def identify_curves(rig: Rig, trials: Sequence[Trial]) -> tuple[Rig, list[CurveF
 
     Args:
         rig: the declared curves.
-        trials: recordings.
+        runs: stretches of the recordings.
 
     Returns:
         The rig with the curves that had to be replaced, and what was found.
     """
     findings = []
     for valve in (0, 1):
-        finding = _curve_finding(rig, trials, valve)
+        finding = _curve_finding(rig, runs, valve)
         findings.append(finding)
         if finding.replaced:
             name = f"valve_{valve + 1}"
@@ -185,11 +185,10 @@ def _knots(declared: Floats, measured: Floats) -> Floats:
     return np.unique(np.concatenate([declared, measured[chosen]]).round(6))
 
 
-def _curve_finding(rig: Rig, trials: Sequence[Trial], valve: int) -> CurveFinding:
+def _curve_finding(rig: Rig, runs: Sequence[Run], valve: int) -> CurveFinding:
     p = rig.parameters()
-    found = [
-        steady_points(trial.voltage[:, valve], trial.measured[:, PRESSURE_1 + valve], trial.dt) for trial in trials
-    ]
+    parts = [part for run in runs for part in run.commanded()]
+    found = [steady_points(part.command[:, valve], part.pressure[:, valve], part.period) for part in parts]
     points = _merged(found)
     none = np.zeros(0)
     try:

@@ -6,19 +6,15 @@ Where it is flat, the recordings do not determine the parameter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
-from pam_antagonist.inference.joint_fit import JointFit
-from pam_antagonist.inference.normal_equations import Local, weighted
 from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
@@ -79,89 +75,6 @@ class Profile:
                 return float(self.value[k] + share * (self.value[k + side] - self.value[k]))
             k += side
         return None
-
-
-def rises(found: JointFit) -> Floats:
-    """Loss of the log posterior two standard errors below and above each parameter's value (F, 2); a parabola has 2.
-
-    The other parameters follow along the ridge of the posterior.
-
-    Args:
-        found: the fit.
-    """
-    problem, count = found.problem, len(found.problem.free)
-    std = np.sqrt(np.diag(found.full))[:count]
-    ridge = (found.full[:, :count] / std).T
-    moved = [found.theta + side * _FAR * way for way in ridge for side in (-1.0, 1.0)]
-    base = problem.residuals(found.theta)
-    out = np.array([0.5 * float(theta @ theta - found.theta @ found.theta) for theta in moved])
-    for index, (residual, weight, memory) in enumerate(zip(base, found.weights, found.memory, strict=True)):
-        scale = weight * np.sqrt(memory)
-        before = float(np.sum(weighted(residual, scale) ** 2))
-        for k, change in enumerate(problem.changes(found.theta, moved, index)):
-            lost = np.isinf(change).any()
-            out[k] += np.inf if lost else 0.5 * (float(np.sum(weighted(residual + change, scale) ** 2)) - before)
-    return out.reshape(count, 2)
-
-
-def shared_profiles(
-    found: JointFit, names: Sequence[str], jobs: int = 1, progress: Callable[[str], None] | None = None
-) -> list[Profile]:
-    """Profiles of parameters that several recordings share, over ±3 standard errors.
-
-    All other parameters are fitted anew at each value, by Gauss-Newton with the derivatives of the best fit.
-
-    Args:
-        found: the fit.
-        names: parameters.
-        jobs: threads.
-        progress: called with a text after each parameter.
-    """
-    problem = found.problem
-    weights = [w * np.sqrt(m) for w, m in zip(found.weights, found.memory, strict=True)]
-    slopes = [
-        weighted(slope, weight) for slope, weight in zip(problem.local_jacobians(found.theta), weights, strict=True)
-    ]
-    parts = [Local(slope.T @ slope, np.zeros(slope.shape[1])) for slope in slopes]
-    information, _ = problem.arrow(parts).whole()
-    place = {item.name: k for k, item in enumerate(problem.free)}
-
-    def residuals(theta: Floats) -> tuple[list[Floats], float]:
-        parts = problem.residuals(theta)
-        if any(np.isinf(part).any() for part in parts):
-            return [np.zeros(part.size) for part in parts], np.inf
-        parts = [weighted(r, w) for r, w in zip(parts, weights, strict=True)]
-        return parts, 0.5 * (sum(float(part @ part) for part in parts) + float(theta @ theta))
-
-    def gradient(theta: Floats, parts: Sequence[Floats]) -> Floats:
-        pulls = [problem.map(k).T @ (r @ j) for k, (r, j) in enumerate(zip(parts, slopes, strict=True))]
-        return np.asarray(sum(pulls, theta))
-
-    def held(k: int, position: float) -> float:
-        std = float(np.sqrt(found.full[k, k]))
-        # Start along the ridge of the posterior: the other parameters follow by their covariance with this one.
-        theta = found.theta + found.full[:, k] / found.full[k, k] * position * std
-        others = np.arange(problem.size) != k
-        factor = cho_factor(information[np.ix_(others, others)])
-        best = np.inf
-        for _ in range(_STEPS):
-            parts, now = residuals(theta)
-            best = min(best, now)
-            theta[others] -= cho_solve(factor, gradient(theta, parts)[others])
-        return min(best, residuals(theta)[1])
-
-    base = residuals(found.theta)[1]
-    out = []
-    for name in names:
-        k = place[name]
-        item, std = problem.free[k], float(np.sqrt(found.full[k, k]))
-        costs = np.array(Parallel(n_jobs=jobs, prefer="threads")(delayed(held)(k, x) for x in _POSITIONS))
-        value = item.start + item.prior_std * (found.theta[k] + _POSITIONS * std)
-        best = float(item.start + item.prior_std * found.theta[k])
-        out.append(Profile(name, best, item.prior_std * std, value, costs - min(base, costs.min())))
-        if progress:
-            progress(f"profile of {name}")
-    return out
 
 
 def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffectParameter, jobs: int = 1) -> Profile:

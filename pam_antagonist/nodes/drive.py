@@ -98,6 +98,46 @@ class DriveClient(VoltageClient):
         progress(elapsed - reported)
         return ""
 
+    def explore(
+        self,
+        command: Callable[[float, Floats, float], tuple[float, float] | None],
+        seconds: float,
+        rest: Floats,
+        broken: Callable[[Floats, float], str],
+        check: Callable[[], None],
+        progress: Callable[[float], None],
+    ) -> str:
+        """Command what follows from the measurements, in real time; at the end, the resting voltages.
+
+        Args:
+            command: returns the voltages [V] for the time [s], pressures (2,) [Pa] and angle [rad]; None at the end.
+            seconds: length at most [s].
+            rest: resting voltages (2,) [V].
+            broken: as for :meth:`drive`.
+            check: called often; it raises to end the experiment.
+            progress: called with the time since the last call [s].
+
+        Returns:
+            Why it ended early, in words; empty if it did not.
+        """
+        begin, reported, lookout = time.monotonic(), 0.0, Lookout()
+        while (elapsed := time.monotonic() - begin) < seconds:
+            pressures, angle = self.seen()
+            voltage = command(elapsed, pressures, angle)
+            if voltage is None:
+                break
+            self.send(np.array(voltage))
+            if reason := lookout.ends(broken(pressures, angle)):
+                self._hold(rest, RETREAT)
+                return f"after {elapsed:.1f} s {reason}"
+            if elapsed - reported > _PROGRESS_S:
+                check()
+                progress(elapsed - reported)
+                reported = elapsed
+            time.sleep(TICK)
+        self._hold(rest, _PROGRESS_S)
+        return ""
+
     def _hold(self, voltage: Floats, seconds: float) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:

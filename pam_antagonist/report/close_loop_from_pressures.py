@@ -10,8 +10,9 @@ from pam_antagonist.diagnosis.from_pressures import LEAST_GAIN, FoundFromPressur
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report import identify_from_pressures as pages
+from pam_antagonist.report import identify_figures as drawn
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Section, Text, Tile, Tiles, background
+from pam_antagonist.report.identify import judged_of
 from pam_antagonist.report.table import Comparison, Table, number, percent
 
 _SHOWN = 10
@@ -123,8 +124,8 @@ def document(found: FoundFromPressures, hashes: Sequence[str], with_figures: boo
     values = [_values(item) for item in found.taken]
     shown = found.extended or found.recalibrated
     figures = [
-        Section(item.name, (pages.held_out_figure(item, shown),), anchor=f"held-{k}")
-        for k, item in enumerate(shown.held if with_figures else ())
+        Section(item.name, tuple(drawn.held_out_figures(item, shown.rig)), anchor=f"held-{k}")
+        for k, item in enumerate(judged_of(shown) if with_figures else ())
     ]
     definitions = (
         ("Held-out", "Data that no fit used."),
@@ -146,7 +147,7 @@ def numbers(found: FoundFromPressures, hashes: Sequence[str], next_rig: str | No
         next_rig: name of the rig file to use; None: keep the one that there is.
     """
     base, best = found.recalibrated, found.extended or found.recalibrated
-    values, stds = base.joint.values, base.joint.stds
+    values, stds = base.final[0].values, base.final[0].stds
     return {
         "verdict": found.verdict,
         "sentence": sentence(found),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from numpy.lib.recfunctions import repack_fields
@@ -32,13 +32,15 @@ class Judged:
         from_s: begin of the held-out part [s].
         whole: name of the rig -> replay of the whole recording; ``own`` only with several recordings. To save memory,
             only the identified rig's replay is complete; the others keep only angle and torque.
-        held: name of the rig -> report of the held-out part.
+        reports: name of the rig -> report of the held-out part.
+        errors_deg: of a free joint's angle, by what gives it, RMS [deg].
     """
 
     name: str
     from_s: float
     whole: Mapping[str, Replay]
-    held: Mapping[str, ReplayReport]
+    reports: Mapping[str, ReplayReport]
+    errors_deg: Mapping[str, float] = field(default_factory=dict)
 
 
 def judge(
@@ -110,6 +112,7 @@ class HeldOut:
         as_configured: with the rig file.
         identified: with the identified rig.
         own: with the recording's own values; None for a single recording.
+        errors_deg: of a free joint's angle, by what gives it, RMS [deg].
     """
 
     name: str
@@ -118,18 +121,20 @@ class HeldOut:
     as_configured: HeldOutFigures
     identified: HeldOutFigures
     own: HeldOutFigures | None
+    errors_deg: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, item: Judged) -> HeldOut:
         """The entry of a recording."""
-        own = item.held.get("own")
+        own = item.reports.get("own")
         return cls(
             item.name,
             item.from_s,
-            item.held["identified"].joint,
-            HeldOutFigures.of(item.held["as_configured"]),
-            HeldOutFigures.of(item.held["identified"]),
+            item.reports["identified"].joint,
+            HeldOutFigures.of(item.reports["as_configured"]),
+            HeldOutFigures.of(item.reports["identified"]),
             None if own is None else HeldOutFigures.of(own),
+            item.errors_deg,
         )
 
     @property
@@ -154,7 +159,7 @@ def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
         judged: of :func:`judge`.
         rig: ``identified``, or ``own`` for each recording's own values.
     """
-    reports = [item.held[rig] for item in judged if rig in item.held]
+    reports = [item.reports[rig] for item in judged if rig in item.reports]
     shares = [item.coverage for report in reports for item in judged_channels(report)]
     return sum(shares) / len(shares) if shares else math.nan
 

@@ -6,8 +6,6 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from pam_antagonist.identification.session import Identified
-from pam_antagonist.identification.stages import MEASURED
 from pam_antagonist.report import html
 from pam_antagonist.report import identify_figures as drawn
 from pam_antagonist.report.assumption import in_first_lines
@@ -16,30 +14,40 @@ from pam_antagonist.report.document import Block, Document, Findings, Section, T
 from pam_antagonist.report.held_out import Judged, held_out_table
 from pam_antagonist.report.identify_entries import IdentifyReport, StageEntry
 from pam_antagonist.report.identify_findings import DEFINITIONS, findings, undetermined, verdict
-from pam_antagonist.report.table import MISSING, Table, number, percent
+from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
 
+COLUMNS = {
+    "identified": "UKF, identified rig",
+    "as_configured": "UKF, rig file as configured",
+    "model_alone": "model alone, from the commands",
+    "pressures_alone": "joint driven by the measured pressures",
+    "linear": "linear map of the two pressures",
+}
+"""What gives an angle that is compared on held-out data."""
+
 
 def write_report(
-    folder: Path, report: IdentifyReport, found: Identified, judged: Sequence[Judged], with_figures: bool = True
+    folder: Path, report: IdentifyReport, judged: Sequence[Judged], rig: Rig, with_figures: bool = True
 ) -> None:
     """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
         folder: existing folder.
         report: of :func:`pam_antagonist.report.identify.report`.
-        found: the identification.
         judged: recordings, replayed with the compared rigs.
+        rig: the identified one.
         with_figures: False leaves the figures out of the page.
     """
-    html.write(folder, document(report, found, judged, with_figures), report)
+    html.write(folder, document(report, judged, rig, with_figures), report)
 
 
 def summary(report: IdentifyReport) -> tuple[Block, ...]:
     """Blocks for the terminal."""
     return (
-        Text(verdict(report)),
+        Text(verdict(report), "verdict"),
+        *_angles(report),
         parameters_table(report),
         *map(held_out_table, report.held_out),
         Findings(findings(report)),
@@ -47,37 +55,46 @@ def summary(report: IdentifyReport) -> tuple[Block, ...]:
     )
 
 
-def document(
-    report: IdentifyReport, found: Identified, judged: Sequence[Judged], with_figures: bool = True
-) -> Document:
+def document(report: IdentifyReport, judged: Sequence[Judged], rig: Rig, with_figures: bool = True) -> Document:
     """The report as a document.
 
     Args:
         report: of :func:`pam_antagonist.report.identify.report`.
-        found: the identification.
         judged: recordings, replayed with the compared rigs.
+        rig: the identified one.
         with_figures: False leaves the figures out.
     """
     what = f"{len(judged)} recordings" if len(judged) > 1 else "one recording"
     lede = (
-        f"Parameters with error bars, sensor noise and filter tuning from {what}. The end of each recording was held "
-        "out: it was not fitted, and the result is judged on it."
+        f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
+        "whole ones, which no step used."
     )
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(verdict(report), "verdict"),
         Tiles(_tiles(report)),
         Findings(findings(report)),
-        *(drawn.held_out_figures(judged[0], found, 0)[:1] if with_figures else ()),
         *in_first_lines(report.assumption),
-        _held_out(report, found, judged, with_figures),
-        _parameters(report, found, with_figures),
+        *_angles(report),
+        _held_out(report, judged, rig, with_figures),
+        _parameters(report, with_figures),
         *_between(report),
-        _stages(report, found, with_figures),
+        _stages(report, rig),
         _noise(report),
         *background(DEFINITIONS, _provenance(report)),
     ]
-    return Document("Identification of a pneumatic muscle joint", f"Rig {found.start.name}", tuple(parts))
+    return Document("Identification of a pneumatic muscle joint", f"Rig {report.settings.rig}", tuple(parts))
+
+
+def _angles(report: IdentifyReport) -> tuple[Block, ...]:
+    """Error of the angle by what gives it, on all held-out data of free joints."""
+    if not report.errors_deg:
+        return ()
+    known = [entry for entry in report.held_out if entry.errors_deg]
+    out = Comparison("Error of the angle on held-out data, RMS [°]", *(entry.name for entry in known), "all")
+    for key, title in COLUMNS.items():
+        out.values(title, [*(entry.errors_deg.get(key) for entry in known), report.errors_deg.get(key)], best=None)
+    return (out.table(),)
 
 
 def _tiles(report: IdentifyReport) -> tuple[Tile, ...]:
@@ -98,18 +115,15 @@ def _tiles(report: IdentifyReport) -> tuple[Tile, ...]:
 # ------------------------------------------------------------------ sections
 
 
-def _held_out(report: IdentifyReport, found: Identified, judged: Sequence[Judged], with_figures: bool) -> Section:
-    content: list[Block] = [
-        Text("Errors on the part of each recording that was neither fitted nor used for tuning. The best is bold.")
-    ]
-    for index, (entry, item) in enumerate(zip(report.held_out, judged, strict=True)):
-        figures = drawn.held_out_figures(item, found, index) if with_figures else []
-        figures = figures if index else figures[1:]  # the first figure is at the top of the report
+def _held_out(report: IdentifyReport, judged: Sequence[Judged], rig: Rig, with_figures: bool) -> Section:
+    content: list[Block] = [Text("Errors on data that were neither fitted nor used for tuning. The best is bold.")]
+    for entry, item in zip(report.held_out, judged, strict=True):
+        figures = drawn.held_out_figures(item, rig) if with_figures else []
         content.append(Section(item.name, (held_out_table(entry), *figures)))
     return Section("On held-out data", tuple(content), 2, "held-out")
 
 
-def _parameters(report: IdentifyReport, found: Identified, with_figures: bool) -> Section:
+def _parameters(report: IdentifyReport, with_figures: bool) -> Section:
     content: list[Block] = [drawn.parameters_figure(report.parameters)] if with_figures else []
     content.append(parameters_table(report, "All free parameters"))
     left = undetermined(report)
@@ -119,10 +133,6 @@ def _parameters(report: IdentifyReport, found: Identified, with_figures: bool) -
     if report.correlations:
         pairs = tuple((pair.first, pair.second, f"{pair.correlation:+.3f}") for pair in report.correlations)
         content.append(Table(("Parameter", "with", "correlation"), pairs, "Strongly correlated parameters"))
-    if with_figures:
-        profile = drawn.profiles_figure(found)
-        content += [*([profile] if profile else []), drawn.correlation_figure(found)]
-    content.append(_profiles_table(report))
     return Section("Parameters", tuple(content), 2, "parameters")
 
 
@@ -130,11 +140,9 @@ def _between(report: IdentifyReport) -> list[Section]:
     between = report.between
     if between is None:
         return []
-    spread = ", ".join(f"{group} {100 * value:.2f} %" for group, value in between.spread.items())
     text = (
-        "Each recording may deviate a little from the common values. The standard deviation of these deviations was "
-        f"estimated with the parameters: {spread}. They raise the logarithm of the evidence by "
-        f"{between.evidence_gain:.0f} against equal values for all recordings."
+        "Each recording may deviate a little from the common values, by about a per cent. The common values lie "
+        "between them."
     )
     rows = tuple(
         (
@@ -151,57 +159,34 @@ def _between(report: IdentifyReport) -> list[Section]:
     return [Section("How the recordings differ", (Text(text), table), 2, "between", folded=True)]
 
 
-def _stages(report: IdentifyReport, found: Identified, with_figures: bool) -> Section:
-    free = {item.name for item in found.free}
-    known = ", ".join(f"{name} {found.start.value(name):.4g}" for name in MEASURED if name not in free)
+def _stages(report: IdentifyReport, rig: Rig) -> Section:
     content: list[Block] = [
         Text(
-            "The order is that of Proposition 1. Steady states depend on neither orifice areas nor polytropic indices, "
-            "so they come first. Each step gives the start values of the joint refinement, which is the last."
-        ),
-        Section("measured directly", (Text(f"Taken from the rig file: {known}."),)),
+            "The measured pressures drive joint and muscles, so no valve has to be known for these. Then the measured "
+            "motion drives the chambers, so that the air does not depend on the joint."
+        )
     ]
-    fitted = [trial.part(0.0, until) for trial, until in zip(found.trials, found.held_from, strict=True)]
-    for stage, entry in zip(found.stages, report.stages, strict=True):
+    for entry in report.stages:
         note = f" {entry.note[:1].upper()}{entry.note[1:]}." if entry.note else ""
         inner: list[Block] = [Text(f"From {entry.source}.{note}")]
-        if entry.values or entry.balance_nm is not None:
-            inner.append(_stage_residuals(entry))
-        if entry.values and entry.name != "joint refinement":
-            inner.append(_stage_values(entry, found.start))
-        figure = drawn.stage_figure(stage, fitted) if with_figures else None
-        content.append(Section(entry.name, (*inner, *([figure] if figure else []))))
-    if len(report.starts) > 1:
-        rows = tuple((start.name, number(start.cost, 6), "best" if start.best else "") for start in report.starts)
-        content.append(Table(("Start", "cost", ""), rows, "The joint refinement from several starts"))
+        if entry.values:
+            inner += [_stage_residuals(entry), _stage_values(entry, rig)]
+        content.append(Section(entry.name, tuple(inner)))
     return Section("Step by step", tuple(content), 2, "steps", folded=True)
 
 
 def _noise(report: IdentifyReport) -> Section:
     tuning = report.tuning
-    size = (
-        f"Their size is {tuning.scale:.2f} times that of the fit: with it, the errors of the measured angle and torque "
-        "in the fitted part are most likely."
-        if tuning.scale_from_reference
-        else "No angle or torque was measured, so their size could not be checked."
-    )
     rows = tuple(
-        (
-            item.name,
-            f"{item.angle_deg:.3f}°",
-            f"{item.torque_nm:.4f} N m",
-            ", ".join(f"{part.name} {_percent_or_zero(part.relative)}" for part in item.largest),
-        )
-        for item in tuning.directions
+        (name, ", ".join(f"{path} {number(value, 2)}" for path, value in changes.items() if value))
+        for name, changes in tuning.directions.items()
     )
-    header = ("Direction", "moves the angle by", "the torque by", "largest changes")
-    text = f"The filter's covariance includes the uncertainty of the parameters as directions. {size}"
-    tables = (_noise_table(report), Text(text), Table(header, rows, prose=True))
-    return Section("Noise and tuning", tables, 2, "noise", folded=True)
-
-
-def _percent_or_zero(value: float) -> str:
-    return change(value if math.isfinite(value) else 0.0)
+    text = (
+        f"The filter considers a constant torque that is not known, {number(tuning.unknown_torque_nm, 2)} N m (one "
+        "standard deviation), and the directions in which the values are uncertain."
+    )
+    directions = (Table(("Direction", "changes by one standard deviation [SI]"), rows, prose=True),) if rows else ()
+    return Section("Noise and tuning", (_noise_table(report), Text(text), *directions), 2, "noise", folded=True)
 
 
 def _provenance(report: IdentifyReport) -> list[tuple[str, str]]:
@@ -248,20 +233,6 @@ def parameters_table(report: IdentifyReport, caption: str = "") -> Table:
     return Table(header, rows, caption)
 
 
-def _profiles_table(report: IdentifyReport) -> Table:
-    units = {item.name: readable(item.unit) for item in report.parameters}
-
-    def end(value: float | None, scale: float) -> str:
-        return "beyond 3 standard errors" if value is None else number(value * scale, 4)
-
-    rows = tuple(
-        (f"{item.name} [{unit.name}]", end(item.low95, unit.scale), end(item.high95, unit.scale))
-        for item in report.profiles
-        for unit in [units[item.name]]
-    )
-    return Table(("Parameter", "95 % from", "to"), rows, "Intervals by profile likelihood")
-
-
 def _stage_values(stage: StageEntry, rig: Rig) -> Table:
     rows = []
     for name, item in stage.values.items():
@@ -275,16 +246,12 @@ def _stage_values(stage: StageEntry, rig: Rig) -> Table:
 def _stage_residuals(stage: StageEntry) -> Table:
     """Residuals of the simulated model before and after one step."""
     units = (("angle", "angle [°]", math.degrees(1.0)), ("torque", "torque [N m]", 1.0),
-             ("pressure_1", "pressure 1 [kPa]", 1e-3), ("pressure_2", "pressure 2 [kPa]", 1e-3))  # fmt: skip
+             ("pressure", "pressure, over a second [kPa]", 1e-3))  # fmt: skip
     rows = []
     for key, title, scale in units:
-        before, after = stage.before[key], stage.after[key]
-        if before is not None and after is not None:
-            rows.append((title, number(before * scale), number(after * scale)))
-    if stage.balance_nm is not None:
-        both = stage.balance_nm
-        rows.append(("torque at measured pressures [N m]", number(both.before), number(both.after)))
-    return Table(("RMS residual", "before", "after"), tuple(rows))
+        if key in stage.before and key in stage.after:
+            rows.append((title, number(stage.before[key] * scale), number(stage.after[key] * scale)))
+    return Table(("RMS error", "before", "after"), tuple(rows))
 
 
 def _noise_table(report: IdentifyReport) -> Table:
@@ -302,7 +269,5 @@ def _noise_table(report: IdentifyReport) -> Table:
     for k in (0, 1):
         before, now = tuning.measurement_before[k], tuning.measurement[k]
         rows.append((f"R, pressure {k + 1} [Pa²]", number(before), number(now)))
-    like = tuning.log_likelihood_a_sample
-    rows.append(("log-likelihood of the innovations a sample", number(like.before, 5), number(like.after, 5)))
     caption = "Sensor noise, process noise Q and measurement noise R"
     return Table(("", "configured", "identified"), tuple(rows), caption)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pam_antagonist.identification.session import Start
-from pam_antagonist.identification.stages import Stage
-from pam_antagonist.inference.trial import CHANNELS
+from pam_antagonist.identification.result import Step
 from pam_antagonist.report.held_out import HeldOut
 from pam_antagonist.rig import Rig
 
@@ -23,14 +21,10 @@ class ParameterEntry:
         std: standard deviation of the value.
         relative_change: of the value.
         prior_std: standard deviation of the prior.
-        moves: how far the optimum moves beyond what the standard deviation explains.
-        misfit: how far errors of the model may have moved the value at worst.
         bound: bound of the search that the value met; None for none.
         determined: whether the recordings determine the parameter.
         reason: why they do not; empty where they do.
         record: recording that would determine it; None where it is determined.
-        own: value of each recording.
-        own_std: standard deviation of each recording's value.
         unit: SI unit of these numbers.
     """
 
@@ -40,14 +34,10 @@ class ParameterEntry:
     std: float
     relative_change: float
     prior_std: float
-    moves: float
-    misfit: float
     bound: float | None
     determined: bool
     reason: str
     record: str | None
-    own: tuple[float, ...]
-    own_std: tuple[float, ...]
     unit: str
 
 
@@ -66,39 +56,29 @@ class Change:
 
 @dataclass(frozen=True)
 class StageEntry:
-    """A step of the identification. RMS residuals are by channel [rad, N m, Pa, Pa], None where not measured.
+    """A step of the identification. RMS errors are by channel, in SI units.
 
     Attributes:
         name: of the step.
         source: data that the step used.
         values: parameters that changed, in SI units.
-        before: RMS residuals before the step.
-        after: RMS residuals after the step.
-        balance_nm: RMS of the joint's torque balance [N m]; None where it was not used.
+        before: RMS errors before the step.
+        after: RMS errors after the step.
         note: for the user.
     """
 
     name: str
     source: str
     values: Mapping[str, Change]
-    before: Mapping[str, float | None]
-    after: Mapping[str, float | None]
-    balance_nm: Change | None
+    before: Mapping[str, float]
+    after: Mapping[str, float]
     note: str
 
     @classmethod
-    def of(cls, stage: Stage) -> StageEntry:
+    def of(cls, step: Step) -> StageEntry:
         """The entry of a step."""
-        balance = stage.balance
-        return cls(
-            stage.name,
-            stage.source,
-            {name: Change(old, new) for name, (old, new) in stage.values.items()},
-            dict(zip(CHANNELS, stage.before, strict=True)),
-            dict(zip(CHANNELS, stage.after, strict=True)),
-            None if balance is None else Change(balance.rms("before"), balance.rms("after")),
-            stage.note,
-        )
+        values = {name: Change(old, new) for name, (old, new) in step.values.items()}
+        return cls(step.name, step.source, values, step.before, step.after, step.note)
 
 
 @dataclass(frozen=True)
@@ -114,25 +94,6 @@ class Pair:
     first: str
     second: str
     correlation: float
-
-
-@dataclass(frozen=True)
-class ProfileEntry:
-    """Profile likelihood of a parameter, and its 95 % interval.
-
-    Attributes:
-        name: of the parameter.
-        value: values at which the parameter was held, in SI units.
-        loss: loss of the logarithm of likelihood and prior at each value, 0 at the best.
-        low95: lower end of the interval, in SI units; None where it is open.
-        high95: upper end, likewise.
-    """
-
-    name: str
-    value: tuple[float, ...]
-    loss: tuple[float, ...]
-    low95: float | None
-    high95: float | None
 
 
 @dataclass(frozen=True)
@@ -159,13 +120,9 @@ class Between:
     """Differences between the recordings.
 
     Attributes:
-        spread: group of parameters -> relative standard deviation between recordings.
-        evidence_gain: gain in the logarithm of the evidence by allowing these differences.
         differences: for each parameter.
     """
 
-    spread: Mapping[str, float]
-    evidence_gain: float
     differences: tuple[DifferenceEntry, ...]
 
 
@@ -208,38 +165,6 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class RelativeChange:
-    """A parameter and its relative change.
-
-    Attributes:
-        name: of the parameter.
-        relative: change over value.
-    """
-
-    name: str
-    relative: float
-
-
-@dataclass(frozen=True)
-class DirectionEntry:
-    """A direction: a combination of uncertain parameters, one standard deviation.
-
-    Attributes:
-        name: of the direction.
-        angle_deg: change of the angle [deg].
-        torque_nm: change of the torque [N m].
-        share: share of the effect of all directions.
-        largest: parameters that change most.
-    """
-
-    name: str
-    angle_deg: float
-    torque_nm: float
-    share: float
-    largest: tuple[RelativeChange, ...]
-
-
-@dataclass(frozen=True)
 class TuningEntry:
     """The filter's tuning; variances in squared SI units of the states and readings.
 
@@ -248,22 +173,16 @@ class TuningEntry:
         process_before: diagonal of Q in the rig file.
         measurement: diagonal of R.
         measurement_before: diagonal of R in the rig file.
-        log_likelihood_a_sample: mean log likelihood of the innovations.
-        evaluations: number of Q that were tried.
-        scale: factor of all directions.
-        scale_from_reference: whether a measured angle or torque gave this factor.
-        directions: of the uncertain parameters in the filter.
+        unknown_torque_nm: standard deviation of a constant torque that the filter considers [N m].
+        directions: of the uncertain parameters in the filter: change of each by one standard deviation.
     """
 
     process: tuple[float, ...]
     process_before: tuple[float, ...]
     measurement: tuple[float, ...]
     measurement_before: tuple[float, ...]
-    log_likelihood_a_sample: Change
-    evaluations: int
-    scale: float
-    scale_from_reference: bool
-    directions: tuple[DirectionEntry, ...]
+    unknown_torque_nm: float
+    directions: Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -304,7 +223,7 @@ class Settings:
         free: additional free parameters.
         frozen: parameters that were held.
         holdout: share of each recording that was held out.
-        starts: number of starts of the joint refinement.
+        starts: number of starts of the fit of joint and muscles.
         seed: of the starts.
     """
 
@@ -325,14 +244,13 @@ class IdentifyReport:
         coverage95: mean coverage of the identified rig's 95 % interval on the held-out parts, over channels and
             recordings; NaN where nothing was measured.
         coverage95_own: mean coverage with each recording's own values; NaN for a single recording.
+        errors_deg: of the angle, over all held-out data of free joints, by what gives it, RMS [deg].
         parameters: the free parameters.
         stages: steps.
         correlations: strongly correlated parameters.
-        profiles: of the most important parameters.
         between: differences between the recordings; None for a single one.
         noise: of the sensors.
         tuning: of the filter.
-        starts: of the joint refinement.
         recordings: used recordings.
         warnings: for the user.
         settings: of the identification.
@@ -344,14 +262,13 @@ class IdentifyReport:
     held_out: tuple[HeldOut, ...]
     coverage95: float
     coverage95_own: float
+    errors_deg: Mapping[str, float]
     parameters: tuple[ParameterEntry, ...]
     stages: tuple[StageEntry, ...]
     correlations: tuple[Pair, ...]
-    profiles: tuple[ProfileEntry, ...]
     between: Between | None
     noise: Noise
     tuning: TuningEntry
-    starts: tuple[Start, ...]
     recordings: tuple[RecordingEntry, ...]
     warnings: tuple[str, ...]
     settings: Settings

@@ -21,6 +21,8 @@ WORSE = 1.2
 _USUAL_DIFFERENCE = 0.05
 """Relative difference of two recordings of one rig: 2 % is the scale of the spread's prior, so 5 % is rare."""
 _LISTED = 4
+_LARGE = 0.05
+"""Error as a share of the angle's range, from which on it is called large."""
 
 _Model = Literal["ukf", "model_alone"]
 _MODELS: tuple[_Model, ...] = ("ukf", "model_alone")
@@ -28,8 +30,8 @@ _MODELS: tuple[_Model, ...] = ("ukf", "model_alone")
 DEFINITIONS = (
     (
         "Held out",
-        "The end of each recording, which no fit and no tuning used. The model starts at the recording's start and "
-        "gets the recorded voltages; the filter gets the recorded pressures as well. Errors count in this part only.",
+        "The end of each recording, or whole short ones, which no fit and no tuning used. The model starts at the "
+        "recording's start and gets the recorded commands; the filter gets the recorded pressures as well.",
     ),
     ("As configured", "The rig file that the identification began with."),
     (
@@ -53,15 +55,8 @@ DEFINITIONS = (
     ),
     (
         "Determined",
-        "The value met no bound and does not contradict its prior, and the likelihood falls on both sides of it. Its "
-        "error is less than half of the prior's standard deviation, and its 95 % interval does not contain 0. The "
-        "error is the standard error, what the value moves to the optimum or where fewer data are fitted, and what "
-        "errors of the model may have moved it.",
-    ),
-    (
-        "Profile",
-        "How much the log-likelihood falls while one parameter is held at another value and the others are fitted "
-        "again. A fall of 1.92 marks the 95 % interval. A flat profile: the recordings do not determine the parameter.",
+        "The value met no bound and does not contradict its prior. Its standard error is less than half of the prior's "
+        "standard deviation, and its 95 % interval does not contain 0.",
     ),
     (
         "Direction",
@@ -209,7 +204,7 @@ def findings(report: IdentifyReport) -> tuple[Finding, ...]:
         )
         out.append(Finding("warn", text))
     for entry in report.held_out:
-        out += [*_worse(entry), *_against_model(entry), *_of_recording(entry)]
+        out += [*_worse(entry), *_against_model(entry), *_large(entry), *_of_recording(entry)]
     return (*out, *_coverage(report), _differences(report), *_undetermined(report), *_pairs(report))
 
 
@@ -247,6 +242,19 @@ def _against_model(entry: HeldOut) -> list[Finding]:
             )
             out.append(Finding("warn", text))
     return out
+
+
+def _large(entry: HeldOut) -> list[Finding]:
+    """An angle whose error is a large share of its range."""
+    for errors in entry.known(ANGLE)[1:2]:
+        share = errors.ratio * errors.rmse / errors.largest if errors.largest else 0.0
+        if share > _LARGE:
+            text = (
+                f"{entry.name}, held-out part: the error is {percent(share)} of the angle's range: the joint is no "
+                "plain pair of muscles, or the model lacks something. Run close_loop."
+            )
+            return [Finding("warn", text)]
+    return []
 
 
 def _of_recording(entry: HeldOut) -> list[Finding]:

@@ -71,16 +71,16 @@ def rest_voltage(rig: Rig) -> tuple[float, float]:
 def steady_voltage(rig: Rig, pressure: float) -> tuple[float, float]:
     """Voltages (2,) [V] under which both muscles keep a pressure, by the valves' law (5).
 
-    In the steady state as much flows in as out, α m_in = (1 − α) m_out: the orifice areas play no part.
+    In the steady state as much flows in as out: the orifice areas play no part. A valve that is closed in the middle
+    keeps any pressure there.
 
     Args:
         rig: the joint.
         pressure: wanted one [Pa].
     """
     p = rig.parameters()
-    inflow = flow.orifice_flow(p[par.SUPPLY], pressure, p)
-    outflow = flow.orifice_flow(pressure, p[par.ATMOSPHERE], p)
-    first, second = (float(flow.voltage_for(i, outflow / (inflow + outflow), p)) for i in (0, 1))
+    supply = p[par.SUPPLY]
+    first, second = (float(flow.voltage_for(i, flow.open_rate_for(i, 0.0, pressure, supply, p), p)) for i in (0, 1))
     return first, second
 
 

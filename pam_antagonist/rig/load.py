@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ def checked(content: dict[str, Any], where: str) -> Rig:
         BadInput: unknown or missing key, a value that is not physical.
     """
     rig = validated(Rig, content, where, _SWITCHES)
-    complaint = unphysical(rig)
+    complaint = _half_linear(content, rig) or unphysical(rig)
     if complaint:
         raise BadInput(f"{where}: {complaint}")
     return rig
@@ -110,6 +111,15 @@ def with_value(rig: Rig, name: str, value: Any) -> Rig:
     for key in reversed([head, *rest]):
         change = {key: change}
     return checked(_overlaid(content, change), f"rig {rig.name}")
+
+
+def _half_linear(content: Mapping[str, Any], rig: Rig) -> str:
+    """Which coefficient of the paper's force map is left out; the other forms do not need them. Empty: none."""
+    for name in ("muscle_1", "muscle_2") if rig.model.force == "linear" else ():
+        for key in ("v1", "v2", "w1", "w2"):
+            if key not in content[name]["force"]:
+                return f"{name}.force.{key} is missing: the linear force map needs it"
+    return ""
 
 
 def _locate(name_or_path: str, beside: Path) -> Path:

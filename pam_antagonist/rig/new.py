@@ -3,18 +3,20 @@
 Values that cannot be measured simply are assumed, with a wide prior, so that ``identify`` can change them.
 
 **Force.** A data sheet gives the force F_n without contraction at a gauge pressure p_n, and the contraction ε_n at
-which no force is left. The linear map in between, with ε = 1 − l/L_n,
-
-    F = F_n (p/p_n) (1 − k ε) − F_n (h + c ε),
-
-has two parts: one of the pressure, and one of the rubber, which reduces the force. The shares h = 0.06 and c = 0.59 k
-come from a measured map (Martens and Boblan 2017, DMSP-20, contractions up to 26 %; k = 2.5 there). F(ε_n, p_n) = 0
-then gives k = (1 − h)/(1.59 ε_n). With absolute pressure P this is equation (6), (7).
+which no force is left. The map is that of :mod:`~pam_antagonist.model.braided_force` with a = F_n/p_n. The rubber takes
+the share h = 0.19 of F_n, which it reaches within a quarter of ε_n: b = h F_n, s = 15/ε_n, ε_0 = 0.007. F(ε_n, p_n) = 0
+then gives k = (1 − h)/ε_n. The shares come from a measured map (Martens and Boblan 2017, DMSP-20): a, b, k and s of its
+best fit are within a tenth of those that its data sheet gives in this way.
 
 **Volume.** Inextensible threads of length b with n turns enclose V = l (b² − l²)/(4 π n²) (Chou and Hannaford 1996).
 D_1, D_2, D_3 of equation (3) are the best fit to this volume over the joint's range.
 
-**Valve.** The inflow area gives the flow of the data sheet, by equation (5).
+**Valve.** The inflow area gives the flow of the data sheet, by equation (5). A valve with a closed centre has an
+overlap of 0.5: above the middle of its voltages it fills, below it empties, and in the middle no air passes.
+
+**Filter.** With a guessed valve the model's flow is worth little. So the process noise of the pressures lets the
+measured pressures drive the joint. What is left is the joint's own error: muscles that differ from their data sheet,
+and a torque that nobody told. Where no limb was told it is the largest that the weight of the moving parts can have.
 """
 
 from __future__ import annotations
@@ -27,15 +29,23 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import orifice
+from pam_antagonist.model import muscle, orifice
+from pam_antagonist.model import parameters as par
 from pam_antagonist.rig.parts import MusclePart, RegulatorPart, ValvePart
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 from pam_antagonist.rig.schema import Rig
 from pam_antagonist.strict_yaml import validated
 
+_GRAVITY = 9.81
+"""[m/s²]"""
 ATMOSPHERE = 101.3e3
 """Pressure of the surroundings [Pa]."""
-_RUBBER, _RUBBER_SLOPE = 0.06, 0.59
+_RUBBER, _STEEPNESS, _REST, _BEND = 0.19, 15.0, 0.007, 0.005
+"""Of a muscle's force map: h; s ε_n; ε_0; w as a share of F_n, all [-]."""
+_OVERLAP, _OVERLAP_PRIOR, _OVERLAP_BOUNDS = 0.5, 0.05, (0.3, 0.7)
+"""Of a valve whose centre is closed: open rate at which an orifice shuts, its prior, and its bounds."""
+_PRESSURE_DRIFT = 20e3**2 / 0.01
+"""[Pa²/s] Growth of a pressure's variance by the errors of a guessed valve: 20 kPa in 10 ms."""
 _THREAD_ANGLE = math.radians(25.0)
 """Angle between threads and axis without pressure, for which the braid's force at ε = 0 agrees with data sheets."""
 _MOST_STRETCH = 0.05
@@ -46,20 +56,25 @@ _NOMINAL = 7e5, 6e5
 """Absolute pressures before and behind the valve at its nominal flow [Pa]."""
 
 _PRIORS = {
-    "valve_1.inflow_area": 0.25, "valve_1.outflow_area": 0.25,
-    "valve_2.inflow_area": 0.25, "valve_2.outflow_area": 0.25,
-    "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.2, "joint.inertia": 0.2, "joint.viscous_friction": 0.5,
-    "friction.shaft": 0.3, "friction.muscle": 0.2,
+    "valve_1.inflow_area": 0.35, "valve_1.outflow_area": 0.35,
+    "valve_2.inflow_area": 0.35, "valve_2.outflow_area": 0.35,
+    "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.3, "joint.inertia": 0.2, "joint.viscous_friction": 1.0,
+    "friction.shaft": 0.5, "effects.friction_by_pressure.slope_1": 1.0, "effects.friction_by_pressure.slope_2": 1.0,
+    "geometry.radius": 0.06, "effects.limb_weight.torque": 0.2,
+    **{f"muscle_{i}.force.{name}": share for i in (1, 2)
+       for name, share in {"c1": 0.25, "c2": 0.15, "c3": 0.4, "c4": 0.5, "c6": 0.03}.items()},
 }  # fmt: skip
 """Standard deviations before identification, as shares of the value."""
-_AREA_UNCERTAINTY = 0.19
-"""[-] Uncertainty of an area, as a share of it: below a fifth, so that the area is above 0 at all sigma points."""
 _CURVE_PRIOR = 0.05
 """Prior of the shift of a valve's guessed curve, as a share of the range of voltages [-]."""
 _DAMPING = 0.6
 """Damping ratio of a regulator whose step overshoots by 10 %, assumed [-]."""
 _FORCE_PRIOR = 0.15
 """Difference between two muscles of one kind, or between a muscle and its data sheet, as a share of the force [-]."""
+_RULER = 0.01
+"""[-] Error of a muscle's nominal length."""
+_WEIGHT_TOLD = 0.2
+"""[-] Error of a limb's weight that was told, as a share of it."""
 
 
 _LENGTHS = ("length", "nominal-length", "radius", "stop")
@@ -132,6 +147,8 @@ class Facts:
         period: from sample to sample [s].
         regulator: of both sides of a joint with pressure regulators; None: it has valves.
         regulator_time: rise time of the regulator from 10 to 90 % of a small step [s].
+        limb: mass [kg] of a limb that the joint carries in a vertical plane, distance of its centre from the axis [m],
+            and angle at which it hangs down [rad]; None: not told.
     """
 
     name: str
@@ -154,6 +171,7 @@ class Facts:
     period: float
     regulator: RegulatorPart | None = None
     regulator_time: float = 0.0
+    limb: tuple[float, float, float] | None = None
 
     def travel(self) -> tuple[float, float]:
         """Shortest and longest length of a muscle within the joint's range [m]."""
@@ -206,13 +224,21 @@ def _starting_point(facts: Facts) -> Rig:
     area = facts.valve.flow * _LITRES_A_MINUTE / flow
     valve = _rounded({**content["valve_1"], "inflow_area": area, "outflow_area": area})
     rig = validated(Rig, {**content, "valve_1": valve, "valve_2": valve}, facts.name, ("consider", "sealed"))
-    priors = {**{name: share * rig.value(name) for name, share in _PRIORS.items()}, **_force_priors(facts)}
+    priors = {name: share * rig.value(name) for name, share in _PRIORS.items() if rig.value(name)}
+    # Sizes that are 0 in the file, but expected there: an identification looks for them.
+    priors["effects.friction.coulomb"] = _friction_guess(facts)
+    if facts.limb is not None:
+        priors["effects.limb_weight.hanging"] = 0.2
+    elif facts.mass:
+        priors["effects.limb_weight.torque"] = _unknown_torque(facts)
     shift = _CURVE_PRIOR * (facts.voltage[1] - facts.voltage[0])
     priors |= {f"effects.valve_offset.voltage_{i}": shift for i in (1, 2)}
-    # With a guessed valve taken as exact, the estimator would explain an error of the flow by a motion of the joint.
-    guessed = {name: _AREA_UNCERTAINTY * rig.value(name) for name in priors if name.startswith("valve_")}
-    guessed |= {name: std for name, std in priors.items() if name.startswith("effects.valve_offset.")}
-    rig = _with_regulators(rig.replaced(priors=priors, uncertainty={**rig.uncertainty, **_rounded(guessed)}), facts)
+    bounds = {}
+    if facts.valve.closed_centre:
+        priors |= {f"valve_{i}.overlap": _OVERLAP_PRIOR for i in (1, 2)}
+        bounds = {f"valve_{i}.overlap": _OVERLAP_BOUNDS for i in (1, 2)}
+    rig = rig.replaced(priors=priors, bounds=bounds)
+    rig = _with_regulators(rig, facts)
     rig = rig.replaced(priors=_rounded(rig.priors))
     complaint = unphysical(rig)
     if complaint:
@@ -236,14 +262,11 @@ def _with_regulators(rig: Rig, facts: Facts) -> Rig:
     flow = ("valve_", "gas.polytropic_flow", "effects.valve_offset.")
     return rig.replaced(
         drive="regulator",
-        effects=_rounded(effects),
+        effects={**rig.effects, **_rounded(effects)},
+        bounds={},
         priors={
             **{name: std for name, std in rig.priors.items() if not name.startswith(flow)},
             **{path: 0.5 * lag[name] for name, path in names.items()},
-        },
-        uncertainty={
-            **{name: std for name, std in rig.uncertainty.items() if not name.startswith(flow)},
-            **{path: _rounded(0.1 * lag[name]) for name, path in names.items()},
         },
     )
 
@@ -258,75 +281,32 @@ def _rounded(value: Any) -> Any:
 
 
 def force_map(facts: Facts) -> dict[str, float]:
-    """Coefficients v1, v2, w1, w2 of equations (6) and (7), from the data sheet."""
-    part, nominal = facts.muscle, facts.nominal_length
-    k = (1.0 - _RUBBER) / ((1.0 + _RUBBER_SLOPE) * part.contraction)
-    gain, rubber = part.force / part.pressure, _RUBBER_SLOPE * k * part.force
-    v1, v2 = gain * k / nominal, gain * (1.0 - k)
+    """Coefficients of the force map of braided muscles, from the data sheet."""
+    part = facts.muscle
     return {
-        "v1": v1,
-        "v2": v2,
-        "w1": rubber / nominal - v1 * ATMOSPHERE,
-        "w2": -_RUBBER * part.force - rubber - v2 * ATMOSPHERE,
+        "c1": part.force / part.pressure * 1e5,
+        "c2": (1.0 - _RUBBER) / part.contraction,
+        "c3": _RUBBER * part.force,
+        "c4": _STEEPNESS / part.contraction,
+        "c5": _REST,
+        "c6": facts.nominal_length,
+        "c7": _BEND * part.force,
     }
 
 
+def _numbers(facts: Facts) -> np.ndarray:
+    """Parameter vector with the force map of the first muscle, for the functions of the model."""
+    p = np.zeros(par.SIZE)
+    p[par.ATMOSPHERE], p[par.FORCE_FORM] = ATMOSPHERE, par.FORCE_FORMS.index("braided")
+    for name, value in force_map(facts).items():
+        p[par.INDEX[f"muscle_1.force.{name}"]] = value
+    return p
+
+
 def _force(facts: Facts, length: float, gauge: float) -> float:
-    """Contraction force [N] at a length [m] and a gauge pressure [Pa], equations (6) and (7)."""
-    force = force_map(facts)
-    pressure = gauge + ATMOSPHERE
-    return (force["v1"] * length + force["v2"]) * pressure + force["w1"] * length + force["w2"]
-
-
-_SHARE, _STEEPNESS, _REST, _BEND = 0.19, 15.0, 0.007, 0.005
-"""Of the braided force map: rubber as a share of F_n; s ε_n; ε_0; w as a share of F_n. The first two are within a tenth
-of the best fit to a measured map (Martens and Boblan 2017, DMSP-20)."""
-
-
-def is_from_data_sheet(rig: Rig) -> bool:
-    """Whether the force maps of a rig are still those that :func:`force_map` made of a data sheet."""
-    made = rig.source.startswith("new_rig") and "force map from" not in rig.source  # which static writes
-    return rig.model.force == "linear" and made and not rig.identified
-
-
-def with_base_laws(rig: Rig) -> Rig:
-    """A rig from data sheets with the laws that real joints have: braided muscles, valves with a closed centre.
-
-    The data sheet's numbers follow from the linear map of :func:`force_map`. In the middle of its voltages a
-    proportional valve lets no air pass, unless its curve is known to be another one.
-
-    Args:
-        rig: made by :func:`starting_point`.
-    """
-    muscles = {}
-    for name in ("muscle_1", "muscle_2"):
-        part = getattr(rig, name)
-        area, stretched = part.force.v1, part.force.v2
-        rubber, offset = part.force.w1 + area * ATMOSPHERE, part.force.w2 + stretched * ATMOSPHERE
-        # F_n/p_n (1 − k) = v2 and F_n/p_n k/L_n = v1; the rubber's part gives F_n.
-        closing = (-_RUBBER_SLOPE * offset * area / rubber - _RUBBER * stretched) / (_RUBBER + _RUBBER_SLOPE)
-        gain = stretched + closing
-        force, contraction = (
-            rubber / area * gain / _RUBBER_SLOPE,
-            (1.0 - _RUBBER) * gain / closing / (1.0 + _RUBBER_SLOPE),
-        )
-        map_ = {
-            "c1": gain * 1e5, "c2": (1.0 - _SHARE) / contraction, "c3": _SHARE * force, "c4": _STEEPNESS / contraction,
-            "c5": _REST, "c6": closing / area, "c7": _BEND * force,
-        }  # fmt: skip
-        muscles[name] = part.replaced(force=part.force.replaced(**_rounded(map_)))
-    valves = {}
-    for name in ("valve_1", "valve_2"):
-        valve = getattr(rig, name)
-        if len(valve.curve.voltage) <= _GUESSED_POINTS:
-            ends = (valve.curve.voltage[0], valve.curve.voltage[-1])
-            valves[name] = valve.replaced(overlap=0.5, curve=valve.curve.replaced(voltage=ends, open_rate=(0.0, 1.0)))
-    friction = rig.friction.replaced(muscle=0.0)
-    return rig.replaced(**muscles, **valves, friction=friction, model=rig.model.replaced(force="braided"))
-
-
-_GUESSED_POINTS = 4
-"""A valve curve of so few points is the guess for a valve with a closed centre, or a straight line."""
+    """Contraction force [N] at a length [m] and a gauge pressure [Pa]; below 0 where the muscle would have to push."""
+    force, bend = float(muscle.force(0, length, gauge + ATMOSPHERE, _numbers(facts))), _BEND * facts.muscle.force
+    return force - 0.25 * bend * bend / force
 
 
 def volume_map(facts: Facts) -> dict[str, float]:
@@ -339,31 +319,36 @@ def volume_map(facts: Facts) -> dict[str, float]:
     return {"d1": float(d1), "d2": float(d2), "d3": float(d3)}
 
 
-def _force_priors(facts: Facts) -> dict[str, float]:
-    """Standard deviations of the force map's coefficients.
+def _friction_guess(facts: Facts) -> float:
+    """Coulomb torque [N m]: a two-hundredth of a muscle's force at the supply's pressure, on its lever arm."""
+    return 0.005 * _force(facts, facts.length, facts.supply) * facts.radius
 
-    They are wide. The slope of the force over the length depends on the end fittings and the hose and may differ from
-    the data sheet, while the torques of a recording determine the map well.
+
+def _unknown_torque(facts: Facts) -> float:
+    """Torque on the joint [N m] that nobody has told: that of a weight.
+
+    A body of mass m and inertia J about an axis has its centre at most √(J/m) from it.
     """
-    part, force = facts.muscle, force_map(facts)
-    stds = {
-        "v1": abs(force["v1"]),
-        "v2": abs(force["v1"]) * facts.length,
-        "w1": part.force / facts.nominal_length,
-        "w2": part.force,
-    }
-    return {f"muscle_{i}.force.{name}": std for i in (1, 2) for name, std in stds.items()}
+    if facts.limb is not None:
+        return _WEIGHT_TOLD * facts.limb[0] * _GRAVITY * facts.limb[1]
+    return _GRAVITY * math.sqrt(facts.inertia * facts.mass)
 
 
 def _content(facts: Facts) -> dict[str, Any]:
     """Content of the rig file, without the areas of the valves and the priors."""
-    muscle: Mapping[str, Any] = {"volume": volume_map(facts), "force": force_map(facts)}
+    part: Mapping[str, Any] = {"volume": volume_map(facts), "force": force_map(facts)}
     valve = {
         "inflow_area": 1e-8,
         "outflow_area": 1e-8,
+        "overlap": _OVERLAP if facts.valve.closed_centre else 0.0,
         "curve": {"voltage": facts.valve.curve.voltage, "open_rate": facts.valve.curve.open_rate},
     }
-    half, middle = 0.5 * facts.supply, 0.5 * _force(facts, facts.length, facts.supply)
+    slope = _friction_guess(facts) / facts.supply
+    effects = {"friction_by_pressure": {"slope_1": slope, "slope_2": slope}}
+    if facts.limb is not None:
+        mass, distance, hanging = facts.limb
+        effects["limb_weight"] = {"torque": mass * _GRAVITY * distance, "hanging": hanging}
+    drift = _PRESSURE_DRIFT * facts.period
     noise, step = 5e-4 * facts.pressure_range, facts.pressure_range / 2**facts.pressure_bits
     variance = noise**2 + step**2 / 12.0
     return {
@@ -374,8 +359,9 @@ def _content(facts: Facts) -> dict[str, Any]:
         ),
         "sample_period": facts.period,
         "geometry": {"kind": facts.kind, "radius": facts.radius, "length": facts.length},
-        "muscle_1": muscle,
-        "muscle_2": muscle,
+        "model": {"force": "braided"},
+        "muscle_1": part,
+        "muscle_2": part,
         "valve_1": valve,
         "valve_2": valve,
         "valves": {"voltage_min": facts.voltage[0], "voltage_max": facts.voltage[1]},
@@ -383,7 +369,7 @@ def _content(facts: Facts) -> dict[str, Any]:
         "atmosphere": {"pressure": ATMOSPHERE},
         "gas": {
             "heat_ratio": 1.4, "constant": 287.0, "temperature": 293.0,
-            "polytropic_flow": 1.1, "polytropic_volume": 0.5,
+            "polytropic_flow": 1.1, "polytropic_volume": 1.0,
         },
         "joint": {
             "inertia": facts.inertia,
@@ -392,24 +378,24 @@ def _content(facts: Facts) -> dict[str, Any]:
             "viscous_friction": 0.1 * math.sqrt(facts.inertia * _joint_stiffness(facts)),
             "shaft_radius": facts.shaft_radius,
             "mass": facts.mass,
-            "gravity": 9.81,
+            "gravity": _GRAVITY,
             "stop": facts.stop,
         },
-        # Friction of tube and mesh: a hundredth of a muscle's force, on its lever arm.
-        "friction": {
-            "shaft": 0.2, "muscle": 0.005 * middle * facts.radius * half**2, "pressure_floor": 20e3,
-        },
+        # A bearing with its seals, or a bush; tube and mesh rub with the pressure (friction_by_pressure).
+        "friction": {"shaft": 0.1, "muscle": 0.0, "pressure_floor": 20e3},
+        "effects": effects,
         "sensors": {
             "pressure_std": noise, "pressure_step": step, "angle_std": 5e-4, "angle_step": 0.0, "torque_std": 0.01,
             "torque_step": 0.0,
         },
         "uncertainty": {
-            "muscle_1.force.w2": _FORCE_PRIOR * middle, "muscle_2.force.w2": _FORCE_PRIOR * middle,
-            "friction.shaft": 0.03, "gas.polytropic_flow": 0.1, "gas.polytropic_volume": 0.08,
+            **{f"muscle_{i}.force.c1": _FORCE_PRIOR * part["force"]["c1"] for i in (1, 2)},
+            **{f"muscle_{i}.force.c6": _RULER * part["force"]["c6"] for i in (1, 2)},
+            "effects.load_torque.constant": _unknown_torque(facts),
         },
         "tunings": {
             "default": {
-                "initial": (1e-4, 1e-4, 1e6, 1e6), "process": (1e-12, 1e-6, 1e4, 1e4),
+                "initial": (1e-4, 1e-4, 1e6, 1e6), "process": (1e-12, 1e-6, drift, drift),
                 "measurement": (variance, variance),
                 "kappa": 0.5, "consider": True, "gate": 6.0,
             }
@@ -418,7 +404,6 @@ def _content(facts: Facts) -> dict[str, Any]:
 
 
 def _joint_stiffness(facts: Facts) -> float:
-    """−∂τ/∂ψ of both muscles at half the supply and angle 0 [N m/rad], from (7) and (9)."""
-    force = force_map(facts)
-    slope = force["v1"] * (0.5 * facts.supply + ATMOSPHERE) + force["w1"]
-    return 2.0 * facts.radius**2 * max(slope, 1.0)
+    """−∂τ/∂ψ of both muscles at half the supply and angle 0 [N m/rad], from the force map and (9)."""
+    slope = muscle.force_length_slope(0, facts.length, 0.5 * facts.supply + ATMOSPHERE, _numbers(facts))
+    return 2.0 * facts.radius**2 * max(float(slope), 1.0)

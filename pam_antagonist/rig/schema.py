@@ -49,12 +49,12 @@ class Volume(Strict):
 
 
 class Force(Strict):
-    """Equations (6), (7): F = (v1 l + v2) P + w1 l + w2, with absolute pressure."""
+    """Equations (6), (7): F = (v1 l + v2) P + w1 l + w2, with absolute pressure; or c1 to c7 of another form."""
 
-    v1: float = Field(description="p_v1 [m]")
-    v2: float = Field(description="p_v2 [m²]")
-    w1: float = Field(description="p_w1 [N/m]")
-    w2: float = Field(description="p_w2 [N]")
+    v1: float = Field(0.0, description="p_v1 [m]")
+    v2: float = Field(0.0, description="p_v2 [m²]")
+    w1: float = Field(0.0, description="p_w1 [N/m]")
+    w2: float = Field(0.0, description="p_w2 [N]")
     c1: float = Field(0.0, description="c1 of the other forms [N]; braided: a, force at 100 kPa gauge [N]")
     c2: float = Field(0.0, description="c2 of the other forms [N]; braided: k, 1/contraction without area [-]")
     c3: float = Field(0.0, description="c3 of the other forms [- or N]; braided: b, force of the rubber [N]")

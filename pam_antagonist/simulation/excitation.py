@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.model import flow, muscle
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import rest_pressure
 
 FloatArray = NDArray[np.float64]
 
@@ -42,6 +44,10 @@ class Span:
 
 
 _OPEN_RATES = (0.215, 0.394, 0.80)
+_HIGHEST = 0.95
+"""Highest pressure of a valve that is closed in the middle, as a share of the supply's: it is never reached wholly."""
+_FOLLOWS = 0.05
+"""[s] Time constant with which such a pressure follows, if the valve lets enough through."""
 _VOLTS = 0.05  # to which the voltages of a rig's span are rounded
 
 # Hold time [s] and drives of valves 1 and 2: differences of both signs and growing size, then both valves together (the
@@ -157,8 +163,32 @@ def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
         BadInput: no such profile.
     """
     low, high = rig.command_limits
-    span = _of_valves(rig) if rig.drive == "valve" else Span(low + (high - low) / 6.0, 0.5 * (low + high), high)
-    return np.clip(profile(name, duration, rig.sample_period, seed, span), low, high)
+    lapped = rig.drive == "valve" and max(rig.valve_1.overlap, rig.valve_2.overlap) > 0.0
+    if rig.drive == "valve" and not lapped:
+        return np.clip(profile(name, duration, rig.sample_period, seed, _of_valves(rig)), low, high)
+    least, most = (rig.atmosphere.pressure, rig.supply.pressure) if lapped else (low, high)
+    rest, top = (rest_pressure(rig), least + _HIGHEST * (most - least)) if lapped else (0.5 * (low + high), high)
+    span = Span(least + (most - least) / 6.0, rest, top)
+    wanted = profile(name, duration, rig.sample_period, seed, span)
+    return np.clip(_voltages_for(wanted, rig) if lapped else wanted, low, high)
+
+
+def _voltages_for(wanted: FloatArray, rig: Rig) -> FloatArray:
+    """Voltages [V] with which pressures (N, 2) [Pa] come about, within what the valves let through.
+
+    A valve that is closed in the middle keeps a pressure there. A constant voltage elsewhere would fill or empty the
+    muscle to the end. The chambers have their volume at angle 0; where the joint moves, the pressures differ.
+    """
+    p, supply, out = rig.parameters("locked", 0.0), rig.supply.pressure, np.empty_like(wanted)
+    for i in (0, 1):
+        room, now = float(muscle.volume(i, rig.geometry.length, p)[0]), float(wanted[0, i]) if len(wanted) else 0.0
+        for k, aim in enumerate(wanted[:, i]):
+            flow_wanted = flow.flow_for((aim - now) / _FOLLOWS, now, room, 0.0, p)
+            rate = flow.open_rate_for(i, flow_wanted, now, supply, p)
+            out[k, i] = flow.voltage_for(i, rate, p)
+            let, _ = flow.valve_flow(i, rate, now, supply, p)
+            now += rig.sample_period * flow.pressure_rate(now, room, 0.0, let, p)
+    return out
 
 
 def _of_valves(rig: Rig) -> Span:

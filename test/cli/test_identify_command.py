@@ -69,8 +69,9 @@ def test_two_bags_give_a_rig_that_everything_loads(result: Path, bags: tuple[Pat
         assert rig.name == "shin2022_identified"
         assert rig.valve_1.outflow_area != start.valve_1.outflow_area
         assert rig.muscle_1 == start.muscle_1 and rig.tunings["published"] == start.tunings["published"]
-        # What was not fitted stays as uncertain as it was declared.
-        assert rig.directions and rig.uncertainty == start.uncertainty
+        # What was not fitted stays as uncertain as it was declared; a joint's torque is not known beside that.
+        assert {name: rig.uncertainty[name] for name in start.uncertainty} == start.uncertainty
+        assert set(rig.uncertainty) - set(start.uncertainty) == {"effects.load_torque.constant"}
         Estimator(rig)
     text = (result / "rig.yaml").read_text()
     assert text.startswith("# Identified on ") and "seed 7" in text
@@ -82,16 +83,16 @@ def test_two_bags_give_a_rig_that_everything_loads(result: Path, bags: tuple[Pat
 def test_the_report_judges_only_what_was_held_out(result: Path) -> None:
     found = report(result)
     for entry in found["held_out"]:
-        assert entry["from_s"] == pytest.approx(6.0)
+        assert entry["from_s"] == pytest.approx(6.0, abs=2e-3)
         for rig in ("as_configured", "identified", "own"):
-            assert entry[rig]["duration_s"] == pytest.approx(3.0)
+            assert entry[rig]["duration_s"] == pytest.approx(3.0, abs=2e-3)
         before, now = (
             np.array(entry[rig]["model_alone"]["pressure"]["rmse_pa"]) for rig in ("as_configured", "identified")
         )
         assert np.all(now < before)
         assert 1.7 < entry["identified"]["innovation"]["nis_mean"] < 2.3
     assert [stage["name"] for stage in found["stages"]] == [
-        "force map", "valve curve", "friction", "flow", "joint refinement"
+        "joint and muscles", "valve curve", "chambers and valves"
     ]  # fmt: skip
     assert found["settings"]["seed"] == 7 and "pam_antagonist" in found["software"]
     assert {item["name"] for item in found["parameters"]} == {
@@ -108,7 +109,7 @@ def test_the_page_is_whole(result: Path) -> None:
     correlated = json.loads((result / "report.json").read_text())["correlations"]
     assert ("Strongly correlated parameters" in page) == bool(correlated)
     for title in ("On held-out data", "Step by step",
-                  "How the recordings differ", "Noise and tuning", "Profile likelihoods", "Plotly"):  # fmt: skip
+                  "How the recordings differ", "Noise and tuning", "Plotly"):  # fmt: skip
         assert title in page
     # Scripts hold the figures' packed data, in which any three letters may stand.
     text = re.sub(r"<script\b.*?</script>", "", page, flags=re.DOTALL)
@@ -128,7 +129,7 @@ def test_one_recording_without_a_reference_tells_what_pressures_tell(
     assert all(item["name"].startswith(("valve_", "gas.", "supply.")) for item in found["parameters"])
     assert found["held_out"][0]["identified"]["ukf"]["angle"] is None
     assert found["held_out"][0]["own"] is None and not (out / "rig_1.yaml").exists()
-    assert not found["tuning"]["scale_from_reference"]
+    assert found["tuning"]["unknown_torque_nm"] == 0.0
     undetermined = {item["name"]: item["record"] for item in found["parameters"] if not item["determined"]}
     assert all(undetermined.values())
 
@@ -177,7 +178,7 @@ def test_a_rejected_rig_is_said_first_and_nothing_proposes_it(
     assert main([str(bags[1]), "--rig", str(rig), "--out", str(out), *FEW, *kept, "--no-figures"]) == 1
     shown = capsys.readouterr().out
     first = " ".join(shown.partition("\n\n")[0].split())
-    assert first.startswith("Do not use this rig: the search ended at a bound of valve_1.outflow_area (0.0777")
+    assert first.startswith("Do not use this rig: the search ended at a bound of valve_1.outflow_area (0.077")
     assert {path.name for path in out.iterdir()} == {"rig_rejected.yaml", "report.html", "report.json"}
     assert "\nrig:" not in shown and "rig_rejected" not in shown and f"--rig {rig}" in shown.partition("next:")[2]
     (only,) = report(out)["parameters"]

@@ -52,21 +52,22 @@ def test_a_recording_of_the_joint_passes_the_check_with_the_new_file(tmp_path, c
 
 def test_the_interval_of_the_estimate_knows_what_was_guessed(tmp_path) -> None:
     guess = written(MEASURED, tmp_path / "rig.yaml")
-    # The joint itself: its valves open later than guessed, and let less air through.
+    # The joint itself: its valves open later, a muscle is stronger than its data sheet, and a limb weighs on it.
     valves = {name: 0.8 * guess.value(name) for name in guess.priors if name.startswith("valve_")}
-    joint = moved(guess, {**valves, "effects.valve_offset.voltage_1": 0.4, "effects.valve_offset.voltage_2": 0.5})
+    other = {"muscle_1.force.c1": 1.1 * guess.value("muscle_1.force.c1"), "effects.load_torque.constant": 0.06}
+    joint = moved(guess, {**valves, **other, "effects.valve_offset.voltage_1": 0.4})
     recording = simulate(joint, duration=15.0, seed=5, mismatch=0.0)
-    certain = guess.replaced(uncertainty={name: std for name, std in guess.uncertainty.items() if "valve_" not in name})
+    certain = guess.replaced(uncertainty={})
     now, then = (replay(recording, rig).report.ukf.angle for rig in (guess, certain))
-    assert now.rmse < 0.5 * then.rmse and now.coverage95 > 3.0 * then.coverage95
+    assert now.coverage95 > 0.85 and now.coverage95 > 3.0 * then.coverage95
 
 
 def test_a_muscle_has_the_force_of_its_data_sheet(tmp_path) -> None:
     rig, part = written(BOUGHT, tmp_path / "rig.yaml"), muscle_parts()["DMSP-20"]
     p, pressure = rig.parameters(), part.pressure + rig.atmosphere.pressure
-    # The rubber takes 6 % of it, as in the measured map of this muscle.
-    assert muscle.force(0, 0.3, pressure, p) == pytest.approx(0.94 * part.force, rel=1e-3)
-    assert abs(muscle.force(0, 0.3 * (1.0 - part.contraction), pressure, p)) < 1e-3 * part.force
+    # The rubber's force is 0 at a contraction of 0.7 %: below that, the muscle is stretched.
+    assert muscle.force(0, 0.3 * (1.0 - 0.007), pressure, p) == pytest.approx(0.98 * part.force, rel=5e-3)
+    assert 0.0 <= muscle.force(0, 0.3 * (1.0 - part.contraction), pressure, p) < 3e-3 * part.force
     # A cylinder of the hose's diameter has about this volume, and a contracted muscle is thicker.
     volumes = [muscle.volume(0, length, p)[0] for length in (0.26, 0.28, 0.3)]
     assert volumes[2] == pytest.approx(np.pi / 4.0 * 0.02**2 * 0.3, rel=0.05)
@@ -104,7 +105,7 @@ def test_what_makes_no_rig_is_refused_in_one_line(tmp_path, capsys, changes, mes
 
 def test_what_is_missing_is_asked_for_until_the_answer_makes_sense(tmp_path, capsys, monkeypatch) -> None:
     answers = {name: value for name, value in BOUGHT.items() if name not in ("radius", "stop")}
-    told = iter(["", "", "20", "20mm", "", "", "", "none", "", "", ""])
+    told = iter(["", "", "20", "20mm", "", "", "", "", "none", "", "", ""])
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda prompt: next(told))
     rig = written(answers, tmp_path / "rig.yaml")
@@ -188,9 +189,9 @@ def test_answers_that_contradict_each_other_are_named(tmp_path, capsys, changes,
 
 def test_answers_that_contradict_each_other_are_asked_again_and_no_other(tmp_path, capsys, monkeypatch) -> None:
     answers = {name: value for name, value in BOUGHT.items() if name not in ("length", "stop")}
-    # Name, kind, length (too short for the muscle to pull), drive, voltage, shaft, stop, three of the sensor; then what
-    # belongs to the contradiction: radius, muscle, nominal length, length, supply, stop.
-    told = iter([*["", "", "230mm", "", "", "", "none", "", "", ""], *["", "", "", "285mm", "", ""]])
+    # Name, kind, length (too short for the muscle to pull), drive, voltage, limb, shaft, stop, three of the sensor;
+    # then what belongs to the contradiction: radius, muscle, nominal length, length, supply, stop.
+    told = iter([*["", "", "230mm", "", "", "", "", "none", "", "", ""], *["", "", "", "285mm", "", ""]])
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda prompt: next(told))
     rig = written(answers, tmp_path / "rig.yaml")

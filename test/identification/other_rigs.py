@@ -32,30 +32,7 @@ def described(period: float, regulators: bool = False) -> Rig:
         pressure_bits=12, period=period, regulator=regulator_parts()["VPPM-0L10H"] if regulators else None,
         regulator_time=0.15,
     )  # fmt: skip
-    return braided(starting_point(facts), facts.muscle.force, facts.muscle.pressure, facts.muscle.contraction)
-
-
-def braided(rig: Rig, force: float, pressure: float, contraction: float) -> Rig:
-    """A rig of ``new_rig`` with the base laws of other rigs.
-
-    Args:
-        rig: to be changed.
-        force: of a muscle without contraction [N].
-        pressure: at which it was measured, gauge [Pa].
-        contraction: without force at this pressure [-].
-    """
-    values = {"c1": 1e5 * force / pressure, "c2": 0.81 / contraction, "c3": 0.19 * force, "c4": 15.0 / contraction}
-    length = round(rig.geometry.length / 0.9, 3) if rig.muscle_1.force.c6 == 0.0 else rig.muscle_1.force.c6
-    own = rig.muscle_1.force.replaced(**values, c5=0.007, c6=length, c7=0.005 * force)
-    muscle = rig.muscle_1.replaced(force=own)
-    curve = rig.valve_1.curve.replaced(voltage=(0.0, 10.0), open_rate=(0.0, 1.0))
-    valve = rig.valve_1.replaced(overlap=0.0 if rig.drive == "regulator" else 0.5, curve=curve)
-    return rig.replaced(
-        model=rig.model.replaced(force="braided"), muscle_1=muscle, muscle_2=muscle, valve_1=valve, valve_2=valve,
-        friction=rig.friction.replaced(shaft=0.05, muscle=0.0),
-        uncertainty={name: std for name, std in rig.uncertainty.items() if ".force." not in name},
-        priors={name: std for name, std in rig.priors.items() if ".force." not in name},
-    )  # fmt: skip
+    return starting_point(facts)
 
 
 def drawn(rig: Rig, seed: int) -> Rig:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from other_rigs import HANGING, LATE_S, WEIGHT, ZERO_ERROR, braided, described, drawn, recorded
+from other_rigs import HANGING, LATE_S, WEIGHT, ZERO_ERROR, described, drawn, recorded
 
 from pam_antagonist import identify
 from pam_antagonist.cli import identify as command
@@ -20,8 +20,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, WEIGHT_COS, WEIGHT_SIN, ZERO
 from pam_antagonist.recording import Recording, write_bag
-from pam_antagonist.report import identify_from_pressures as pages
-from pam_antagonist.report import terminal
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -81,7 +79,8 @@ def test_what_is_found_is_true_within_its_errors(found: FromPressures) -> None:
     assert found.joint.stds[DELAY] < 0.5 * LATE_S
     assert found.air is not None
     assert found.air.values["valve_1.overlap"] == pytest.approx(0.52, abs=0.005)
-    assert any("The angle is late" in note for note in found.notes)
+    late = found.joint.values[DELAY] > 5.0 * found.joint.stds[DELAY]
+    assert any("The angle is late" in note for note in found.notes) == late
 
 
 def test_the_file_has_what_all_of_the_data_determine(found: FromPressures) -> None:
@@ -100,29 +99,17 @@ def test_every_value_stays_within_its_bounds(found: FromPressures) -> None:
             assert not item.positive or item.value(float(amount)) > 0.0
 
 
-def test_a_large_error_and_narrow_intervals_are_said(found: FromPressures, monkeypatch: pytest.MonkeyPatch) -> None:
-    def said() -> str:
-        return " ".join(terminal.render(pages.summary(found)).split())
-
-    assert "of the angle's range" not in said()
-    assert "too narrow" not in said()
-    monkeypatch.setattr(FromPressures, "pooled", lambda self, column: 5.0 if column == "identified" else 20.0)
-    monkeypatch.setattr(FromPressures, "coverage", 0.6)
-    assert "of the angle's range: the joint is no plain pair of muscles" in said()
-    assert "The intervals are too narrow" in said()
-
-
 @pytest.mark.slow(8)
 def test_the_command_gives_the_same_numbers_and_a_rig_that_replay_takes(
     found: FromPressures, bags: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert run(bags, [f"free_{k}" for k in range(6)], tmp_path / "out") == 0
     said = capfd.readouterr()
-    assert "On held-out data the filter errs by" in said.out
+    assert "Errors of the filter with the identified rig on held-out data" in said.out
     assert not [line for line in said.err.splitlines() if not line.startswith(("identify: ", "compiling"))]
     numbers = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert numbers["errors_deg"]["identified"] == found.pooled("identified")
-    values = {name: entry["value"] for part in numbers["values"].values() for name, entry in part.items()}
+    assert numbers["errors_deg"]["identified"] == pytest.approx(found.pooled("identified"))
+    values = {entry["name"]: entry["value"] for entry in numbers["parameters"]}
     joint, air = found.final
     assert air is not None
     assert values == {**joint.values, **air.values}
@@ -167,7 +154,7 @@ def test_a_long_recording_and_a_locked_joint_whose_torque_is_measured() -> None:
     result = found_in([free, locked])
     assert result.rejected == ""
     assert result.pooled("identified") < 0.5
-    assert [held.name.split("/")[-1] for held in result.held] == ["free_1"]
+    assert [held.name.split("/")[-1] for held in result.held if held.rows] == ["free_1"]
     gain = "muscle_1.force.c1"
     assert result.joint.stds[gain] < found_in([free]).joint.stds[gain]
 
@@ -275,25 +262,27 @@ def test_trials_without_commands_help_with_the_joint(trials: list[Recording]) ->
     assert result.pooled("identified") < 0.1 * result.pooled("as_configured")
 
 
-def test_which_values_are_fitted_cannot_be_chosen(bags: Path, tmp_path: Path) -> None:
-    arguments = [str(bags / "free_0"), "--rig", str(bags / "rig.yaml"), "--out", str(tmp_path / "out")]
-    assert command.main([*arguments, "--free", "joint.inertia"]) == 2
+@pytest.mark.slow(4)
+def test_what_is_frozen_stays_and_what_is_freed_moves(trials: list[Recording]) -> None:
+    result = identify(trials[:2], RIG, free=["joint.shaft_radius"], freeze=["geometry", "valve_1"])
+    names = {item.name for fit in result.found.fits for item in fit.unknowns}  # type: ignore[union-attr]
+    assert "joint.shaft_radius" in names and "muscle_1.force.c1" in names
+    assert result.rig.geometry.radius == RIG.geometry.radius
+    assert result.rig.valve_1.inflow_area == RIG.valve_1.inflow_area
+    assert result.rig.valve_1.overlap == RIG.valve_1.overlap
+    assert result.rig.joint.shaft_radius != RIG.joint.shaft_radius
 
 
 @pytest.mark.slow(20)
-@pytest.mark.parametrize(
-    ("lab", "most", "sheet"), [("elbow", 0.4, (1500.0, 6e5, 0.25)), ("wrist", 1.0, (291.0, 4e5, 0.14))]
-)
+@pytest.mark.parametrize(("lab", "most"), [("elbow", 0.4), ("wrist", 1.0)])
 def test_recordings_of_other_laboratories(
-    lab: str, most: float, sheet: tuple[float, float, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lab: str, most: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Their simulators share nothing with this package. The held-out recordings were not given to the command."""
     if not STRANGERS.is_dir():
         pytest.skip("the recordings of other laboratories are not part of this repository")
     known = yaml.safe_load((STRANGERS / lab / "knows.yaml").read_text())
-    assert new_rig.main(["--out", str(tmp_path / "typed.yaml"), *map(str, known["new_rig"])]) == 0
-    typed = load_rig(str(tmp_path / "typed.yaml"), regulators=True)
-    write_rig(typed if typed.model.force == "braided" else braided(typed, *sheet), tmp_path / "rig.yaml", [])
+    assert new_rig.main(["--out", str(tmp_path / "rig.yaml"), *map(str, known["new_rig"])]) == 0
     use: dict[str, list[str]] = {"fit": [], "held_out": [], "extra": []}
     for name, about in known["recordings"].items():
         bag = name.split(".")[0]

@@ -73,4 +73,4 @@ def test_without_data_the_prior_stays() -> None:
 def test_amount_is_the_inverse_of_value() -> None:
     for item in (GAIN, SHIFT):
         assert item.amount(item.value(0.7)) == pytest.approx(0.7)
-    assert parameters([GAIN], np.array([1.0]))["b.gain"] == pytest.approx(2.0 * math.exp(0.5))
+    assert parameters([GAIN], {"gain": GAIN.value(1.0)})["b.gain"] == pytest.approx(2.0 * math.exp(0.5))

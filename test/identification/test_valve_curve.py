@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.runs import Run, runs_of
 from pam_antagonist.identification.valve_curve import (
     SteadyPoints,
     identify_curves,
@@ -15,9 +16,9 @@ from pam_antagonist.identification.valve_curve import (
     steady_points,
     valve_curve,
 )
-from pam_antagonist.inference.trial import Trial, make_trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation.plant import Plant
 
@@ -68,7 +69,7 @@ def _with_curve(shift: float) -> Rig:
     return RIG.replaced(valve_2=RIG.valve_2.replaced(curve=curve.replaced(open_rate=rates)))
 
 
-def _staircase(rig: Rig) -> Trial:
+def _staircase(rig: Rig) -> list[Run]:
     plant = Plant(rig, joint="locked", seed=4)
     voltage = np.repeat(np.array([4.6, 5.0, 5.5, 6.0]), 30_000)[:, None] * np.ones(2)
     samples = [plant.step(row) for row in voltage]
@@ -83,12 +84,12 @@ def _staircase(rig: Rig) -> Trial:
         angle=measured[0],
         torque=measured[1],
     )
-    return make_trial(recording, RIG, "locked", 0.0, "staircase")
+    return runs_of(recording, JointCondition("locked", 0.0, "command line"), "staircase")
 
 
 def test_a_curve_that_is_declared_wrong_is_replaced_where_it_was_measured_and_nowhere_else() -> None:
     true = _with_curve(-0.02)
-    found, (first, second) = identify_curves(RIG, [_staircase(true)])
+    found, (first, second) = identify_curves(RIG, _staircase(true))
     assert not first.replaced and found.valve_1 == RIG.valve_1
     assert second.replaced and "curve replaced" in second.note
     knots, declared = np.array(RIG.valve_2.curve.voltage), np.array(RIG.valve_2.curve.open_rate)
@@ -101,7 +102,7 @@ def test_a_curve_that_is_declared_wrong_is_replaced_where_it_was_measured_and_no
 def test_a_guessed_curve_bends_where_it_was_measured() -> None:
     straight = RIG.valve_1.curve.replaced(voltage=(0.0, 10.0), open_rate=(0.0, 1.0))
     guessed = RIG.replaced(valve_1=RIG.valve_1.replaced(curve=straight))
-    found, (first, _) = identify_curves(guessed, [_staircase(RIG)])
+    found, (first, _) = identify_curves(guessed, _staircase(RIG))
     assert first.replaced
     curve, true = found.valve_1.curve, RIG.valve_1.curve
     assert (curve.voltage[0], curve.open_rate[0], curve.voltage[-1], curve.open_rate[-1]) == (0.0, 0.0, 10.0, 1.0)
@@ -112,10 +113,10 @@ def test_a_guessed_curve_bends_where_it_was_measured() -> None:
 
 def test_an_offset_that_the_rig_declares_is_not_put_into_the_curve_once_more() -> None:
     offset = RIG.replaced(effects={"valve_offset": {"voltage_1": 0.1, "open_rate_2": 0.04}})
-    trial = _staircase(offset)
-    _, undeclared = identify_curves(RIG, [trial])
+    runs = _staircase(offset)
+    _, undeclared = identify_curves(RIG, runs)
     assert all(finding.replaced for finding in undeclared)
-    found, declared = identify_curves(offset, [trial])
+    found, declared = identify_curves(offset, runs)
     assert not any(finding.replaced for finding in declared)
     assert (found.valve_1, found.valve_2) == (RIG.valve_1, RIG.valve_2)
     assert declared[0].voltage == pytest.approx(undeclared[0].voltage - 0.1)

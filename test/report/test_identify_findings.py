@@ -76,6 +76,14 @@ def test_a_filter_that_is_worse_than_the_model_alone_is_a_warning() -> None:
     assert identify_findings._against_model(held_out(9.0, 2.6, (3.0, 2.6))) == []
 
 
+def test_an_error_that_is_large_for_the_range_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The angles of these parts move over twenty times their error."""
+    assert identify_findings._large(held_out(20.0, 5.0)) == []
+    monkeypatch.setattr(identify_findings, "_LARGE", 0.04)
+    (found,) = identify_findings._large(held_out(20.0, 5.0))
+    assert "of the angle's range: the joint is no plain pair of muscles" in found.text
+
+
 @pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])
 def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: str) -> None:
     errors = {name: (Interval(value, 0.0, 9.0),) * 2 for name, value in (("as configured", 1.0), ("identified", later))}

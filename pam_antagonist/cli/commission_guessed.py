@@ -1,0 +1,161 @@
+"""Commission a joint whose rig file was never identified: cautious steps, by what is measured, in place of a plan."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from typing_extensions import override
+
+from pam_antagonist.checks.wiring import guessed
+from pam_antagonist.cli.commission_steps import Commission, StepFailed
+from pam_antagonist.cli.driving import explored
+from pam_antagonist.control.model_law import ModelGains, voltage_towards
+from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
+from pam_antagonist.design.first_fill import pulse_faults
+from pam_antagonist.recording import read_bag
+from pam_antagonist.rig import Rig, load_rig
+
+_FASTEST = 20.0
+"""[1/s] Rate at which a pressure's error is corrected; a slow log has a lower one."""
+_SAMPLES = 0.4
+"""The same, in a sample."""
+
+
+def is_for(rig: Rig) -> bool:
+    """Whether a rig is commissioned in this way: a file of ``new_rig`` that was never identified."""
+    return guessed(rig) and rig.model.force == "braided"
+
+
+def gains_for(rig: Rig) -> ModelGains:
+    """Gains of the law through the model that a rig's sample period and regulators allow.
+
+    Args:
+        rig: as identified.
+    """
+    usual = ModelGains()
+    integral = usual.integral
+    if rig.drive == "regulator":
+        lag = rig.effects.get("regulator_lag", {})
+        slowest = min((value for name, value in lag.items() if name.startswith("frequency")), default=math.inf)
+        integral = min(integral, 0.05 * slowest)
+    # The torque against friction changes its side late behind a regulator: it fades over a wider distance.
+    approach = usual.approach if rig.drive == "valve" else 3.0 * usual.approach
+    return ModelGains(min(usual.bandwidth, _SAMPLES / rig.sample_period), integral, approach)
+
+
+class GuessedCommission(Commission):
+    """A commissioning of a joint whose rig file is a guess."""
+
+    STEPS = ("wiring", "slow", "quick", "identify", "gains")
+
+    def _explored(self, name: str, program: Program) -> dict[str, Any]:
+        """Drive the joint by a program.
+
+        Raises:
+            StepFailed: it ended early.
+        """
+        folder = self._record.attempt(name)
+        limits = self._limits
+        document = {
+            "rig": self._rig.name,
+            "joint": "free",
+            "limits": {"pressure_pa": list(limits.pressure), "angle_rad": limits.angle, "rate_rad_s": limits.rate},
+        }
+        (folder / "plan.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        self._at(name, "driving the joint", program.seconds)
+        if ended := explored(self._owner, self._rig, program, limits, folder):
+            raise StepFailed(
+                f"{name}: the experiment ended early, {ended}; let the air out, and give wider limits if the rig "
+                "allows it (--max-angle, --max-pressure)"
+            )
+        seconds = read_bag(folder / "bag", judge=False).duration_s
+        return {"bag": str((folder / "bag").relative_to(self._out)), "rig_s": seconds}
+
+    def _towards(self) -> Towards:
+        p, (low, high) = self._rig.parameters(), self._rig.command_limits
+        rate = min(_FASTEST, _SAMPLES / self._rig.sample_period)
+
+        def towards(i: int, pressure: float, wanted: float) -> float:
+            return float(np.clip(voltage_towards(i, pressure, wanted, 0.0, 0.0, rate, p), low, high))
+
+        return towards
+
+    @override
+    def _wiring(self) -> dict[str, Any]:
+        self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
+        program = FirstAir(self._rig)
+        driven = self._explored("wiring", program)
+        recording = read_bag(self._out / driven.pop("bag"), judge=False)
+        if found := pulse_faults(self._rig, recording, program.pulses):
+            raise StepFailed("\n".join(fault.sentence for fault in found))
+        turned = ", ".join(f"{math.degrees(pulse.turned):+.1f}" for pulse in program.pulses)
+        return {"said": f"each valve fills its muscle; a little air turned the joint by {turned} deg", **driven}
+
+    def _slow(self) -> dict[str, Any]:
+        self._ask("slow", "Joint free; it will turn slowly:")
+        program = Slow(self._rig, self._limits, self._towards())
+        driven = self._explored("slow", program)
+        recording = read_bag(self._out / driven["bag"], judge=False)
+        assert recording.angle is not None
+        low, high = (math.degrees(float(value)) for value in np.nanquantile(recording.angle, [0.02, 0.98]))
+        if not program.confined:
+            raise StepFailed(
+                "slow: the difference of the pressures did not turn the joint to its middle: is a muscle off, does a "
+                "load hold it, or does the encoder count the other way?"
+            )
+        return {"said": f"the joint turned slowly from {low:+.1f} to {high:+.1f} deg", **driven}
+
+    def _quick(self) -> dict[str, Any]:
+        self._ask("quick", "Joint free; it will turn quickly:")
+        slow = read_bag(self._out / self._record.steps["slow"]["bag"], judge=False)
+        seconds, seed = self._arguments.duration, self._arguments.seed
+        program = Quick(self._rig, self._limits, self._towards(), slow, seconds, seed)
+        driven = self._explored("quick", program)
+        return {"said": f"moved for {seconds:.0f} s, at last within {program.fastest:.2g} s a move", **driven}
+
+    @override
+    def _identify(self) -> dict[str, Any]:
+        from pam_antagonist.api.identify import IdentifyResult, identify
+        from pam_antagonist.identification.from_pressures import FromPressures
+
+        result = identify(self._record.bags(), self._rig, seed=self._arguments.seed)
+        assert isinstance(result, IdentifyResult), "a rig of new_rig"
+        result.save(self._record.result("identified"), figures=True)
+        if result.rejected:
+            raise StepFailed(f"identify: do not use this rig: {result.rejected}")
+        found = result.found
+        assert isinstance(found, FromPressures)
+        return {
+            "said": f"on held-out data the filter errs by {found.pooled('identified'):.2g} deg "
+            f"({found.pooled('as_configured'):.2g} deg with the rig file), {found.coverage:.0%} in the interval",
+            "warnings": list(result.warnings),
+            "folder": "identified",
+        }
+
+    @override
+    def found(self) -> Rig:
+        """The rig that was identified."""
+        chosen: Path = self._out / "identified" / "rig.yaml"
+        (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
+        return load_rig(str(self._out / "rig.yaml"), regulators=True)
+
+    @override
+    def _gains(self) -> dict[str, Any]:
+        rig = self.found()
+        gains = gains_for(rig)
+        given = {
+            "law": "model", "pressure_bandwidth": gains.bandwidth, "model_integral": gains.integral,
+            "approach": gains.approach,
+        }  # fmt: skip
+        parameters = {
+            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
+            "/**/controller": {"ros__parameters": given},
+        }
+        (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+        said = f"law through the model: pressures in {1e3 / gains.bandwidth:.0f} ms, integral {gains.integral:.2g}/s"
+        return {"said": said, "gains": given}

@@ -1,0 +1,272 @@
+"""What an identification found, and its errors on data that no step saw."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.recfunctions import repack_fields
+from numpy.typing import NDArray
+
+from pam_antagonist.identification import joint_stage
+from pam_antagonist.identification.filter_stage import Covered, Given
+from pam_antagonist.identification.parts import held_runs, is_free
+from pam_antagonist.identification.runs import Run
+from pam_antagonist.identification.unknowns import Fit
+from pam_antagonist.inference.pressure_driven import NO_REGULATORS
+from pam_antagonist.model import parameters as par
+from pam_antagonist.replays import Replay, after, replay
+from pam_antagonist.replays.result import ReplayReport
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import refusal
+
+Floats = NDArray[np.float64]
+
+_KNOWN_RIG = 1.2
+"""The filter's error may be larger by this factor than with a rig that was identified before."""
+
+
+class Options(NamedTuple):
+    """What the user chose.
+
+    Attributes:
+        free: names, or beginnings of names, of parameters that may move beside the usual ones.
+        frozen: names, or beginnings of names, of parameters that may not move.
+        holdout: share of the data that is held out.
+        starts: of the joint's fit.
+        seed: of the further starts.
+    """
+
+    free: tuple[str, ...] = ()
+    frozen: tuple[str, ...] = ()
+    holdout: float = 1.0 / 3.0
+    starts: int = 2
+    seed: int = 0
+
+
+AS_USUAL = Options()
+
+
+class Step(NamedTuple):
+    """A step of the identification.
+
+    Attributes:
+        name: what it identifies.
+        source: the data that it uses.
+        values: value of each parameter before and after it, by dotted path.
+        before: RMS errors before it, by channel [rad, N m, Pa].
+        after: RMS errors after it, likewise.
+        note: for the user.
+    """
+
+    name: str
+    source: str
+    values: Mapping[str, tuple[float, float]]
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    note: str = ""
+
+
+_EXPLAINED = 0.8
+"""Largest error of the modelled pressures, as a share of the error if nothing flows. With exchanged commands it is 0.97
+or more on three simulated joints, with the right ones 0.06 or less there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Held-out data of one recording.
+
+    Attributes:
+        name: of the recording.
+        from_s: begin of the held-out part [s].
+        replays: the recording, replayed with the identified rig, and as configured with angle and torque only.
+        reports: errors of the held-out part: ``as_configured``, ``identified``, and ``own`` with the recording's own
+            deviations where recordings may deviate.
+        pressures_alone: error of the angle where the measured pressures drive the joint, RMS [deg]; NaN where locked.
+        linear: error of a linear map of the two pressures, fitted to the same data, RMS [deg]; NaN likewise.
+        rows: number of rows with a measured angle of a free joint.
+    """
+
+    name: str
+    from_s: float
+    replays: Mapping[str, Replay]
+    reports: Mapping[str, ReplayReport]
+    pressures_alone: float
+    linear: float
+    rows: int
+
+    @property
+    def whole(self) -> Replay:
+        """The recording, replayed with the identified rig."""
+        return self.replays["identified"]
+
+    @property
+    def identified(self) -> ReplayReport:
+        """Errors of the held-out part with the identified rig."""
+        return self.reports["identified"]
+
+    @property
+    def as_configured(self) -> ReplayReport:
+        """Errors of the held-out part with the rig file."""
+        return self.reports["as_configured"]
+
+    def error(self, column: str) -> float:
+        """Error of a free joint's angle, RMS [deg]; NaN without any.
+
+        Args:
+            column: ``identified``, ``as_configured``, ``own``, ``model_alone``, ``pressures_alone`` or ``linear``.
+        """
+        if self.rows == 0:
+            return math.nan
+        if column in ("pressures_alone", "linear"):
+            return float(getattr(self, column))
+        report = self.reports["identified" if column == "model_alone" else column]
+        errors = report.model_alone.angle if column == "model_alone" else report.ukf.angle
+        return math.nan if errors is None else errors.rmse
+
+    @property
+    def coverage(self) -> float:
+        """Share of the angles in their 95 % intervals; NaN without any."""
+        errors = self.identified.ukf.angle
+        share = None if errors is None or self.rows == 0 else errors.coverage95
+        return math.nan if share is None else share
+
+
+@dataclass(frozen=True, eq=False)
+class FromPressures:
+    """An identified rig and how it was found.
+
+    Attributes:
+        start: the rig as configured.
+        rig: the result.
+        own: the rig with the deviations of each recording, where recordings may deviate.
+        joint: values of joint and muscles, from the fitted part.
+        air: values of chambers and valves, or regulators, likewise; None without commands.
+        final: the same two from all of the data, where the rig was guessed.
+        covered: the unknown torque of the filter.
+        held: errors on held-out data.
+        fitted: name of each recording, and the end of its part that was fitted [s].
+        notes: for the user.
+        pressures: errors of the pressures in a second from the commands [Pa]: of the model, and if nothing flowed.
+        steps: of the identification.
+        options: as given.
+    """
+
+    start: Rig
+    rig: Rig
+    own: tuple[Rig, ...]
+    joint: Fit
+    air: Fit | None
+    final: tuple[Fit, Fit | None]
+    covered: Covered
+    held: tuple[Held, ...]
+    fitted: tuple[tuple[str, float], ...]
+    notes: tuple[str, ...]
+    pressures: tuple[float, float]
+    steps: tuple[Step, ...] = ()
+    options: Options = AS_USUAL
+
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """The fits of both parts of the model whose values the rig file has."""
+        return tuple(fit for fit in self.final if fit is not None)
+
+    def pooled(self, column: str) -> float:
+        """Error of the angle over all held-out rows, RMS [deg]; NaN without any.
+
+        Args:
+            column: as for :meth:`Held.error`.
+        """
+        known = [(item.error(column), item.rows) for item in self.held if math.isfinite(item.error(column))]
+        total = sum(rows for _, rows in known)
+        return math.sqrt(sum(rows * error**2 for error, rows in known) / total) if total else math.nan
+
+    @property
+    def coverage(self) -> float:
+        """Share of the held-out angles in their 95 % intervals; NaN without any."""
+        known = [(item.coverage, item.rows) for item in self.held if math.isfinite(item.coverage)]
+        total = sum(rows for _, rows in known)
+        return sum(rows * share for share, rows in known) / total if total else math.nan
+
+    @property
+    def rejected(self) -> str:
+        """Why the rig should not be used, in a sentence; empty if it may."""
+        now, before = self.pooled("identified"), self.pooled("as_configured")
+        if any(item.rows for item in self.held) and not math.isfinite(now):
+            return "the filter gives no angle on the held-out data with it."
+        if now > before * (_KNOWN_RIG if self.start.identified or self.start.model.force != "braided" else 1.0):
+            return (
+                f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
+                "The recordings do not fit two muscles on one joint, or their channels are exchanged: run check."
+            )
+        if now > (linear := self.pooled("linear")):
+            return (
+                f"on the held-out data the filter errs by {now:.3g}°, a linear map of the two pressures by "
+                f"{linear:.3g}°. The recordings do not fit two muscles on one joint, the joint moved too little, or it "
+                "hit a stop that the rig file does not have."
+            )
+        if said := refusal(self.rig):
+            return f"{said}. The recordings do not fit two muscles on one joint."
+        model, rest = self.pressures
+        if model > _EXPLAINED * rest:
+            return (
+                f"the commands do not explain the pressures: within a second the model errs by {model / 1e3:.3g} kPa, "
+                f"and by {rest / 1e3:.3g} kPa if nothing flows. The commands are exchanged, or of another joint: run "
+                "check."
+            )
+        return ""
+
+
+def linear_map(runs: Sequence[Run]) -> Floats | None:
+    """Coefficients of a linear map from the two pressures [Pa] to the angle [rad] (3,); None without any angle."""
+    free = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
+    if not free:
+        return None
+    pressure, angle = np.concatenate([run.pressure for run in free]), np.concatenate([run.angle for run in free])
+    known = np.isfinite(angle)
+    found, *_ = np.linalg.lstsq(np.column_stack([pressure, np.ones(len(angle))])[known], angle[known], rcond=None)
+    return np.asarray(found)
+
+
+def held_of(given: Given, before: Given, end: float, rigs: Mapping[str, Rig], line: Floats | None) -> Held:
+    """Errors of a recording's held-out part.
+
+    Args:
+        given: the recording, corrected by the found calibration.
+        before: the same with the calibration of the rig file.
+        end: of the part that was fitted [s].
+        rigs: by their names, see :attr:`Held.reports`.
+        line: coefficients of the linear map (3,); None without any.
+    """
+    recording, state, name = given
+    begin, replays, reports = max(end, 0.0), {}, {}
+    lock_angle = state.lock_angle if state.condition == "locked" else None
+    for key, rig in rigs.items():
+        one = before[0] if key == "as_configured" else recording
+        whole = replay(one, rig, "default", state.condition, lock_angle)
+        reports[key] = whole.report if begin == 0.0 else after(whole, begin).report
+        replays[key] = whole if key == "identified" else _lean(whole)
+    alone = mapped = math.nan
+    rows = 0
+    if is_free(given) and recording.angle is not None and line is not None:
+        parts = held_runs(given, begin)
+        p = par.changed(rigs["identified"].parameters(), NO_REGULATORS)
+        alone = _rms_deg([joint_stage.simulated(run, p, 0.0, 0.0) - run.angle for run in parts])
+        mapped = _rms_deg([np.column_stack([run.pressure, np.ones(len(run))]) @ line - run.angle for run in parts])
+        rows = int(np.isfinite(recording.angle[recording.time_s >= begin]).sum())
+    return Held(name, begin, replays, reports, alone, mapped, rows)
+
+
+def _lean(item: Replay) -> Replay:
+    """A copy of a replay that keeps only angle and torque of the estimates."""
+    rows = repack_fields(item.run.rows[["angle", "torque"]])
+    return replace(item, run=replace(item.run, rows=rows, added={}))
+
+
+def _rms_deg(errors: Sequence[Floats]) -> float:
+    values = np.concatenate([np.zeros(0), *errors])
+    known = values[np.isfinite(values)]
+    return math.degrees(math.sqrt(float(np.mean(known**2)))) if len(known) else math.nan

@@ -1,0 +1,95 @@
+"""``commission`` of a rig file that was never identified: driven by what is measured, within limits."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pam_antagonist.cli import commission, new_rig
+from pam_antagonist.cli.commission_guessed import gains_for
+from pam_antagonist.cli.rehearsal import explore
+from pam_antagonist.design import Limits
+from pam_antagonist.design.exploration import FirstAir
+from pam_antagonist.design.first_fill import pulse_faults
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.recording import read_bag
+from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.write import write_rig
+
+COMMON = (
+    "--kind pulley --muscle DMSP-20 --radius 25mm --nominal-length 300mm --length 272mm --inertia 0.02 --mass 1.5kg "
+    "--supply 6bar --stop 40deg --rate 100"
+)
+DRIVES = {
+    "regulators": "--drive regulator --regulator VPPM-0L6H --regulator-time 0.1",
+    "valves": "--drive valve --valve MPYE-5-M5",
+}
+
+
+def guess(folder: Path, drive: str) -> Rig:
+    path = folder / "rig.yaml"
+    assert new_rig.main(["--out", str(path), *COMMON.split(), *DRIVES[drive].split()]) == 0
+    return load_rig(path, regulators=True)
+
+
+def joint_of(rig: Rig) -> Rig:
+    """A joint that the guess may be of."""
+    return moved(
+        rig,
+        {
+            "muscle_1.force.c1": 1.2 * rig.value("muscle_1.force.c1"),
+            "muscle_2.force.c3": 0.7 * rig.value("muscle_2.force.c3"),
+            "muscle_2.force.c6": 1.01 * rig.value("muscle_2.force.c6"),
+            "effects.load_torque.constant": 1.0,
+        },
+    )
+
+
+@pytest.mark.slow(15)
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_guess_becomes_a_controlled_joint(drive: str, tmp_path: Path) -> None:
+    rig = guess(tmp_path, drive)
+    write_rig(joint_of(rig), tmp_path / "truth.yaml")
+    out = tmp_path / "commissioned"
+    given = ["--rig", str(tmp_path / "rig.yaml"), "--plant", str(tmp_path / "truth.yaml"), "--out", str(out)]
+    assert commission.main([*given, "--mismatch", "0", "--source", "rehearsal", "--unattended"]) == 0
+    steps = json.loads((out / "state.json").read_text())["steps"]
+    assert list(steps) == ["wiring", "slow", "quick", "identify", "gains"]
+    assert sum(step.get("rig_s", 0.0) for step in steps.values()) < 15 * 60
+    report = json.loads((out / "identified" / "report.json").read_text())
+    assert report["rejected"] is None
+    found = load_rig(out / "rig.yaml", regulators=True)
+    assert found.identified and "pressure_bandwidth" in (out / "parameters.yaml").read_text()
+    angle = read_bag(out / steps["quick"]["bag"]).angle
+    assert angle is not None
+    inside = np.flatnonzero(np.abs(angle) < 0.1)[0]
+    assert np.abs(angle[inside:]).max() <= 0.9 * math.radians(40.0)
+    assert np.ptp(angle[inside:]) > math.radians(15.0)
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_first_air_says_what_is_exchanged(drive: str, tmp_path: Path) -> None:
+    rig = guess(tmp_path, drive)
+    program, limits = FirstAir(rig), Limits.of(rig)
+    _, ended = explore(joint_of(rig), program, limits, 1, 0.0, tmp_path / "bag")
+    recording = read_bag(tmp_path / "bag", judge=False)
+    assert ended == "" and pulse_faults(rig, recording, program.pulses) == []
+    assert all(pulse.rise.max() < 150e3 for pulse in program.pulses), "a little air only"
+    crossed = [replace(pulse, rise=pulse.rise[::-1]) for pulse in program.pulses]
+    assert "exchanged" in pulse_faults(rig, recording, crossed)[0].sentence
+    off = replace(recording, pressure=recording.pressure + 100e3)
+    assert "its zero is wrong" in pulse_faults(rig, off, program.pulses)[0].sentence
+
+
+def test_gains_go_by_the_sample_period_and_the_regulators(tmp_path: Path) -> None:
+    found = {}
+    for drive, period in (("valves", 1e-3), ("regulators", 0.05)):
+        (tmp_path / drive).mkdir()
+        found[drive] = gains_for(guess(tmp_path / drive, drive).replaced(sample_period=period))
+    assert found["regulators"].bandwidth < found["valves"].bandwidth
+    assert found["regulators"].integral <= found["valves"].integral
