@@ -14,7 +14,6 @@ class Command(NamedTuple):
 
     Attributes:
         target: ``module:function``; the function takes the arguments and returns an exit status.
-        summary: description in one line.
     """
 
     target: str
@@ -77,12 +76,7 @@ _PLACES = {
 
 
 def usage(commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] = _PLACES) -> str:
-    """Text of the help: one line for each executable, by groups.
-
-    Args:
-        commands: by name.
-        places: title of a group -> beginning of its targets.
-    """
+    """Text of the help: one line for each executable, by groups."""
     from pam_antagonist.program import program
 
     width = max(len(name) for name in commands)
@@ -106,11 +100,6 @@ def main(
     argv: Sequence[str] | None = None, commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] = _PLACES
 ) -> int:
     """Run the executable that the first argument names.
-
-    Args:
-        argv: name and arguments; default: those of the process.
-        commands: by name.
-        places: title of a group -> beginning of its targets.
 
     Returns:
         Exit status of the executable; 2 for an unknown name.

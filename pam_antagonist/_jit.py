@@ -191,7 +191,6 @@ class Compiling(event.Listener):  # type: ignore[misc]
 
     Attributes:
         seconds: time that this process has spent compiling, to be excluded when speed is measured [s].
-        kernels: number of compiled functions.
         tell: called with one sentence at the first compilation; None: not called.
     """
 

@@ -18,17 +18,7 @@ class NoResult(BadInput):
 
 
 def number(name: str, value: object, low: float = -math.inf, high: float = math.inf) -> float:
-    """A number that was given to a function of the API.
-
-    Args:
-        name: of the argument.
-        value: as it was given.
-        low: least value.
-        high: largest value.
-
-    Raises:
-        BadInput: no number, or out of bounds.
-    """
+    """A number that was given to a function of the API."""
     try:
         found = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):

@@ -42,10 +42,6 @@ def needs(extra: str, what: str) -> Iterator[None]:
 
     Args:
         extra: of ``setup.py``, such as ``reports``.
-        what: the feature that needs them, such as "figures".
-
-    Raises:
-        BadInput: a library cannot be imported.
     """
     try:
         yield
@@ -55,14 +51,7 @@ def needs(extra: str, what: str) -> Iterator[None]:
 
 
 def check_ros_variables(environment: Mapping[str, str] = os.environ) -> None:
-    """Refuse values of ROS 2's environment variables that ROS 2 would fail with, or replace without an error.
-
-    Args:
-        environment: of the process.
-
-    Raises:
-        BadInput: such a value.
-    """
+    """Refuse values of ROS 2's environment variables that ROS 2 would fail with, or replace without an error."""
     domain = environment.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= _LAST_DOMAIN):
         raise BadInput(
@@ -83,14 +72,7 @@ def check_ros_variables(environment: Mapping[str, str] = os.environ) -> None:
 
 
 def needs_ros(what: str) -> None:
-    """Refuse to start a command or node without ROS 2.
-
-    Args:
-        what: the command or node.
-
-    Raises:
-        BadInput: ROS 2 or this package's messages cannot be imported, or a variable of ROS 2 has a bad value.
-    """
+    """Refuse to start a command or node without ROS 2."""
     check_ros_variables()
     for module in _ROS:
         if not available(module):

@@ -16,11 +16,7 @@ def check_output(path: Path, overwrite: bool = False) -> Path:
     """Refuse an output path that exists, before any work is done.
 
     Args:
-        path: of a new folder.
         overwrite: whether it may be the folder of an earlier result, which has a ``report.json``.
-
-    Raises:
-        BadInput: the path exists, or cannot be made.
     """
     earlier = overwrite and (path / "report.json").is_file() and not path.is_symlink()
     if not earlier and (path.exists() or path.is_symlink()):
@@ -39,14 +35,6 @@ def output_folder(path: Path, make: bool = True, overwrite: bool = False) -> Ite
 
     Args:
         path: of a new folder, see :func:`check_output`.
-        make: False for writers that make the folder themselves.
-        overwrite: True replaces the folder of an earlier result.
-
-    Yields:
-        An empty folder of the same name to write into (or only its path), which is moved to `path` at the end.
-
-    Raises:
-        BadInput: as :func:`check_output`, or the disk is full or not writable.
     """
     check_output(path, overwrite)
     target = path.resolve()

@@ -15,9 +15,6 @@ def config_dir() -> Path:
     In a checkout the folder is next to the package (also with an editable installation and with
     ``colcon build --symlink-install``). Installations by pip or colcon have it as ``share/pam_antagonist/config`` in
     the same prefix, so the nearest folder above the package that contains it is used.
-
-    Raises:
-        FileNotFoundError: the package was installed without its files.
     """
     checkout = _PACKAGE.parent / "config"
     if (_PACKAGE.parent / "package.xml").is_file() and checkout.is_dir():

@@ -27,9 +27,6 @@ def program() -> str:
 def piped(work: Callable[[], int]) -> int:
     """Do some work and flush what it printed; a reader of the output that has gone (``| head``) is no error.
 
-    Args:
-        work: returns an exit status.
-
     Returns:
         That status; 0 where the reader had gone.
     """

@@ -44,13 +44,7 @@ def _short(value: Any) -> str:
 
 
 def unlike(value: float, limit: float, decimals: int) -> str:
-    """A number with as many decimals as it takes to differ from a limit that it misses.
-
-    Args:
-        value: the number.
-        limit: what it misses.
-        decimals: least number of decimals.
-    """
+    """A number with as many decimals as it takes to differ from a limit that it misses."""
     while decimals < 12 and float(f"{value:.{decimals}f}") == limit != value:
         decimals += 1
     return f"{value:.{decimals}f}"

@@ -15,9 +15,6 @@ def plain(value: Any) -> Any:
     """A value converted to Python's own types, with None for every number that is not finite.
 
     A dataclass becomes an object with its fields as keys, unless it has a method ``to_json``.
-
-    Raises:
-        TypeError: a type that JSON cannot represent.
     """
     if hasattr(value, "to_json"):
         return plain(value.to_json())

@@ -82,15 +82,7 @@ Checked = TypeVar("Checked", bound=Strict)
 
 
 def replaced(part: Checked, fields: Mapping[str, Any]) -> Checked:
-    """A copy of a part of a file with some fields replaced, each checked by its own bounds.
-
-    Args:
-        part: of a file.
-        fields: new values by name.
-
-    Raises:
-        BadInput: an unknown name, or a value of another kind or out of bounds.
-    """
+    """A copy of a part of a file with some fields replaced, each checked by its own bounds."""
     kind = type(part)
     known = field_names(kind)
     for name in fields:
@@ -105,21 +97,12 @@ def replaced(part: Checked, fields: Mapping[str, Any]) -> Checked:
 
 
 def field_names(schema: type[BaseModel]) -> tuple[str, ...]:
-    """Names of a schema's fields.
-
-    Args:
-        schema: of a file or of a part of it.
-    """
+    """Names of a schema's fields."""
     return tuple(getattr(schema, "model_fields", None) or getattr(schema, "__fields__", {}))
 
 
 def names(content: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """Dotted names of all values of a file.
-
-    Args:
-        content: of the file.
-        prefix: of the names.
-    """
+    """Dotted names of all values of a file."""
     inner = [(f"{prefix}{key}", value) for key, value in content.items()]
     return [
         name
@@ -129,12 +112,7 @@ def names(content: Mapping[str, Any], prefix: str = "") -> list[str]:
 
 
 def unknown(name: str, known: Iterable[str]) -> str:
-    """That a name is unknown, and the one that it may stand for.
-
-    Args:
-        name: as it was typed.
-        known: names that exist.
-    """
+    """That a name is unknown, and the one that it may stand for."""
     choices = list(known)
     close = difflib.get_close_matches(name, choices, 1)
     # "inertia" stands for "joint.inertia".
@@ -172,15 +150,6 @@ def load_bounded(text: str, most: int = _MOST_NODES) -> Any:
 
     A few hundred bytes of aliases can expand to billions of values. The values are counted before any is made, so that
     copying, merging or printing the result is safe.
-
-    Args:
-        text: one YAML document.
-        most: largest number of values with aliases expanded.
-
-    Raises:
-        yaml.YAMLError: not YAML, a repeated key, a value that contains itself, or too many values.
-        RecursionError: nested too deeply.
-        ValueError: an invalid number or date.
     """
     loader = _StrictLoader(text)
     try:
@@ -212,16 +181,7 @@ def _expanded_size(node: yaml.Node, known: dict[int, int]) -> int:
 
 
 def read_mapping(path: Path, what: str, example: str) -> dict[str, Any]:
-    """Read a YAML file that maps names to values.
-
-    Args:
-        path: the file.
-        what: kind of file, for messages ("rig").
-        example: name of a valid file, for messages.
-
-    Raises:
-        BadInput: not there, not readable, too large, not YAML, a repeated key, or no mapping.
-    """
+    """Read a YAML file that maps names to values."""
     try:
         kind = path.stat()
         if not stat.S_ISREG(kind.st_mode):  # a device may never end, a pipe may never begin
@@ -242,17 +202,7 @@ def read_mapping(path: Path, what: str, example: str) -> dict[str, Any]:
 
 
 def validated(schema: type[Schema], content: dict[str, Any], where: str, switches: Collection[str] = ()) -> Schema:
-    """Check a file's content by its schema.
-
-    Args:
-        schema: of the content.
-        content: of the file.
-        where: the file, for messages.
-        switches: keys whose values may be yes or no.
-
-    Raises:
-        BadInput: unknown or missing keys, a value of another kind or out of bounds.
-    """
+    """Check a file's content by its schema."""
     for name in _switches(content):
         if name.rsplit(".", 1)[-1] not in switches:
             raise BadInput(f"{where}: {name} is yes or no: expected a number")

@@ -1,8 +1,9 @@
-"""Public docstrings are complete: arguments, attributes, shapes and errors.
+"""Docstrings are complete where others rely on them: the Python API, and what a room's ``__init__`` exports.
 
-The rule, for every public module, class, function and method:
+Every public module, class, function and method has a docstring. A section names only arguments and fields that exist,
+and gives quantities their units. Inside a room a docstring needs no sections: it says what name and type do not. For
+names in an ``__all__`` the rule is:
 
-* It has a docstring.
 * A function with three or more arguments has a section ``Args`` that names all of them. With one or two arguments the
   sentence may say what they are. A section ``Args`` always names all of them. Arguments of a class stand in the
   docstring of the class or of its ``__init__``.
@@ -144,33 +145,72 @@ def of_class(cls: ast.ClassDef) -> Iterator[str]:
                 yield "BadInput of __init__ is not in Raises"
 
 
-def missing(path: Path) -> Iterator[tuple[int, str, str]]:
-    """Line, name, and what the docstring there leaves out."""
+def exported(package: Path) -> dict[str, set[str]]:
+    """Room -> names in the ``__all__`` of its ``__init__``; the package itself is the room without a name."""
+    found: dict[str, set[str]] = {}
+    for path in package.rglob("__init__.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+                found["/".join(path.parent.relative_to(package).parts[:1])] = set(ast.literal_eval(node.value))
+    return found
+
+
+def of_inner(node: Function | ast.ClassDef, method: bool) -> Iterator[str]:
+    """What is wrong with the docstring of a name that stays inside its room."""
+    text = ast.get_docstring(node)
+    if text is None:
+        yield "no docstring"
+        return
+    found = sections(text)
+    if isinstance(node, ast.ClassDef):
+        known = {item.target.id: item.annotation for item in node.body
+                 if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)}  # fmt: skip
+        for item in node.body:
+            if isinstance(item, ast.FunctionDef) and item.name == "__init__":
+                known |= {arg.arg: arg.annotation or ast.Constant("") for arg in arguments(item, True)}
+        inherits = True  # attributes may be properties, or set by a method
+    else:
+        known = {arg.arg: arg.annotation or ast.Constant("") for arg in arguments(node, method)}
+        inherits = False
+    for name, described in {**found.get("Args", {}), **found.get("Attributes", {})}.items():
+        if name in known:
+            kind = ast.unparse(known[name])
+            yield from of_unit(name, "" if kind == "''" else kind, described)
+        elif not inherits:
+            yield f"{name} is described and does not exist"
+
+
+def missing(path: Path, full: set[str] | None = None) -> Iterator[tuple[int, str, str]]:
+    """Line, name, and what the docstring there leaves out; names in ``full`` need all sections (None: each name)."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     if ast.get_docstring(tree) is None:
         yield 1, path.stem, "no docstring"
 
-    def walk(body: list[ast.stmt], prefix: str, inherited: bool) -> Iterator[tuple[int, str, str]]:
+    def walk(body: list[ast.stmt], prefix: str) -> Iterator[tuple[int, str, str]]:
         for node in body:
             if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)) or node.name.startswith("_"):
                 continue
             name = f"{prefix}{node.name}"
+            inner = full is not None and name.split(".", maxsplit=1)[0] not in full
             if isinstance(node, ast.ClassDef):
-                yield from ((node.lineno, name, what) for what in of_class(node))
-                yield from walk(node.body, f"{name}.", bool(node.bases))
+                yield from ((node.lineno, name, what) for what in (of_inner(node, False) if inner else of_class(node)))
+                yield from walk(node.body, f"{name}.")
             elif not _decorated(node, "overload", "setter"):
-                yield from ((node.lineno, name, what) for what in of_function(node, bool(prefix)))
+                judge = of_inner if inner else of_function
+                yield from ((node.lineno, name, what) for what in judge(node, bool(prefix)))
 
-    yield from walk(tree.body, "", False)
+    yield from walk(tree.body, "")
 
 
 def incomplete(package: Path) -> list[str]:
     """One line for each thing that a docstring of the package leaves out."""
-    return [
-        f"{path.relative_to(package).as_posix()}:{line}: {name}: {what}"
-        for path in sorted(package.rglob("*.py"))
-        for line, name, what in missing(path)
-    ]
+    names = exported(package)
+    found = []
+    for path in sorted(package.rglob("*.py")):
+        inside = path.relative_to(package).parts
+        full = names.get("", set()) | names.get(inside[0], set()) if names else None
+        found += [f"{'/'.join(inside)}:{line}: {name}: {what}" for line, name, what in missing(path, full)]
+    return found
 
 
 def test_public_docstrings_are_complete() -> None:
@@ -197,6 +237,17 @@ def test_public_docstrings_are_complete() -> None:
 def test_what_is_missing_is_found(tmp_path: Path, code: str, what: str) -> None:
     (tmp_path / "a.py").write_text(f'"""A module."""\n{code}\n', encoding="utf-8")
     assert any(line.endswith(what) for line in incomplete(tmp_path))
+
+
+def test_names_that_a_room_exports_need_all_sections(tmp_path: Path) -> None:
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "__init__.py").write_text('"""R."""\n__all__ = ["f"]\n', encoding="utf-8")
+    code = '"""M."""\ndef f(a, b, c):\n    """F."""\n\n\ndef g(a, b, c):\n    """G."""\n\n\ndef h(): ...\n'
+    code += '\n\ndef k(a):\n    """K.\n\n    Args:\n        b: gone.\n    """\n'
+    (tmp_path / "room" / "m.py").write_text(code, encoding="utf-8")
+    found = [line.split(": ", 1)[1] for line in incomplete(tmp_path)]
+    missing_of_f = [f"f: argument {name} is not described" for name in "abc"]
+    assert found == [*missing_of_f, "h: no docstring", "k: b is described and does not exist"]
 
 
 @pytest.mark.parametrize(

@@ -34,12 +34,7 @@ Progress = Callable[[str], None] | None
 
 
 def are_given(recordings: Sequence[Recording], rig: Rig) -> bool:
-    """Whether these are many short episodes of a joint with pressure regulators.
-
-    Args:
-        recordings: of one rig.
-        rig: the rig.
-    """
+    """Whether these are many short episodes of a joint with pressure regulators."""
     return rig.drive == "regulator" and any(one.episode_ns is not None for one in recordings)
 
 
@@ -48,9 +43,7 @@ class EpisodesIdentifyResult(Shown):
     """A rig that was identified from episodes.
 
     Attributes:
-        rig: with the identified values.
         found: the values with their intervals, and errors on whole held-out episodes.
-        joint: the episodes.
         hashes: SHA-256 of the recording, a tuple of one.
     """
 
@@ -78,19 +71,7 @@ class EpisodesIdentifyResult(Shown):
         return terminal.render(identify_report.summary(self.found, self.joint))
 
     def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
-        """Write ``rig.yaml``, ``report.html`` and ``report.json``; a rejected rig as ``rig_rejected.yaml``.
-
-        Args:
-            path: of a new folder.
-            figures: ignored, because this page has no figures.
-            overwrite: True replaces an earlier result there.
-
-        Returns:
-            The folder.
-
-        Raises:
-            BadInput: the folder exists, or cannot be written.
-        """
+        """Write ``rig.yaml``, ``report.html`` and ``report.json``; a rejected rig as ``rig_rejected.yaml``."""
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {self.found.counts[0]} episodes of "
         with output_folder(Path(path), overwrite=overwrite) as folder:
             html.write(folder, identify_report.document(self.found, self.joint, self.hashes[0]), self.report)
@@ -112,7 +93,6 @@ class EpisodesDiagnoseResult(Shown):
 
     Attributes:
         found: effects, errors on whole held-out episodes, and the drift.
-        joint: the episodes.
         hashes: SHA-256 of the recordings, a whole held-out one last.
     """
 
@@ -159,19 +139,7 @@ class EpisodesDiagnoseResult(Shown):
         return terminal.render(diagnosis_report.summary(self.found, self.joint))
 
     def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
-        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``), if it is the better one.
-
-        Args:
-            path: of a new folder.
-            figures: False leaves the figure of the drift out of the page.
-            overwrite: True replaces an earlier result there.
-
-        Returns:
-            The folder.
-
-        Raises:
-            BadInput: the folder exists, or cannot be written.
-        """
+        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``), if it is better."""
         about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
         with output_folder(Path(path), overwrite=overwrite) as folder:
             html.write(
@@ -192,15 +160,7 @@ def identified(
     """Identify mechanics and regulators.
 
     Args:
-        recordings: one recording of many episodes.
-        rig: with pressure regulators.
         free: parameters that the caller chose to free or to hold; must be empty, because the choice is fixed.
-        holdout: share of the episodes that is held out at the end.
-        jobs: threads.
-        progress: called with a text about each step.
-
-    Raises:
-        BadInput: several recordings, chosen parameters, or episodes that allow no identification.
     """
     if len(recordings) > 1:
         raise BadInput("several recordings, one of them with many episodes: expected the recording of episodes alone")
@@ -220,16 +180,7 @@ def diagnosed(
     """Find the effects that the model lacks.
 
     Args:
-        fitted: one recording of many episodes.
-        kept: one whole held-out recording, or none.
-        rig: with pressure regulators.
-        also: names of further signals that may be causes.
         holdout: share of the episodes that is held out at the end, if no recording is held out.
-        jobs: threads.
-        progress: called with a text about each step.
-
-    Raises:
-        BadInput: several recordings, or episodes that allow no diagnosis.
     """
     if len(fitted) > 1 or len(kept) > 1:
         raise BadInput(f"rig {rig.name} has pressure regulators: expected one recording, and one to hold out at most")

@@ -34,8 +34,6 @@ class PressuresDiagnoseResult(Shown):
     """An effect that the model of a rig lacks, from measured pressures.
 
     Attributes:
-        start: the rig as configured.
-        found: all results.
         hashes: SHA-256 of the recordings.
     """
 
@@ -96,19 +94,7 @@ class PressuresDiagnoseResult(Shown):
         return terminal.render(diagnosis_pages.summary(self.found))
 
     def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
-        """Write ``report.html``, ``report.json`` and the proposed rig file (:attr:`next_rig`), if there is one.
-
-        Args:
-            path: of a new folder.
-            figures: False leaves the figures out of the page.
-            overwrite: whether an earlier result there is replaced.
-
-        Returns:
-            The folder.
-
-        Raises:
-            BadInput: the folder exists, or cannot be written.
-        """
+        """Write ``report.html``, ``report.json`` and the proposed rig file (:attr:`next_rig`), if there is one."""
         about = textwrap.wrap(f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}", 110)
         with output_folder(Path(path), overwrite=overwrite) as folder:
             html.write(folder, diagnosis_pages.document(self.found, self.hashes, figures), self.report)
@@ -140,12 +126,7 @@ def diagnosed(
     """Find the effect that the model of a rig lacks, from measured pressures.
 
     Args:
-        recordings: each with its joint's condition and a name.
         rig: with forces of the form ``braided``.
-        holdout: share of the data that is held out.
-        seed: of the further start of the fit.
-        jobs: threads.
-        progress: called with a text about each step.
         whole: number of recordings at the end that are held out as a whole, in place of the share.
     """
     found = _diagnose(recordings, rig, holdout, seed, jobs, progress, whole)

@@ -21,25 +21,12 @@ Bag: TypeAlias = _Recording | str | Path
 
 
 def calibration(rig: Rig) -> Corrections:
-    """Corrections of recordings, from the calibration in a rig file.
-
-    Args:
-        rig: the rig.
-    """
+    """Corrections of recordings, from the calibration in a rig file."""
     return Corrections(**dict(rig.calibration))
 
 
 def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
-    """The recording itself; a bag is read with the calibration of its rig.
-
-    Args:
-        bag: a recording or its bag.
-        rig: of the recording.
-        also: required further signals.
-
-    Raises:
-        BadInput: neither a recording nor the path of a bag, or a bag that cannot be read.
-    """
+    """The recording itself; a bag is read with the calibration of its rig."""
     if isinstance(bag, _Recording):
         return bag
     if isinstance(bag, (str, Path)):
@@ -50,13 +37,7 @@ def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
 
 
 def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ()) -> list[Recording]:
-    """A list of recordings; bags are read with the calibration of their rig.
-
-    Args:
-        bags: one or several.
-        rig: of the recordings.
-        also: required further signals of each.
-    """
+    """A list of recordings; bags are read with the calibration of their rig."""
     recordings = [as_recording(bag, rig, also) for bag in _several(bags)]
     for recording in recordings:
         _judge(recording)
@@ -64,12 +45,7 @@ def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ())
 
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:
-    """Corrections with which bags are read here; none for recordings that the caller has read.
-
-    Args:
-        bags: one or several.
-        rig: of the recordings.
-    """
+    """Corrections with which bags are read here; none for recordings that the caller has read."""
     return Corrections() if any(isinstance(bag, _Recording) for bag in _several(bags)) else calibration(rig)
 
 

@@ -28,12 +28,8 @@ def delay_of_voltages(
     orifice area, the pressure itself and a constant. The coefficient of the rate is the delay.
 
     Args:
-        corrected: the recording with the corrections so far.
-        rig: of the model.
-        model: prediction for the corrected recording.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
-        now: the corrections so far.
     """
     moved = [
         predicted(corrected, other, joint, lock_angle, known_start=True).pressure - model.pressure

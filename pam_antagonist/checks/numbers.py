@@ -29,11 +29,8 @@ def without_delays(
     """Delays that make it worse, and the corrections without them.
 
     Args:
-        recording: without corrections.
-        rig: the rig.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
-        now: corrections, with all numbers as given.
     """
     out = []
     for name in ("delay_voltage", "delay_pressure", "delay_angle", "delay_torque"):
@@ -62,11 +59,7 @@ def without_zeros(
     """Zeros and a scale that make it worse, and the corrections without them.
 
     Args:
-        recording: without corrections.
-        model: prediction for it.
-        rig: the rig.
         joint: ``free`` or ``locked``.
-        now: corrections, of which units and signs are right.
     """
     out = []
     for name, neutral in (("torque_scale", 1.0), ("encoder_zero", 0.0), ("torque_zero", 0.0)):
@@ -103,9 +96,6 @@ def finding(name: str, now: Corrections, rig: Rig, text: str) -> Finding:
 
     Args:
         name: of the number, a field of ``Corrections``.
-        now: corrections with the number.
-        rig: the rig.
-        text: the observation.
     """
     value = getattr(now, name)
     if value == dict(rig.calibration).get(name):

@@ -54,15 +54,10 @@ def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, kno
     The model runs on the grid of the recording's own period, in steps of at most 1 ms.
 
     Args:
-        recording: its stamps and voltages are used.
-        rig: the rig.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
         known_start: whether the model starts from the recorded pressures, which are then absolute, in Pa and not
             exchanged; otherwise it starts midway between atmosphere and supply.
-
-    Raises:
-        BadInput: episodes without commands or pressures.
     """
     if recording.episode_ns is None:
         return _in_one_piece(recording, rig, joint, lock_angle, known_start)
@@ -114,8 +109,6 @@ def in_steps(
     does not.
 
     Args:
-        recording: with absolute pressures in Pa.
-        rig: the rig.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
         crossed: whether each pressure belongs to the other muscle's valve.
@@ -142,8 +135,6 @@ def from_pressures(recording: Recording, rig: Rig, joint: str, lock_angle: float
     """Angle and torque of the joint at rest under the measured pressures, where voltages do not give the pressures.
 
     Args:
-        recording: corrected: absolute pressures in Pa, each in the order of the valves, and the angle in rad.
-        rig: the rig.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
     """

@@ -17,12 +17,7 @@ _SLACK = 1.0
 
 
 def commands(recording: Recording, rig: Rig) -> list[Finding]:
-    """Unit, range and origin of the commands; nothing for a rig with valves.
-
-    Args:
-        recording: of the rig, as read.
-        rig: the rig.
-    """
+    """Unit, range and origin of the commands; nothing for a rig with valves."""
     if rig.drive == "valve":
         return []
     unit = _unit(recording)

@@ -34,12 +34,7 @@ _UNEVEN = 1.5
 
 
 def findings(recording: Recording, rig: Rig) -> list[Finding]:
-    """Findings about the samples, those that change results most first.
-
-    Args:
-        recording: the whole one.
-        rig: gives the sample period.
-    """
+    """Findings about the samples, those that change results most first."""
     drive = "valve_state" if recording.drive == "valve" else "pressure_state"
     missing = _missing(recording, drive)
     out = []
@@ -63,14 +58,7 @@ def holes(recording: Recording) -> list[tuple[int, int]]:
 
 
 def in_pieces(recording: Recording) -> Recording | None:
-    """The recording as episodes that no hole interrupts, for the tests against the model.
-
-    Args:
-        recording: with holes or without.
-
-    Returns:
-        The recording itself where it has no holes; None where no piece is long enough.
-    """
+    """The recording as episodes that no hole interrupts, for the tests against the model."""
     cuts = holes(recording)
     if not cuts:
         return recording

@@ -86,7 +86,6 @@ def unit_tolerance(rig: Rig, quantity: str) -> float:
     A rig file that was not identified says how well it knows its muscles and valves: by that much more.
 
     Args:
-        rig: the rig.
         quantity: ``pressure``, ``angle`` or ``torque``.
     """
     stds = rig.uncertainty if rig.identified else {**rig.uncertainty, **rig.priors}
@@ -100,7 +99,6 @@ class Arrangement:
     """Which pressure follows which valve.
 
     Attributes:
-        findings: about it.
         exchanged: whether each pressure follows the other muscle's valve; None: it follows neither.
         by_steps: whether only short steps from measured pressures show it, since the model drifts from the voltages.
     """
@@ -116,9 +114,6 @@ def arrangement(
     """Which pressure follows which valve, over the whole recording or, where the model drifts, over short steps.
 
     Args:
-        recording: without corrections of its values.
-        model: its prediction from the voltages alone.
-        rig: the rig.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
         typed: gives the unit of the pressures, from which the short steps begin.
@@ -182,10 +177,6 @@ def pressure_unit_of(
 
     Args:
         pressures: as recorded, in an unknown unit, in the order of the valves (K, 2).
-        model: the model's prediction.
-        now: corrections so far.
-        typed: corrections that the user gave.
-        tolerance: factor by which the ratio may differ.
     """
     ratio = float(np.sqrt(np.prod([ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)])))
     unit, _ = _unit_by_ratio("pressure", ratio, typed.pressure_unit, tolerance)
@@ -263,7 +254,6 @@ class Direction:
         channel: ``angle`` or ``torque``.
         sign: 1 or -1, of the correlation with the model.
         ratio: standard deviation over the model's [-], without a correction of its unit.
-        correlation: magnitude of the correlation with the model.
     """
 
     channel: str
@@ -276,8 +266,6 @@ def directions_of(recording: Recording, model: Prediction, joint: str) -> list[D
     """Sign and size of angle and torque relative to the model, where they correlate with it.
 
     Args:
-        recording: without corrections.
-        model: the model's prediction for it.
         joint: ``free`` or ``locked``.
     """
     out = []
@@ -312,8 +300,6 @@ def which_is_exchanged(
 
     Args:
         arranged: which pressure follows which valve, and whether the measured pressures show the rest.
-        directions: of the measured channels.
-        now: corrections so far.
         typed: corrections that the user gave; what they say of channels without a direction is kept.
     """
     exchanged, drive = arranged.exchanged, "measured pressures" if arranged.by_steps else "voltages"
@@ -365,10 +351,7 @@ def unit_of(direction: Direction, now: Corrections, typed: Corrections, toleranc
     """Findings about the unit of angle or torque, and the unit.
 
     Args:
-        direction: of the channel, with its ratio to the model.
         now: corrections so far; a unit in them that is not the given one was found by the values alone.
-        typed: corrections that the user gave.
-        tolerance: factor by which the ratio may differ.
     """
     channel, ratio = direction.channel, direction.ratio
     given, before = getattr(typed, f"{channel}_unit"), getattr(now, f"{channel}_unit")
@@ -398,13 +381,7 @@ def unit_of(direction: Direction, now: Corrections, typed: Corrections, toleranc
 
 
 def fits(corrected: Recording, model: Prediction, rig: Rig) -> list[Finding]:
-    """RMS difference of the corrected pressures from the model's; a large one means another rig.
-
-    Args:
-        corrected: the recording with all corrections.
-        model: prediction for it, from its first pressures.
-        rig: the rig.
-    """
+    """RMS difference of the corrected pressures from the model's; a large one means another rig."""
     left = np.sqrt(np.nanmean((corrected.pressure[model.rows] - model.pressure) ** 2, axis=0))
     text = f"the model, driven by the voltages, is {left[0] / 1e3:.1f} and {left[1] / 1e3:.1f} kPa off (RMS"
     if np.max(left) <= NEAR:

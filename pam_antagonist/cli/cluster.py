@@ -15,12 +15,7 @@ _TIMEOUT = 10.0
 
 
 def add_dask(parser: argparse.ArgumentParser, work: str = "fit") -> None:
-    """``--dask``.
-
-    Args:
-        parser: gets the option.
-        work: what the workers do, in words.
-    """
+    """``--dask``."""
     parser.add_argument(
         "--dask", metavar="ADDRESS",
         help=f"{work} on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786 (needs pam_antagonist[dask])",
@@ -28,28 +23,14 @@ def add_dask(parser: argparse.ArgumentParser, work: str = "fit") -> None:
 
 
 def refuse_for_episodes(address: str | None) -> None:
-    """Say that episodes are fitted here.
-
-    Args:
-        address: of a scheduler, or None.
-
-    Raises:
-        BadInput: an address.
-    """
+    """Say that episodes are fitted here."""
     if address is not None:
         raise BadInput("--dask: a recording of episodes is fitted on this machine only; leave --dask out")
 
 
 @contextmanager
 def connected(address: str | None) -> Iterator[None]:
-    """Everything inside that runs in parallel by joblib does so on the workers of a scheduler.
-
-    Args:
-        address: of the scheduler; None for this machine.
-
-    Raises:
-        BadInput: Dask is not installed, nobody answers, or its workers have another pam_antagonist or none.
-    """
+    """Everything inside that runs in parallel by joblib does so on the workers of a scheduler."""
     if address is None:
         yield
         return

@@ -32,11 +32,7 @@ def is_for(rig: Rig) -> bool:
 
 
 def gains_for(rig: Rig) -> ModelGains:
-    """Gains of the law through the model that a rig's sample period and regulators allow.
-
-    Args:
-        rig: as identified.
-    """
+    """Gains of the law through the model that a rig's sample period and regulators allow."""
     usual = ModelGains()
     integral = usual.integral
     if rig.drive == "regulator":
@@ -54,11 +50,7 @@ class GuessedCommission(Commission):
     STEPS = ("wiring", "slow", "quick", "identify", "gains")
 
     def _explored(self, name: str, program: Program) -> dict[str, Any]:
-        """Drive the joint by a program.
-
-        Raises:
-            StepFailed: it ended early.
-        """
+        """Drive the joint by a program."""
         folder = self._record.attempt(name)
         limits = self._limits
         document = {

@@ -13,15 +13,8 @@ from pam_antagonist.errors import BadInput
 class Record:
     """The steps of a commissioning that were tried, and the folders of their results.
 
-    Args:
-        out: folder of the commissioning; made where it is new.
-        rig: name of the rig.
-
     Attributes:
         steps: of each step by its name: whether it is ``done``, what it ``said``, and what else it found.
-
-    Raises:
-        BadInput: a folder that is of another rig, or of no commissioning.
     """
 
     def __init__(self, out: Path, rig: str) -> None:
@@ -48,11 +41,7 @@ class Record:
         new.replace(self._out / "state.json")
 
     def attempt(self, name: str) -> Path:
-        """A new folder for an attempt of a step.
-
-        Args:
-            name: of the step.
-        """
+        """A new folder for an attempt of a step."""
         number = 1
         while (folder := self._out / f"{name}_{number}").exists():
             number += 1
@@ -60,11 +49,7 @@ class Record:
         return folder
 
     def result(self, name: str) -> Path:
-        """A result's folder, which is not there: what an attempt left that was interrupted is removed.
-
-        Args:
-            name: of the folder.
-        """
+        """A result's folder, which is not there: what an attempt left that was interrupted is removed."""
         folder = self._out / name
         if folder.exists():
             shutil.rmtree(folder)

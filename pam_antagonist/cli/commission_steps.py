@@ -54,14 +54,7 @@ class StepFailed(Exception):
 
 
 class Commission:
-    """A commissioning, and what of it is done.
-
-    Args:
-        arguments: of the command.
-
-    Raises:
-        BadInput: a folder that is of another rig, or of no commissioning.
-    """
+    """A commissioning, and what of it is done."""
 
     STEPS: tuple[str, ...] = STEPS
 
@@ -94,9 +87,6 @@ class Commission:
 
         Args:
             name: one of ``STEPS``.
-
-        Raises:
-            StepFailed: it found a fault, or ended early.
         """
         before = self._record.steps.get(name, {})
         if before.get("done"):
@@ -137,11 +127,7 @@ class Commission:
         return drive(self._owner, plan, folder)
 
     def _recorded(self, name: str, plan: Plan) -> dict[str, Any]:
-        """Drive a plan, to its end.
-
-        Raises:
-            StepFailed: it ended early.
-        """
+        """Drive a plan, to its end."""
         driven = self._drive(name, plan)
         if driven.ended:
             raise StepFailed(f"{name}: the experiment ended early, {driven.ended}. {_BEYOND}")
@@ -267,11 +253,7 @@ class Commission:
         return [k for k in range(len(CHANNELS)) if k not in missing]
 
     def found(self) -> Rig:
-        """The rig that the steps found: with its effects, or identified where there are none.
-
-        Raises:
-            StepFailed: neither fits.
-        """
+        """The rig that the steps found: with its effects, or identified where there are none."""
         steps = self._record.steps
         last = steps["apart"] if "folder" in steps["apart"] else steps["close_loop"]
         extended = self._out / last["folder"] / (last.get("rig") or "rig_extended.yaml")

@@ -39,8 +39,6 @@ class Parser(argparse.ArgumentParser):
         """Make a parser.
 
         Args:
-            name: of the command.
-            description: what it does; the first line is its summary.
             epilog: examples; ``{run}`` stands for the words that start a command where this runs.
         """
         super().__init__(
@@ -53,11 +51,7 @@ class Parser(argparse.ArgumentParser):
 
     @override
     def error(self, message: str) -> NoReturn:
-        """Refuse the arguments.
-
-        Raises:
-            BadInput: always.
-        """
+        """Refuse the arguments."""
         raise BadInput(f"{message} (see {self.prog} --help)")
 
 
@@ -67,12 +61,7 @@ def run(
     """Read a command's arguments, do its work, and give what ``--json`` of :func:`add_json` asks for.
 
     Args:
-        parser: makes what reads the arguments.
-        command: takes what was read, returns a status.
         argv: arguments without the program's name; default: those of the process.
-
-    Returns:
-        The status to exit with.
     """
 
     def work() -> int:
@@ -84,14 +73,7 @@ def run(
 
 
 def ended(work: Callable[[], int]) -> int:
-    """Turn what goes wrong in some work into an exit status.
-
-    Args:
-        work: returns a status.
-
-    Returns:
-        The status to exit with.
-    """
+    """Turn what goes wrong in some work into an exit status."""
     return piped(lambda: _ended(work))
 
 
@@ -160,9 +142,6 @@ def add_joint(parser: argparse.ArgumentParser, choices: Sequence[str], default: 
     """``--joint`` and ``--lock-angle``.
 
     Args:
-        parser: takes the arguments.
-        choices: conditions to choose from.
-        default: condition where none is given.
         text: help of ``--joint``.
     """
     parser.add_argument("--joint", choices=tuple(choices), default=default, help=text)
@@ -181,11 +160,7 @@ def _angle(text: str) -> float:
 
 
 def lock_angle(arguments: argparse.Namespace) -> float | None:
-    """The angle of a locked joint [rad], None where none was given.
-
-    Raises:
-        BadInput: an angle was given for a joint that is not locked.
-    """
+    """The angle of a locked joint [rad], None where none was given."""
     if arguments.lock_angle is not None and arguments.joint != "locked":
         raise BadInput("--lock-angle: only a joint that is locked has one; give --joint locked as well")
     value: float | None = arguments.lock_angle
@@ -217,11 +192,7 @@ def add_recover(parser: argparse.ArgumentParser) -> None:
 
 
 def topics(arguments: argparse.Namespace) -> dict[str, str]:
-    """The topics that were given other names.
-
-    Raises:
-        BadInput: one was given twice.
-    """
+    """The topics that were given other names."""
     chosen: dict[str, str] = {}
     for name, other in arguments.topic:
         if name in chosen:
@@ -240,7 +211,6 @@ def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
 
     Args:
         arguments: of a command with :func:`add_open`.
-        folder: of the report.
     """
     page = folder / "report.html"
     print(f"report: {page} and report.json")
@@ -249,13 +219,7 @@ def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
-    """The command that usually comes next, on a line of its own.
-
-    Args:
-        words: the command's name.
-        bags: that it takes.
-        rest: further arguments.
-    """
+    """The command that usually comes next, on a line of its own."""
     return f"next:\n{typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
 
 
@@ -275,9 +239,6 @@ def _json_beside(arguments: argparse.Namespace) -> Iterator[None]:
 
     Args:
         arguments: of a command with :func:`add_json` and ``--out``.
-
-    Raises:
-        BadInput: the file cannot be written.
     """
     with json_alone(arguments.json):
         yield
@@ -288,12 +249,7 @@ def _json_beside(arguments: argparse.Namespace) -> Iterator[None]:
 
 
 def add_new_json(parser: argparse.ArgumentParser, what: str) -> None:
-    """``--json``, of a command that writes nothing else and overwrites nothing.
-
-    Args:
-        parser: takes the argument.
-        what: is written, for the help.
-    """
+    """``--json``, of a command that writes nothing else and overwrites nothing."""
     parser.add_argument(
         "--json", type=_new_file, metavar="FILE",
         help=f"write {what} to FILE as well, a new file; - for standard output, and the tables on standard error",
@@ -316,15 +272,7 @@ def json_alone(where: str | None) -> contextlib.AbstractContextManager[object]:
 
 
 def give_json(where: str, text: str) -> None:
-    """Write JSON where ``--json`` says.
-
-    Args:
-        where: a file, or - for standard output.
-        text: with its last line break.
-
-    Raises:
-        BadInput: the file cannot be written.
-    """
+    """Write JSON where ``--json`` says."""
     if where == "-":
         sys.stdout.write(text)
     else:
@@ -336,11 +284,7 @@ def show(text: str, content: object, where: str | None) -> None:
 
     Args:
         text: for people, may be empty; it goes to standard error where JSON goes to standard output.
-        content: the same for programs.
         where: of ``--json``: a file, - for standard output, or None.
-
-    Raises:
-        BadInput: the file cannot be written.
     """
     if text:
         with json_alone(where):
@@ -352,11 +296,7 @@ def show(text: str, content: object, where: str | None) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file that was asked for; what is there is replaced.
-
-    Raises:
-        BadInput: it cannot be written.
-    """
+    """Write a file that was asked for; what is there is replaced."""
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

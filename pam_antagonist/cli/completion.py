@@ -21,7 +21,6 @@ def main(argv: Sequence[str] | None, commands: Mapping[str, NamedTuple]) -> int:
     """Print the script; returns the exit status.
 
     Args:
-        argv: the shell.
         commands: name of each executable -> its ``target`` and ``summary``.
     """
 

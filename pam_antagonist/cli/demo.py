@@ -152,11 +152,7 @@ def _main(arguments: argparse.Namespace) -> int:
 
 
 def _judge(out: Path, rig: Rig, mode: Mode, law: str, stopped: str, arguments: argparse.Namespace) -> None:
-    """Replay OUT/bag, print the tables, write OUT/report.html and OUT/report.json.
-
-    Raises:
-        BadInput: the recording cannot be used.
-    """
+    """Replay OUT/bag, print the tables, write OUT/report.html and OUT/report.json."""
     from pam_antagonist.recording import read_bag
     from pam_antagonist.replays import replay
     from pam_antagonist.report import demo, terminal

@@ -46,12 +46,7 @@ def law_of(rig: Rig, mode: Mode, gains: str | None) -> str:
     """The law: one of :data:`GAINS`, or :data:`MODEL`.
 
     Args:
-        rig: the joint.
-        mode: what is controlled.
         gains: that were asked for; None: the fast ones for the joint that they were chosen for, else the other law.
-
-    Raises:
-        BadInput: gains of voltages, of a joint that has none.
     """
     if mode.has_stiffness or rig.drive == "regulator":
         if gains in GAINS:
@@ -71,13 +66,8 @@ def task(rig: Rig, mode: Mode, law: str, duration: float) -> Task:
     A joint that yields is asked for one angle all the time, with one stiffness after the other.
 
     Args:
-        rig: the joint.
-        mode: what is controlled.
         law: as of :func:`law_of`.
         duration: of the experiment [s].
-
-    Raises:
-        BadInput: a joint that can rest at no angle, or has no torque.
     """
     reach = None
     if law == MODEL:

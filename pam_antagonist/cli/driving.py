@@ -44,12 +44,7 @@ class Owner:
 
     Attributes:
         source: ``plant``, ``bridge``, ``none`` (a node that runs already), or ``rehearsal`` (no node at all).
-        rig: name or file, for that node.
-        seed: of a simulated joint.
         mismatch: of a simulated joint's parameters from the rig file [-].
-        port: of a bridge's device; None: by the parameters.
-        hardware: calibration of a bridge's device; None likewise.
-        parameters: parameter file; None: without.
     """
 
     source: str
@@ -62,15 +57,7 @@ class Owner:
 
     @classmethod
     def of(cls, arguments: argparse.Namespace, rig: str) -> Owner:
-        """From the arguments of :func:`add_source`.
-
-        Args:
-            arguments: with these.
-            rig: name or file, for the node.
-
-        Raises:
-            BadInput: options that do not go together.
-        """
+        """From the arguments of :func:`add_source`."""
         for option in ("port", "hardware"):
             if getattr(arguments, option) is not None and arguments.source != "bridge":
                 raise BadInput(f"--{option}: only a bridge has one; give --source bridge as well")
@@ -81,11 +68,7 @@ class Owner:
         )  # fmt: skip
 
     def command_line(self, plan: Plan) -> list[str]:
-        """Arguments of the node.
-
-        Args:
-            plan: whose limits it keeps as well.
-        """
+        """Arguments of the node."""
         from pam_antagonist.nodes.processes import ros_arguments
 
         low, high = plan.limits.pressure
@@ -110,9 +93,7 @@ class Driven:
     """What came of a plan.
 
     Attributes:
-        bag: the recording.
         begun_ns: stamp at which the plan began [ns].
-        ended: why it ended early, in words; empty where it did not.
     """
 
     bag: Path
@@ -121,11 +102,7 @@ class Driven:
 
 
 def add_limits(out: argparse.ArgumentParser) -> None:
-    """Limits of an experiment.
-
-    Args:
-        out: takes the arguments.
-    """
+    """Limits of an experiment."""
     for name, unit, text in (
         ("--min-pressure", "KPA", "least pressure, absolute [kPa] (default: 15 %% of the supply's gauge pressure)"),
         ("--max-pressure", "KPA", "largest pressure, absolute [kPa] (default: 97 %% of the supply's gauge pressure)"),
@@ -140,10 +117,6 @@ def limits_of(arguments: argparse.Namespace, rig: Rig) -> Limits:
 
     Args:
         arguments: with those of :func:`add_limits`.
-        rig: the joint.
-
-    Raises:
-        BadInput: limits that the rig cannot have.
     """
     from pam_antagonist.design import Limits
 
@@ -157,11 +130,7 @@ def limits_of(arguments: argparse.Namespace, rig: Rig) -> Limits:
 
 
 def add_source(out: argparse.ArgumentParser) -> None:
-    """Who owns the valves.
-
-    Args:
-        out: takes the arguments.
-    """
+    """Who owns the valves."""
     out.add_argument(
         "--source",
         choices=SOURCES,
@@ -181,16 +150,7 @@ def add_source(out: argparse.ArgumentParser) -> None:
 
 
 def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
-    """Write ``voltages.csv`` and ``plan.json``.
-
-    Args:
-        out: folder, which is there.
-        plan: the experiment.
-        rig: by whose model it was designed.
-
-    Returns:
-        The content of ``plan.json``.
-    """
+    """Write ``voltages.csv`` and ``plan.json``."""
     from pam_antagonist.design import standard_errors
 
     changes = np.flatnonzero(np.any(np.diff(plan.voltage, axis=0) != 0.0, axis=1)) + 1
@@ -233,16 +193,7 @@ def how_to_watch() -> str:
 
 
 def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
-    """Run a plan on the joint and record it into ``out/bag``, with ``out/plan.json`` as a note where there is one.
-
-    Args:
-        owner: of the valves.
-        plan: the experiment.
-        out: folder, which is there.
-
-    Raises:
-        ProcessFailed: a node ended or does not start.
-    """
+    """Run a plan on the joint and record it into ``out/bag``, with ``out/plan.json`` as a note where there is one."""
     from pam_antagonist.recording.notes import write_notes
 
     if owner.source == "rehearsal":
@@ -259,22 +210,7 @@ def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
 
 
 def explored(owner: Owner, rig: Rig, program: Program, limits: Limits, out: Path) -> str:
-    """Drive the joint by what is measured, and record it into ``out/bag``.
-
-    Args:
-        owner: of the valves.
-        rig: as declared.
-        program: what drives the joint.
-        limits: at which it ends.
-        out: folder, which is there.
-
-    Returns:
-        In words why it ended early; empty where it did not.
-
-    Raises:
-        BadInput: a joint with regulators, which only a rehearsal drives in this way.
-        ProcessFailed: a node ended or does not start.
-    """
+    """Drive the joint by what is measured, and record it into ``out/bag``."""
     if owner.source == "rehearsal":
         from pam_antagonist.cli.rehearsal import explore
         from pam_antagonist.rig import load_rig

@@ -151,12 +151,6 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
 
     Args:
         folder: of ``close_loop``.
-
-    Returns:
-        The rig with the found effect, its name, and the names of the effects that explain as much.
-
-    Raises:
-        BadInput: no such folder, or nothing in it is undecided.
     """
     from pam_antagonist.model.effects import CATALOGUE
     from pam_antagonist.rig import load_rig

@@ -66,7 +66,6 @@ def compile_first(parts: Sequence[str], rig: Rig) -> None:
 
     Args:
         parts: ``REPLAY`` or ``FITS``.
-        rig: for which.
     """
     if not (_missing(kernels.process_all) and _missing(integration.simulate)):
         return

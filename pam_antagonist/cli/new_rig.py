@@ -93,15 +93,7 @@ def _main(arguments: argparse.Namespace) -> int:
 
 
 class _Answers:
-    """Answers of options first, then of the person at the terminal, where there is one.
-
-    Args:
-        given: texts of the options by name, None where not given.
-
-    Attributes:
-        asked: whether a person was asked.
-        taken: names of the questions whose default was taken.
-    """
+    """Answers of options first, then of the person at the terminal, where there is one."""
 
     def __init__(self, given: Mapping[str, str | None]) -> None:
         self._given = given
@@ -112,11 +104,7 @@ class _Answers:
         self.taken: set[str] = set()
 
     def rig(self) -> tuple[Facts, Rig]:
-        """What the answers say, and the rig file that they make; answers that contradict each other are asked again.
-
-        Raises:
-            BadInput: an option that makes no sense, answers that contradict each other, or nobody to ask.
-        """
+        """What the answers say, and the rig file that they make; answers that contradict each other are asked again."""
         self._read()
         while True:
             facts = _facts(self._values)
@@ -195,11 +183,7 @@ class _Answers:
             return
 
     def command(self, path: Path) -> str:
-        """The command line with these answers.
-
-        Args:
-            path: of the rig file.
-        """
+        """The command line with these answers."""
         words = ["new_rig", "--out", str(path)]
         for question in QUESTIONS:
             if question.name in self._texts:

@@ -11,8 +11,6 @@ def real(low: float, high: float, what: str = "a number") -> Callable[[str], flo
     """Type of an argument that is a number between two bounds.
 
     Args:
-        low: least value.
-        high: largest value.
         what: it is, for the message: ``a share``.
     """
 

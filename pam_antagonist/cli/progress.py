@@ -20,7 +20,6 @@ class _Shown:
     """Draws progress from a thread of its own, so that it goes on while a fit computes.
 
     Args:
-        what: is done.
         total: units to do; 0: what is done comes in phases that nobody can count.
     """
 
@@ -75,15 +74,7 @@ class _Shown:
 
 @contextmanager
 def counted(total: float, what: str) -> Iterator[Callable[[float], None]]:
-    """Progress that is counted.
-
-    Args:
-        total: units to do.
-        what: is done.
-
-    Yields:
-        Takes how many units more are done.
-    """
+    """Progress that is counted."""
     shown = _Shown(what, max(total, 1e-9))
     try:
         yield shown.add
@@ -93,14 +84,7 @@ def counted(total: float, what: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def phases(what: str) -> Iterator[Callable[[str], None]]:
-    """Progress through phases whose time nobody knows.
-
-    Args:
-        what: is done.
-
-    Yields:
-        Takes what begins now.
-    """
+    """Progress through phases whose time nobody knows."""
     shown = _Shown(what)
     try:
         yield shown.begin

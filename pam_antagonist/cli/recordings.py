@@ -56,14 +56,8 @@ def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> 
     """A bag, corrected as asked and checked against the rig; ``--no-check`` goes on although it is wrong.
 
     Args:
-        bag: the bag.
-        rig: the rig.
         arguments: of a command with :func:`add_corrections`.
         how: how it is read, as for ``read_bag``.
-
-    Raises:
-        BadInput: a bag that cannot be read, or that is certainly not what it is taken for: what is wrong, and what to
-            type or to leave out.
     """
     from pam_antagonist.checks import SHORTEST, check_recording
     from pam_antagonist.recording import read_bag
@@ -105,16 +99,7 @@ def _can_be_read(bag: Path, known: corrections.Corrections, how: Mapping[str, An
 
 
 def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) -> list[Recording]:
-    """The bags of :func:`add_bags`, and others behind them, corrected as asked and checked against the rig.
-
-    Args:
-        arguments: of the command.
-        rig: the rig that they should be of.
-        further: other bags.
-
-    Raises:
-        BadInput: a bag that cannot be read, or the same one twice, or a recording that is certainly wrong.
-    """
+    """The bags of :func:`add_bags`, and others behind them, corrected as asked and checked against the rig."""
     from pam_antagonist.recording import bag_hash
 
     names = common.topics(arguments)

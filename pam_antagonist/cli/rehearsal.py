@@ -25,11 +25,7 @@ def rehearse(rig: Rig, plan: Plan, seed: int, mismatch: float, bag: Path) -> tup
     """Drive a simulated joint by a plan, and write the recording.
 
     Args:
-        rig: what the joint is in truth.
-        plan: the experiment.
-        seed: of the joint's parameters and the sensors' noise.
         mismatch: standard deviation of the parameters from the rig's [-].
-        bag: folder to be made.
 
     Returns:
         Stamp at which the plan began [ns], and in words why it ended early; empty where it did not.
@@ -58,15 +54,7 @@ def explore(
     """Drive a simulated joint by what is measured of it, from muscles without air on, and write the recording.
 
     Args:
-        rig: what the joint is in truth.
-        program: what drives it.
-        limits: at which it ends.
-        seed: of the joint's parameters and the sensors' noise.
         mismatch: standard deviation of the parameters from the rig's [-].
-        bag: folder to be made.
-
-    Returns:
-        The samples, with what was true, and in words why it ended early; empty where it did not.
     """
     least = max(rig.atmosphere.pressure, rig.command_limits[0] if rig.drive == "regulator" else 0.0)
     plant = Plant(rig, seed=seed, mismatch=mismatch, initial_pressure=(least, least))

@@ -117,11 +117,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _replays(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> Iterator[ReplayResult]:
-    """The one joint of a bag, or each of its joints.
-
-    Raises:
-        BadInput: several joints where one is wanted.
-    """
+    """The one joint of a bag, or each of its joints."""
     from pam_antagonist.recording import SeveralJoints
 
     try:

@@ -23,12 +23,7 @@ class Question:
     """Something that a person is asked.
 
     Attributes:
-        option: on the command line, without the dashes.
-        text: the question.
-        how: how to find out.
-        read: makes a value of an answer; raises BadInput.
         default: answer that is taken where none is given; None: there is none.
-        wanted: whether it is asked at all, by the values so far.
     """
 
     option: str
@@ -135,11 +130,7 @@ def _is_driven_by(drive: str) -> Callable[[Mapping[str, Any]], bool]:
 
 
 def condition(option: str) -> str:
-    """With which other answer an option goes together.
-
-    Args:
-        option: without the dashes.
-    """
+    """With which other answer an option goes together."""
     if option in ("valve", "voltage"):
         return "--drive valve"
     if option in ("regulator", "regulator-time"):

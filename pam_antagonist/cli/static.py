@@ -169,11 +169,7 @@ def _worked_out(arguments: argparse.Namespace) -> StaticResult:
 
 
 def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
-    """Columns by quantity.
-
-    Raises:
-        BadInput: one was given twice, or for a table that was not given.
-    """
+    """Columns by quantity."""
     chosen: dict[str, Choice] = {}
     for quantity, choice in arguments.column:
         if quantity in chosen:

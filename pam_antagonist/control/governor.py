@@ -140,21 +140,14 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
 
     Args:
         of_torque: whether the value is a torque [N m]; else it is an angle [rad].
-        value: of the reference.
         stiffness: [N m/rad]; NaN: free.
-        seen: estimate.
         integral: of the law [N m].
         gains: of the law (3,).
-        box: of the law.
-        limits: to keep.
-        z: standard deviations of the margins.
         push: torque from outside of the margins [N m].
         held: voltages (2,) on the valves [V].
         x: state (n,), overwritten.
         u: input (3,), overwritten.
-        p: parameter vector.
         coarse: parameter vector of the prediction: with its step for the friction, and locked for a torque.
-        effects: None where the rig is known to be plain.
     """
     bandwidth, _, approach = gains
     wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box, held, x, p)

@@ -154,7 +154,6 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
 
     Args:
         of_torque: whether the value is a torque [N m]; else it is an angle [rad].
-        value: of the reference.
         stiffness: [N m/rad]; NaN: free.
         seen: estimate, a :class:`Seen`.
         integral: I [N m].
@@ -162,7 +161,6 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
         box: a :class:`~pam_antagonist.control.stiffness.Box`.
         held: voltages (2,) on the valves [V].
         x: state (n,), overwritten; its angle becomes the one for which the pressures are computed.
-        p: parameter vector.
 
     Returns:
         As :func:`~pam_antagonist.control.stiffness.set_pressures`.
@@ -191,7 +189,6 @@ def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p):
         angle: ψ [rad].
         velocity: ψ̇ [rad/s].
         bandwidth: ω [1/s].
-        p: parameter vector.
     """
     if p[_REGULATED + i] > 0.0:
         return wanted

@@ -175,7 +175,6 @@ def set_pressures(torque, stiffness, box, x, p):
         stiffness: wanted −∂τ/∂ψ [N m/rad]; NaN: the middle of the possible range.
         box: bounds of the pressures (a :class:`Box`).
         x: state (n,); its pressures are set.
-        p: parameter vector.
 
     Returns:
         Least and largest stiffness possible with the torque [N m/rad], and wanted minus reached torque [N m].

@@ -50,11 +50,8 @@ class Tracking:
     """How a reference was followed, in rad or N m.
 
     Attributes:
-        steps: of the reference.
         rmse: root mean square of reference - measured over all samples.
-        largest: of |reference - measured|, transients included.
         worst_steady_error: largest steady error of all steps; NaN if no step was long enough.
-        range: of the references, highest minus lowest.
         performance: 1 - worst_steady_error / range; NaN where either is not known.
     """
 
@@ -106,9 +103,6 @@ def tracking(stamp_ns: Stamps, reference: Floats, measured: Floats) -> Tracking:
         stamp_ns: samples (N,) [ns].
         reference: (N,) [rad] or [N m]; NaN where there was none.
         measured: (N,) in the same unit; NaN where missing.
-
-    Raises:
-        ValueError: no sample has both.
     """
     keep = np.isfinite(reference) & np.isfinite(measured)
     if not keep.any():

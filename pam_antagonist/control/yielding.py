@@ -78,14 +78,10 @@ def largest_torque(
 
     Args:
         p: parameter vector (parameters.SIZE,) of a rig with valves.
-        box: bounds of pressures and forces.
         stiffness: K of the spring [N m/rad].
         damping: D [N m s/rad].
         frequency: of the torque [Hz].
         angle: ψ_0 of equilibrium [rad].
-
-    Raises:
-        BadInput: a number that is out of range, or a rig with pressure regulators.
     """
     if not (stiffness > 0.0 and damping >= 0.0 and frequency > 0.0 and math.isfinite(stiffness + damping + frequency)):
         raise BadInput(

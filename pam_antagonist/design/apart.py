@@ -71,13 +71,7 @@ _SENSORS = {
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The expected outcome of an experiment.
-
-    Attributes:
-        plan: the experiment.
-        chance: of a decision, the least over all rivals.
-        by_rival: chance of a decision against each rival.
-    """
+    """The expected outcome of an experiment."""
 
     plan: Plan
     chance: float
@@ -94,12 +88,7 @@ def chance(distance: float) -> float:
 
 
 def without(rig: Rig, effect: str) -> Rig:
-    """A rig without an effect.
-
-    Args:
-        rig: with or without the effect.
-        effect: its name.
-    """
+    """A rig without an effect."""
     return rig.replaced(effects={name: dict(values) for name, values in rig.effects.items() if name != effect})
 
 
@@ -107,9 +96,6 @@ class Question:
     """Whether one effect can be distinguished from another, updated as an experiment grows.
 
     Args:
-        rig: with the effect at its supposed size.
-        effect: name of the effect that is present.
-        rival: name of the one that is not.
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
         pressure: of both muscles at the start [Pa].
@@ -203,11 +189,6 @@ def imitation(rig: Rig, effect: str, rival: str) -> Rig:
     """The rig with a rival in place of an effect, fitted so that typical recordings differ little.
 
     A rival that cannot imitate the effect at all gets a typical size.
-
-    Args:
-        rig: with the effect.
-        effect: its name.
-        rival: name of the rival.
     """
     plain = without(rig, effect)
     departures, base = _departures(plain, rival), unknowns(plain)
@@ -263,19 +244,10 @@ def told_apart(
     """The experiment that best distinguishes an effect from its rivals, no longer than needed.
 
     Args:
-        rig: with the effect as it was found.
-        effect: its name.
-        rivals: effects that explain the recordings as well.
-        limits: that the experiment keeps.
         seconds: longest time [s]; :data:`SHORTEST` at least.
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
-        seed: of the search.
         channels: what is measured, indices of ``CHANNELS``.
-        progress: is called with the number of further seconds that are designed.
-
-    Raises:
-        BadInput: an effect that the catalogue or the rig does not have.
     """
     for name in (effect, *rivals):
         if name not in CATALOGUE:
@@ -348,10 +320,6 @@ def promised(rig: Rig, effect: str, rivals: Sequence[str], plan: Plan, channels:
     """Chance that a recording of a plan decides.
 
     Args:
-        rig: with the effect as it was found.
-        effect: its name.
-        rivals: effects that explain the recordings as well.
-        plan: the experiment.
         channels: what is measured, indices of ``CHANNELS`` or of the further gauges.
     """
     given = (plan.limits, plan.joint, plan.lock_angle, plan.pressure, np.array(plan.rest))
@@ -370,10 +338,6 @@ def instead_of(
     """Further sensors, or the other condition of the joint, that would decide; each is tried by a design.
 
     Args:
-        rig: with the effect as it was found.
-        effect: its name.
-        rivals: effects that explain the recordings as well.
-        verdict: on the experiment that does not decide.
         channels: what is measured, indices of ``CHANNELS``.
     """
     plan, out = verdict.plan, []

@@ -107,11 +107,7 @@ class Pulse:
 
 
 class FirstAir(Program):
-    """Open one valve after the other, slowly, until a pressure rises.
-
-    Args:
-        rig: the joint.
-    """
+    """Open one valve after the other, slowly, until a pressure rises."""
 
     def __init__(self, rig: Rig) -> None:
         self._low, self._high = rig.command_limits
@@ -198,12 +194,7 @@ class _Confined(Program):
 
 
 def pressure_range(rig: Rig, limits: Limits) -> tuple[float, float]:
-    """Least and largest pressure that is asked for [Pa]: within the limits, and a little below the highest.
-
-    Args:
-        rig: the joint.
-        limits: of the experiment.
-    """
+    """Least and largest pressure that is asked for [Pa]: within the limits, and a little below the highest."""
     low, high = limits.pressure
     if rig.drive == "regulator":
         low, high = max(low, rig.command_limits[0]), min(high, rig.command_limits[1])
@@ -211,13 +202,7 @@ def pressure_range(rig: Rig, limits: Limits) -> tuple[float, float]:
 
 
 class Slow(_Confined):
-    """Fill the muscles, and turn the joint slowly: small angles first, low pressures first.
-
-    Args:
-        rig: the joint.
-        limits: of pressures and angle.
-        towards: command that brings a pressure to a wanted one.
-    """
+    """Fill the muscles, and turn the joint slowly: small angles first, low pressures first."""
 
     def __init__(self, rig: Rig, limits: Limits, towards: Towards) -> None:
         super().__init__(rig, limits, towards)
@@ -251,12 +236,8 @@ class Quick(_Confined):
     """Move the joint to random angles under random mean pressures, from move to move a little faster.
 
     Args:
-        rig: the joint.
-        limits: of pressures and angle.
-        towards: command that brings a pressure to a wanted one.
         slow: recording of :class:`Slow`, which says which difference holds which angle.
         seconds: length [s].
-        seed: of the moves.
     """
 
     def __init__(

@@ -52,12 +52,7 @@ _MISSING_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that is not wired, or does not work, as the rig file says.
-
-    Attributes:
-        name: identifier for programs.
-        sentence: what was seen, and what to check.
-    """
+    """Something that is not wired, or does not work, as the rig file says."""
 
     name: str
     sentence: str
@@ -67,11 +62,7 @@ def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
     """Plan of the experiment.
 
     Args:
-        rig: the joint.
         highest: upper limit of the pressures [Pa], absolute, if lower than the usual one.
-
-    Raises:
-        BadInput: a limit so low that no pressure could rise visibly.
     """
     air, supply = rig.atmosphere.pressure, rig.supply.pressure
     low, high, most = (air + share * (supply - air) for share in (_LOW_SHARE, _HIGH_SHARE, _MOST_SHARE))
@@ -100,7 +91,6 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None =
     """Faults that a recording of the experiment shows; empty if there are none.
 
     Args:
-        rig: the joint.
         pressure: measured (N, 2) [Pa], one row a sample period from the start of the experiment.
         angle: measured (N,) [rad]; None if it was not measured.
         plan: the experiment; default: that of :func:`first_fill` without a limit.
@@ -135,12 +125,7 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None =
 
 
 def turns_visibly(rig: Rig, plan: Plan) -> bool:
-    """Whether the experiment turns the joint far enough to show the encoder's sign; the lowest pressures do not.
-
-    Args:
-        rig: the joint.
-        plan: the experiment.
-    """
+    """Whether the experiment turns the joint far enough to show the encoder's sign; the lowest pressures do not."""
     return bool(np.all(np.abs(_turns(_course(rig, plan)[:, 0], STEP, _ends())) > 2.0 * _TURNS))
 
 
@@ -196,9 +181,7 @@ def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> lis
     """Faults that the first air of a joint shows whose rig file is a guess; empty if there are none.
 
     Args:
-        rig: the joint.
         recording: of :class:`~pam_antagonist.design.exploration.FirstAir`.
-        pulses: what it saw of each valve.
     """
     if found := dead_sensors(recording.pressure):
         return found
@@ -314,9 +297,5 @@ def _encoder(turned: tuple[Floats, Floats] | None) -> list[Fault]:
 
 
 def summary(found: Sequence[Fault]) -> str:
-    """What was found, a line each.
-
-    Args:
-        found: faults.
-    """
+    """What was found, a line each."""
     return "\n".join(f"wrong: {fault.sentence}" for fault in found) or "wired as the rig file says"

@@ -45,11 +45,7 @@ class Departure(Direction):
 
 
 def block_noise(rig: Rig) -> Floats:
-    """Standard deviations of the channels' block means by the rig's sensors (7,): ``CHANNELS``, then the gauges.
-
-    Args:
-        rig: with its sensors.
-    """
+    """Standard deviations of the channels' block means by the rig's sensors (7,): ``CHANNELS``, then the gauges."""
     sensors, size = rig.sensors, max(1, round(BLOCK_S / rig.sample_period))
     pressure = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0)))
     raw = np.array([sensors.error("angle"), sensors.error("torque"), *[pressure] * 5])
@@ -57,11 +53,7 @@ def block_noise(rig: Rig) -> Floats:
 
 
 def unknowns(rig: Rig) -> tuple[Direction, ...]:
-    """The parameters that ``identify`` moves, each by one standard deviation of its prior.
-
-    Args:
-        rig: start values and priors.
-    """
+    """The parameters that ``identify`` moves, each by one standard deviation of its prior."""
     return tuple(Direction(item.name, {item.name: item.prior_std}) for item in free_parameters(rig))
 
 
@@ -88,8 +80,6 @@ class Information:
     """A model with its neighbours, and the information in their differences.
 
     Args:
-        rig: the model.
-        directions: what is moved, one standard deviation each (K).
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
         central: whether neighbours lie on both sides: twice the work, smaller errors.
@@ -177,12 +167,7 @@ class Information:
         return np.stack([(one - values[0]) / share for one, share in zip(values[1:], shares, strict=True)], axis=-1)
 
     def matrix(self, course: Course, count: int | None = None) -> Floats:
-        """Information of a piece about the first directions (count, count), in units of their standard deviations.
-
-        Args:
-            course: the piece; only its whole blocks count.
-            count: how many directions; default: all.
-        """
+        """Information of a piece about the first directions (count, count), in units of their standard deviations."""
         size = max(1, round(BLOCK_S / self.dt))
         blocks = len(course.slopes) // size
         kept = course.slopes[: blocks * size, list(self.channels), :count]
@@ -199,7 +184,6 @@ def predicted_std(course: Course, spread: Floats) -> Floats:
     """Standard deviations of angle, rate and pressures along a course (N, 4) by the uncertain directions.
 
     Args:
-        course: the piece.
         spread: independent ways (K, U) in which the directions' amounts may be off by one standard deviation.
     """
     slopes = np.stack(

@@ -120,9 +120,6 @@ def uncertain_directions(rig: Rig) -> tuple[Direction, ...]:
     These are the directions and uncertainties that the estimator considers, and the priors of the other parameters
     that a fit would free. Of a force map with a declared uncertainty only that counts: its coefficients nearly cancel
     in the force, so their priors would say nothing about it.
-
-    Args:
-        rig: the rig file.
     """
     found = [Direction(name, changes) for name, changes in rig.directions.items()]
     found += [Direction(name, {name: std}) for name, std in rig.uncertainty.items()]
@@ -135,16 +132,7 @@ def uncertain_directions(rig: Rig) -> tuple[Direction, ...]:
 
 
 def uncertainty_of(rig: Rig, sought: Sequence[Direction]) -> tuple[tuple[Direction, ...], Floats]:
-    """:func:`uncertain_directions` in terms of directions that are simulated anyway.
-
-    Args:
-        rig: the rig file.
-        sought: directions, each a single parameter (S).
-
-    Returns:
-        Further directions that have to be simulated (K - S), and independent changes of all amounts by one standard
-        deviation each (K, U).
-    """
+    """:func:`uncertain_directions` in terms of directions that are simulated anyway."""
     place = {next(iter(direction.changes)): k for k, direction in enumerate(sought)}
     ways: list[dict[int, float]] = []
     further: list[Direction] = []

@@ -73,7 +73,6 @@ def loop_gains(rig: Rig, mode: str) -> LoopGains:
     """Gains of the PI controller for a rig.
 
     Args:
-        rig: the joint, as found.
         mode: ``angle`` or ``torque``.
     """
     a, b, c = _linear(rig, mode)

@@ -100,7 +100,6 @@ def best_block(
         rest: voltages of both valves at rest (2,) [V].
         seconds: length of the block [s].
         step: from row to row [s].
-        rng: of the search.
 
     Returns:
         Voltages (N, 2) [V]; None where every block that was tried leaves the limits.
@@ -127,19 +126,13 @@ class Design:
     """The search for an excitation.
 
     Args:
-        rig: what is known of the joint.
-        limits: that the experiment has to keep.
         joint: ``free`` or ``locked``.
         lock_angle: [rad], of a locked joint.
-        seed: of the search.
 
     Attributes:
         pressure: of both muscles at rest [Pa].
         rest: voltages of both valves that hold this pressure [V].
         step: time between two rows of voltages [s].
-
-    Raises:
-        BadInput: a joint that is not within the limits even at rest.
     """
 
     def __init__(

@@ -35,13 +35,7 @@ _SCATTER = 0.01
 
 
 def own_rig(experiment: Experiment, point: Point, start: Rig | None = None) -> Rig:
-    """The rig with the base parameters and effects of one recording.
-
-    Args:
-        experiment: the recording.
-        point: its model.
-        start: the rig that is changed; default: the experiment's.
-    """
+    """The rig with the base parameters and effects of one recording."""
     here = experiment if start is None else replace(experiment, rig=start)
     return with_effects(moved(here.rig, here.changes(point)), point.effects)
 
@@ -49,26 +43,14 @@ def own_rig(experiment: Experiment, point: Point, start: Rig | None = None) -> R
 def common_rig(
     experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float], start: Rig | None = None
 ) -> Rig:
-    """The rig with base parameters for all recordings, each weighted by how well it determines them.
-
-    Args:
-        experiments: the recordings.
-        model: their models.
-        effects: values of the effects' parameters by dotted path.
-        start: the rig that is changed; default: the experiments'.
-    """
+    """The rig with base parameters for all recordings, each weighted by how well it determines them."""
     if len(experiments) == 1:
         return own_rig(experiments[0], model.fits[0].point, start)
     return own_rig(experiments[0], common_point(experiments, model, effects), start)
 
 
 def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
-    """A rig with the estimator's tuning of another one, and with that rig's effects that noise drives.
-
-    Args:
-        rig: the rig.
-        tuned: the other one; None leaves the rig as it is.
-    """
+    """A rig with the estimator's tuning of another one, and with that rig's effects that noise drives."""
     if tuned is None:
         return rig
     random = {name: {**rig.effects.get(name, {}), **values} for name, values in random_part(tuned.effects).items()}
@@ -76,13 +58,7 @@ def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
 
 
 def common_point(experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float]) -> Point:
-    """The base parameters and effects of :func:`common_rig` as a point; a recording adds only its own start to it.
-
-    Args:
-        experiments: the recordings.
-        model: their models.
-        effects: values of the effects' parameters by dotted path.
-    """
+    """The base parameters and effects of :func:`common_rig` as a point; a recording adds only its own start to it."""
     first = experiments[0]
     count = len(first.directions)
     theta = np.zeros(first.size)
@@ -102,13 +78,7 @@ def common_point(experiments: Sequence[Experiment], model: Model, effects: Mappi
 
 
 def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, str] | None:
-    """Name and size of the largest difference between two models if it is too large for one rig; else None.
-
-    Args:
-        experiment: one of the two recordings, both of the same joint condition.
-        one: its model.
-        other: the model of the other recording.
-    """
+    """Name and size of the largest difference between two models if it is too large for one rig; else None."""
     count = len(experiment.directions)
     apart = one.point.theta[:count] - other.point.theta[:count]
     variances = np.diag(one.covariance)[:count] + np.diag(other.covariance)[:count]
@@ -139,14 +109,6 @@ def check_same_rig(group: Group, base: Model, jobs: int) -> None:
     """Refuse a held-out recording whose own base parameters are far from those of the fitted ones.
 
     The fits of this check are used for nothing else.
-
-    Args:
-        group: the recordings.
-        base: the recalibrated model of the fitted ones.
-        jobs: threads.
-
-    Raises:
-        BadInput: a recording that seems to be of another rig.
     """
 
     def own(other: Experiment) -> Fitted:
@@ -193,13 +155,6 @@ def effect_contradictions(
 
     A recording that does not show an effect may be unable to show it. It rules the effect out if the others' value
     costs it strong evidence, with its base parameters fitted anew.
-
-    Args:
-        experiments: the recordings.
-        model: their models.
-        found: the effects.
-        values: of their parameters, by dotted path.
-        jobs: threads.
     """
     names = [effect.name for effect in found]
     tasks = [

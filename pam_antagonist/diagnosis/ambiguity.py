@@ -52,13 +52,7 @@ def near_candidates(selection: Selection) -> tuple[str, ...]:
 
 
 def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) -> tuple[Ambiguity, ...]:
-    """Comparisons of found effects with their rivals on equal terms.
-
-    Args:
-        experiments: the recordings.
-        base: the recalibrated model.
-        model: with the effects.
-    """
+    """Comparisons of found effects with their rivals on equal terms."""
     driven = [experiment for experiment in experiments if isinstance(experiment, AngleDriven)]
     part = driven[0].part if driven else None
     if part == BALANCE:
@@ -71,14 +65,7 @@ def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) ->
 def distinguishing_experiments(
     found: Sequence[str], ambiguous: Sequence[str], conditions: Collection[str], calibrated: Sequence[str] = ()
 ) -> dict[str, str]:
-    """For each effect and calibration that is as likely as a found one, what to record.
-
-    Args:
-        found: effects in the model.
-        ambiguous: effects that do as well.
-        conditions: of the joint in the recordings at hand.
-        calibrated: calibrations that have rivals.
-    """
+    """For each effect and calibration that is as likely as a found one, what to record."""
     out = {}
     for other in ambiguous:
         if other in CALIBRATIONS:
@@ -102,10 +89,6 @@ def with_compared_size(effect: FoundEffect, compared: Sequence[Ambiguity]) -> Fo
     """An effect whose standard deviation covers the size that it had in the comparison with a rival.
 
     While the joint sticks, friction may have any torque up to its bound. This changes its size there.
-
-    Args:
-        effect: as it was found.
-        compared: comparisons with rivals.
     """
     for item in compared:
         if item.found == effect.name and item.parameter in effect.parameters and np.isfinite(item.size):
@@ -188,13 +171,7 @@ def _with_loop(experiment: AngleDriven, fitted: Fitted, name: str) -> Fitted:
 
 
 def _losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: Sequence[str]) -> list[Ambiguity]:
-    """Compare a found loss of pressure at a steady rate with losses whose rate decays, by the mean of the pressures.
-
-    Args:
-        experiments: airs of the recordings.
-        base: their models without effects.
-        found: names of the effects that were found.
-    """
+    """Compare a found loss of pressure at a steady rate with losses whose rate decays, by the mean of the pressures."""
     here = next((name for name in found if CATALOGUE[name].sealed.loss == "steady"), None)
     rivals = [name for name, effect in CATALOGUE.items() if effect.sealed.loss == "fading"]
     if here is None or not rivals:
@@ -225,13 +202,7 @@ def _losses(experiments: Sequence[AngleDriven], base: Sequence[Fitted], found: S
 
 
 def either_muscle(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], effect: str) -> int | None:
-    """The muscle that alone explains nearly as much as both with one size; None if both are needed or differ in size.
-
-    Args:
-        experiments: airs of the recordings.
-        fits: their models.
-        effect: name of an effect of both muscles.
-    """
+    """The muscle that alone explains nearly as much as both with one size; None if both are needed or differ."""
     lost = {1: 0.0, 2: 0.0}
     for experiment, fitted in zip(experiments, fits, strict=True):
         both = next((u for u in fitted.free if u.path.startswith(f"effects.{effect}.") and len(u.paths) == 2), None)

@@ -32,15 +32,7 @@ _STAMP_STD = 12.0**-0.5
 def tried(
     experiments: Sequence[Experiment], first: Sequence[explained.Residuals], model: Model, number: int, jobs: int
 ) -> list[TriedCandidate]:
-    """Calibrations fitted beside a model, in every recording above its noise; the best first. Each is one number.
-
-    Args:
-        experiments: the recordings.
-        first: what the model without effects leaves.
-        model: the model.
-        number: of the round.
-        jobs: threads.
-    """
+    """Calibrations fitted beside a model, in every recording above its noise; the best first. Each is one number."""
     in_threads = Parallel(n_jobs=jobs, prefer="threads")
     before = explained.remaining_residuals(experiments, model.fits)
     noisy = [
@@ -79,15 +71,6 @@ def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: i
 
     The residual is noise, so every block of it counts, or as many as its memory leaves. The evidence includes the
     priors: with the calibration, base parameters move back to them.
-
-    Args:
-        experiments: the recordings.
-        model: at the noise, with or without effects.
-        number: of the round.
-        jobs: threads.
-
-    Returns:
-        Those that are certain, and have enough evidence on the fitted and on the held-out parts.
     """
     pairs = list(zip(experiments, model.fits, strict=True))
     tasks = [
@@ -180,14 +163,6 @@ def taken(
 
     The sensors are the same in all recordings. So recordings that do not show the calibration get its value too, where
     that costs nothing.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: the chosen model before.
-        best: the same with the calibration.
-        name: of the calibration.
-        jobs: threads.
     """
     dotted = calibration.path(name)
     shown = [fitted for fitted in best.fits if dotted in fitted.point.effects]
@@ -217,14 +192,7 @@ def taken(
 
 
 def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> tuple[Model, Model]:
-    """Both models without calibrations at a bound, and without what is not significant beside the others.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: the chosen model.
-        jobs: threads.
-    """
+    """Both models without calibrations at a bound, and without what is not significant beside the others."""
     for name in calibrations_of(model):
         if not all(_is_within(fitted, name) for fitted in (*base.fits, *model.fits)):
             prefix = calibration.path(name)
@@ -258,13 +226,7 @@ def _lost(experiments: Sequence[Experiment], smaller: Model, model: Model) -> fl
 
 
 def carried_on(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
-    """A model fitted to convergence: calibrations are so certain that the last steps of a fit matter.
-
-    Args:
-        experiments: the recordings.
-        model: the model.
-        jobs: threads.
-    """
+    """A model fitted to convergence: calibrations are so certain that the last steps of a fit matter."""
 
     def one(experiment: Experiment, fitted: Fitted) -> Fitted:
         needs = any(calibration.is_calibration(free.path) for free in fitted.free)
@@ -275,14 +237,7 @@ def carried_on(experiments: Sequence[Experiment], model: Model, jobs: int) -> Mo
 
 
 def without(experiments: Sequence[Experiment], model: Model, prefix: str, jobs: int) -> Model:
-    """A model without the parameters whose dotted paths have a prefix, everything else fitted anew.
-
-    Args:
-        experiments: the recordings.
-        model: the model.
-        prefix: beginning of the paths.
-        jobs: threads.
-    """
+    """A model without the parameters whose dotted paths have a prefix, everything else fitted anew."""
 
     def one(experiment: Experiment, fitted: Fitted) -> Fitted:
         kept = {name: value for name, value in fitted.point.effects.items() if not name.startswith(prefix)}
@@ -304,11 +259,7 @@ def calibrations_of(model: Model) -> tuple[str, ...]:
 
 
 def common(model: Model) -> dict[str, float]:
-    """Values that suit all recordings, by dotted path.
-
-    Args:
-        model: the recordings' models.
-    """
+    """Values that suit all recordings, by dotted path."""
     return {
         calibration.path(name): of_calibration(list(_seen(model, name).values()))[0] for name in calibrations_of(model)
     }
@@ -323,9 +274,7 @@ def found(
     """The calibrations that recordings need, each with its value; uncertain ones are left out.
 
     Args:
-        experiments: the recordings.
         models: of the recordings, the selection's model last; the first in which a calibration is free has its value.
-        weighed: all calibrations that were tried.
         rivals: for each that was taken, what the recordings cannot distinguish from it.
     """
 

@@ -27,7 +27,6 @@ class Model:
 
     Attributes:
         effects: names of the effects in it, in the order in which they came.
-        fits: the model of each recording.
     """
 
     effects: tuple[str, ...]
@@ -39,16 +38,11 @@ class TriedCandidate:
     """A candidate in one round of the selection.
 
     Attributes:
-        effect: its name.
-        round: how many effects the model had before, plus one.
-        score: evidence to first order, over all recordings.
         delta_bic: evidence of the fitted part after a full fit; None where the score was too low for one.
         held_out_evidence: evidence of the held-out part, where no parameter has a price; None likewise.
         shares: of the held-out and of the fitted excess that it removes (:mod:`explained`); None likewise.
-        model: the fitted model; None likewise.
         muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
         share: of the excess without effects, fitted and held out together, that it removes; None likewise.
-        taken: whether it is in the final model.
     """
 
     effect: str
@@ -75,9 +69,7 @@ class Score:
     """How well a candidate would do in a recording.
 
     Attributes:
-        candidate: which.
         gain: evidence for it, twice a difference of log posteriors, to first order.
-        start: values of its parameters by dotted path, for a fit.
         muscles: evidence for it on muscle 1 alone and on muscle 2 alone; None where it belongs to no muscle.
     """
 
@@ -93,13 +85,7 @@ def price(before: Fitted, parameters: int) -> float:
 
 
 def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
-    """Evidence for a model with more free parameters in one recording (ΔBIC), on the scale of the one with fewer.
-
-    Args:
-        experiment: the recording.
-        before: its model with fewer free parameters.
-        after: its model with more.
-    """
+    """Evidence for a model with more free parameters in one recording (ΔBIC), on the scale of the one with fewer."""
     scale = before.scale
     gain = cost_of(experiment, before.point, before.residual, scale)
     gain -= cost_of(experiment, after.point, after.residual, scale)
@@ -109,13 +95,7 @@ def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
 
 
 def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
-    """Evidence for a model on the held-out part of a recording. Nothing was fitted there, so no parameter has a price.
-
-    Args:
-        experiment: the recording.
-        before: its model with fewer free parameters.
-        after: its model with more.
-    """
+    """Evidence for a model on the held-out part of a recording. Nothing was fitted there: no parameter has a price."""
     return likelier(before.scale, *(held_residual(experiment, fitted) for fitted in (before, after)))
 
 
@@ -123,7 +103,6 @@ def likelier(scale: Scale, before: Floats, after: Floats) -> float:
     """Twice the log likelihood ratio of two residuals where nothing was fitted.
 
     Args:
-        scale: of the model with fewer free parameters.
         before: residual (B, C) of that model.
         after: residual (B, C) of the one with more.
     """
@@ -137,7 +116,6 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     """Score of every candidate beside a fitted model, by the effect's name.
 
     Args:
-        experiment: the recording.
         fitted: the model without the candidate, whose residual is to be explained.
         at: model from which the steps are taken; default: the fitted one. The model as configured shows a large
             effect to which the fitted base parameters have adapted.
@@ -213,7 +191,6 @@ def as_configured(experiment: Experiment, fitted: Fitted | None = None) -> Fitte
     """The model with its base as configured, as a place to take steps from.
 
     Args:
-        experiment: the recording.
         fitted: a model whose effects and calibrations are kept; default: none.
     """
     point = experiment.origin if fitted is None else Point(experiment.origin.theta, fitted.point.effects)

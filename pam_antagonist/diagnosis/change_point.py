@@ -41,12 +41,7 @@ _ROUNDS = 4
 
 
 class Change(NamedTuple):
-    """A part of a recording in which a model leaves more than noise.
-
-    Attributes:
-        span: begin and end.
-        point: the model, fitted to the rest.
-    """
+    """A part of a recording in which a model leaves more than noise."""
 
     span: Span
     point: Point
@@ -61,7 +56,6 @@ def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
     """Where a recording is above noise; None if a fit to all data leaves only noise, or if no part is at its noise.
 
     Args:
-        experiment: the recording.
         fitted: its model, whose base and effects are fitted again to parts of it.
     """
     residual = experiment.residual(fitted.point, whole=True)
@@ -130,13 +124,8 @@ def above_noise(residual: Floats, noise: Floats) -> tuple[int, int]:
 def parts_above_noise(experiment: Experiment, fitted: Fitted) -> tuple[Span, ...]:
     """All parts of a recording in which a model leaves more than noise, to a second or so.
 
-    Args:
-        experiment: the recording.
-        fitted: its model, whose base and effects are fitted again.
-
     Returns:
         Begin and end of each [s]; none if the model is nowhere at the noise, or if there are too many parts to be
-        things that begin and end.
     """
     quiet = _undisturbed(experiment, fitted, experiment.residual(fitted.point, whole=True))
     if quiet is None:
@@ -158,8 +147,6 @@ def _undisturbed(experiment: Experiment, fitted: Fitted, residual: Floats) -> tu
     grows. Of several first parts the one that grows most is used: a disturbed part explains nothing else.
 
     Args:
-        experiment: the recording.
-        fitted: its model.
         residual: of that model in all of the recording (B, C).
     """
     count = len(residual)

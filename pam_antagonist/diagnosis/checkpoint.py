@@ -23,7 +23,6 @@ class Kept:
     """A finished refit.
 
     Attributes:
-        point: where it ended.
         blocks_per_error: what the fit counted, see :class:`~pam_antagonist.inference.likelihood.Scale`.
         gain: evidence for it after its first descent, which decides whether it is fitted from other starts.
     """
@@ -35,11 +34,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A folder with one small file for each refitted candidate; without a folder, nothing is kept.
-
-    Attributes:
-        folder: where to, or None.
-    """
+    """A folder with one small file for each refitted candidate; without a folder, nothing is kept."""
 
     folder: Path | None = None
 
@@ -48,9 +43,6 @@ class Checkpoint:
 
         Args:
             settings: whatever a candidate depends on, as plain values; ``report.json`` holds them likewise.
-
-        Raises:
-            BadInput: the folder holds what another run has left.
         """
         if self.folder is None:
             return

@@ -20,11 +20,7 @@ _SCATTER = 0.02
 
 
 def of_calibration(seen: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean and its standard deviation, enlarged where the values scatter by more than their own.
-
-    Args:
-        seen: value and standard deviation in each recording.
-    """
+    """Weighted mean and its standard deviation, enlarged where the values scatter by more than their own."""
     values, stds = np.array(seen).T
     weights = 1.0 / np.maximum(stds, 1e-12) ** 2
     mean, std = float(weights @ values / weights.sum()), float(weights.sum() ** -0.5)
@@ -33,11 +29,7 @@ def of_calibration(seen: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 
 def of_size(seen: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean, and its standard deviation with the spread between recordings.
-
-    Args:
-        seen: value and standard deviation in each recording.
-    """
+    """Weighted mean, and its standard deviation with the spread between recordings."""
     values, stds = np.array(seen).T
     floor = _SCATTER * float(np.max(np.abs(values)))
     weights = 1.0 / (stds**2 + floor**2)
@@ -46,12 +38,7 @@ def of_size(seen: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 
 def contradict(seen: Sequence[tuple[float, float]], mean: float) -> bool:
-    """Whether the number cannot be the same in all recordings.
-
-    Args:
-        seen: value and standard deviation in each recording.
-        mean: the common value.
-    """
+    """Whether the number cannot be the same in all recordings."""
     values, stds = np.array(seen).T
     spread = float(np.ptp(values))
     certain = spread > thresholds.SIZES_DIFFER_STD * float(np.hypot.reduce(stds))

@@ -43,10 +43,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     """Everything that a report says.
 
     Args:
-        prepared: the recordings.
         judged: the verdict on each group of them, the strongest effect first.
-        settings: of the diagnosis.
-        timings: what took how long.
     """
     jobs, progress = settings.jobs, settings.progress
     ended = [_with_held_out_end(prepared, j, jobs) for j in judged]
@@ -286,12 +283,7 @@ def _own_rigs(
 
 
 def in_words(effect: FoundEffect, sealed: bool = False) -> str:
-    """An effect in words.
-
-    Args:
-        effect: that was found.
-        sealed: whether the joint is sealed.
-    """
+    """An effect in words."""
     values = {name: value for name, (value, _, _) in effect.parameters.items()}
     words = CATALOGUE[effect.name].in_words(effect.muscle, values, sealed)
     begin, end = (
@@ -319,15 +311,7 @@ def sentence(
     """The verdict in a sentence.
 
     Args:
-        verdict: on the joint.
-        effects: what was found, each in words.
-        calibrated: calibrations that the recordings need, each in words.
-        firmness: what the splits say of them.
-        ambiguous: names of the effects that would do as well.
         share: of the held-out excess that the effects remove; None if it is not known.
-        errors: of the three models.
-        ranking: all candidates.
-        reference: errors of maps without physics.
         mean_pressure: whether the model is compared by the mean of the pressures, not by each of them.
         along_motion: whether the verdict rests on the model along the measured motion, not on the one that runs by
             itself.

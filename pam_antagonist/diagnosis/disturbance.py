@@ -79,14 +79,10 @@ class Disturbance:
     """A torque that comes and goes, as an explanation of one recording.
 
     Attributes:
-        experiment: the recording with that torque as its input.
-        fitted: the base parameters beside it.
         torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the episodes.
-        active: share of the time in episodes.
         recurring: share of its square that the torque at the same angle at other times predicts.
         shares: of the held-out and of all excess that it removes; the first is None where nothing of the recording is
             held out. The torque was estimated from all data, held out or not.
-        squares: share of all squares above noise that it removes.
         noise: size of a random walk with the same steps [N m/s^0.5].
     """
 
@@ -118,10 +114,6 @@ def estimate(experiment: Experiment, fitted: Fitted) -> Disturbance | None:
     The episodes of the observer's torque are taken for a disturbance, and the base parameters are fitted beside it.
     Both steps are repeated, because the disturbance has biased the parameters at first. A second start has the
     parameters with the least sum of absolute torques: with a right model, nothing acts most of the time.
-
-    Args:
-        experiment: the recording.
-        fitted: its model without a disturbance.
     """
     trial = experiment.trial
     if trial.joint == "locked" or ANGLE not in experiment.channels:
@@ -148,13 +140,7 @@ def _is_like(before: Floats, after: Floats) -> bool:
 
 
 def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturbance:
-    """The disturbance by the observer of one point of the model, and the base parameters fitted beside it.
-
-    Args:
-        experiment: the recording.
-        fitted: its model without a disturbance.
-        point: the observer's model.
-    """
+    """The disturbance by the observer of one point of the model, and the base parameters fitted beside it."""
     trial = experiment.trial
     seen = _observed(experiment, point)
     torque = np.where(_episodes(seen, trial), seen, 0.0)

@@ -31,11 +31,7 @@ class Explanation:
     """A disturbance as an explanation of all recordings, with effects beside it where there are any.
 
     Attributes:
-        model: with the effects, and with an unknown torque where the disturbance acted.
-        effects: what was found, the strongest first.
-        values: of the effects, for one rig.
         share: of the held-out excess that the disturbance removes; None if nothing is held out of its recordings.
-        warnings: what the user should know.
     """
 
     model: Model
@@ -50,10 +46,7 @@ class _Disturbed:
     """Recordings with the disturbance as an input.
 
     Attributes:
-        experiments: with the torque.
-        fits: their models beside it.
         noises: size of a random walk like the disturbance, one a recording; 0 where there was none.
-        effect: the disturbance.
         left: recordings above noise in which no disturbance can show.
     """
 
@@ -74,11 +67,7 @@ def explain(
     may show that it had hidden.
 
     Args:
-        experiments: the recordings.
-        base: the recalibrated model.
         chosen: the model of the forward selection, which did not explain enough.
-        jobs: threads.
-        progress: is called with what is being done.
     """
     disturbed = _find(experiments, base, jobs)
     if disturbed is not None and not disturbed.left:
@@ -98,16 +87,7 @@ def search(
     experiments: Sequence[Experiment], base: Model, chosen: Model, verdict: str, jobs: int,
     progress: Callable[[str], None],
 ) -> Explanation | None:  # fmt: skip
-    """A disturbance that explains what effects do not, or beside effects that do; None where there is none.
-
-    Args:
-        experiments: the recordings.
-        base: the recalibrated model.
-        chosen: the model of the forward selection.
-        verdict: on that model.
-        jobs: threads.
-        progress: is called with what is being done.
-    """
+    """A disturbance that explains what effects do not, or beside effects that do; None where there is none."""
     if verdict == "none":
         return None
     progress("looking for a disturbance torque")
@@ -117,13 +97,7 @@ def search(
 
 
 def beside(experiments: Sequence[Experiment], effects: Model, jobs: int) -> Explanation | None:
-    """A disturbance beside effects that are the explanation already, if the evidence for it is strong; else None.
-
-    Args:
-        experiments: the recordings.
-        effects: the model with effects.
-        jobs: threads.
-    """
+    """A disturbance beside effects that are the explanation already, if the evidence for it is strong; else None."""
     disturbed = _find(experiments, effects, jobs)
     if disturbed is None or disturbed.effect.delta_bic < thresholds.DISTURBANCE_BESIDE:
         return None
@@ -138,14 +112,7 @@ def _beside_effects(disturbed: _Disturbed, effects: Model, jobs: int) -> Explana
 
 
 def _explanation(disturbed: _Disturbed, recalibrated: Model, model: Model, jobs: int) -> Explanation:
-    """A disturbance, and the effects of a model beside it that are needed.
-
-    Args:
-        disturbed: the recordings with the disturbance.
-        recalibrated: the recalibrated model beside it.
-        model: likewise, with effects.
-        jobs: threads.
-    """
+    """A disturbance, and the effects of a model beside it that are needed."""
     effects: tuple[FoundEffect, ...] = ()
     values: dict[str, float] = {}
     warnings: list[str] = []

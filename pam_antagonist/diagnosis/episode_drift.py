@@ -43,9 +43,7 @@ def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift
     """The model's parameters and errors over the recording, each part fitted by itself.
 
     Args:
-        joint: the episodes.
         held: which episodes are held out; the interleaved ones are not used.
-        everything: the model, fitted to all that may be fitted.
     """
     best: list[dict[str, float]] = []
     spread = []
@@ -71,10 +69,7 @@ def forecast(joint: PressureDriven, pool: Indices, model: EpisodeModel, window: 
     """Error [deg] on the episodes that follow a window: the last three eighths of the pool, one after the other.
 
     Args:
-        joint: the episodes.
         pool: that may be fitted (E,).
-        model: where the fits start.
-        window: share of the pool that is fitted.
     """
     eighths = np.array_split(pool, PARTS)
     sums, counts = 0.0, 0.0

@@ -23,13 +23,7 @@ _ROUNDS, _ENOUGH = 15, 1e-4
 
 
 class StraightLines:
-    """A model with straight lines, fitted to all episodes that may be fitted.
-
-    Args:
-        joint: the episodes.
-        held: which of them may be fitted.
-        model: with constant parameters, fitted to the same episodes.
-    """
+    """A model with straight lines, fitted to all episodes that may be fitted."""
 
     def __init__(self, joint: PressureDriven, held: Held, model: EpisodeModel) -> None:
         self._model = model
@@ -65,7 +59,6 @@ class StraightLines:
         """Squared errors of episodes among the fitted ones.
 
         Args:
-            joint: the episodes of the fit.
             episodes: numbers of some (K,), in order.
         """
         found = [self._squares(one, t) for one, t in self._groups(joint, episodes)]
@@ -73,11 +66,7 @@ class StraightLines:
         return Squares(np.concatenate(sums), np.concatenate(counts))
 
     def later(self, unseen: PressureDriven) -> Squares:
-        """Squared errors of episodes after the fitted ones.
-
-        Args:
-            unseen: the later episodes.
-        """
+        """Squared errors of episodes after the fitted ones."""
         return self._squares(unseen, 0.0)
 
     def _squares(self, joint: PressureDriven, t: float) -> Squares:

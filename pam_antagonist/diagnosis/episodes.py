@@ -34,14 +34,7 @@ _USED = 600
 
 @dataclass(frozen=True)
 class Row:
-    """Errors of one model [deg], as intervals by episode.
-
-    Attributes:
-        model: its name.
-        later: on later episodes, fitted to all before.
-        recent: on later episodes, fitted to the last ones before.
-        interleaved: on every fifth episode, fitted to the others.
-    """
+    """Errors of one model [deg], as intervals by episode."""
 
     model: str
     later: Interval
@@ -59,15 +52,12 @@ class EpisodeDiagnosis:
     """What was found.
 
     Attributes:
-        effects: names of the effects that were taken, in order.
-        tried: all that were tried, by rounds.
         rows: errors of the models on episodes that no fit and no choice has seen.
         model: the extended one, fitted to the last ``window`` of the fitted episodes.
         values: its parameters that differ from the rig file, with 95 % intervals by episode, by dotted path.
         window: share of the fitted episodes from which a model for later ones is fitted.
         forecasts: error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it.
         drift: parameters of the extended model over the recording, fitted to each part of it anew.
-        counts: episodes fitted, later and interleaved.
         lines: errors of the extended model with parameters that follow straight lines over the fitted episodes.
         others: names of a rival and of the effect that it replaces, with the errors of the extended model then; for
             rivals that the episodes do not distinguish from the effect.
@@ -169,14 +159,7 @@ def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Ro
 
 
 class _Judged(NamedTuple):
-    """A model that was fitted anew, and its errors.
-
-    Attributes:
-        row: its errors.
-        squares: its squared errors on interleaved episodes.
-        whole: fitted to all episodes that may be fitted.
-        recent: fitted to the last of them, for later episodes.
-    """
+    """A model that was fitted anew, and its errors."""
 
     row: Row
     squares: Floats

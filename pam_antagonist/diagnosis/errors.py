@@ -27,7 +27,6 @@ class Innovations:
     Attributes:
         nis_mean: mean normalised innovation squared; 2 is right.
         whiteness_p: probability of such an autocorrelation in white innovations.
-        largest_correlation: largest autocorrelation.
     """
 
     nis_mean: float
@@ -42,7 +41,6 @@ class Sliding:
     Attributes:
         rmse_sliding_nm: while it slides [N m]; None where it never does.
         rmse_sticking_nm: while it sticks [N m]; None likewise.
-        sliding_share: share of the samples in which it slides.
     """
 
     rmse_sliding_nm: float | None
@@ -55,12 +53,9 @@ class Errors:
     """Errors of one model on held-out data.
 
     Attributes:
-        angle: None where it was not measured.
-        torque: likewise.
         rmse_pa: of both pressures [Pa].
         mean_rmse_pa: of the mean of both pressures [Pa]; None where it was not judged.
         sliding: of the torque; None where sliding and sticking were not separated.
-        innovation: of the estimator; None of a model alone.
     """
 
     angle: ChannelErrors | None
@@ -84,13 +79,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Errors of the three models.
-
-    Attributes:
-        as_configured: the rig file's.
-        recalibrated: with fitted base parameters.
-        extended: with the effects as well.
-    """
+    """Errors of the three models."""
 
     as_configured: Errors
     recalibrated: Errors
@@ -107,9 +96,7 @@ class RigErrors:
     """Errors on held-out data with one rig file.
 
     Attributes:
-        model: of the model alone.
         ukf: of the estimator over all recordings; None where it was not run.
-        each: of the estimator in each recording.
     """
 
     model: Errors
@@ -121,7 +108,6 @@ class RigErrors:
         """Errors over several recordings.
 
         Args:
-            model: of the model alone over all recordings.
             each: of the estimator in each recording, and its samples; None where it was not run.
         """
         known = [(errors, samples) for errors, samples in each if errors is not None]
@@ -134,7 +120,6 @@ class RigErrors:
         """Errors with another file that are more than a share of those with this one, in words.
 
         Args:
-            now: with the other file.
             share: largest ratio of an error to the one with this file; in a single recording, chance may enlarge it.
             of_model: the same for errors of the model alone; default: share.
         """
@@ -155,25 +140,14 @@ class RigErrors:
         )
 
     def ratio(self, now: RigErrors) -> float:
-        """Geometric mean of the ratios of errors with another file to those with this one.
-
-        Args:
-            now: with the other file.
-
-        Returns:
-            The mean over all errors, or over those of the filter, whichever is larger.
-        """
+        """Geometric mean of the ratios of errors with another file to those with this one."""
         ratios = np.array([_finite(after) / _finite(before) for *_, before, after in self._pairs(now)])
         of_filter = [what.startswith(_FILTER) for what, *_ in self._pairs(now)]
         means = [float(np.exp(np.mean(np.log(some)))) for some in (ratios, ratios[of_filter]) if len(some)]
         return max(means)
 
     def in_words(self, now: RigErrors) -> str:
-        """The first error that was measured: the filter's, if it was run, of the angle, if it was measured.
-
-        Args:
-            now: with another file.
-        """
+        """The first error that was measured: the filter's, if it was run, of the angle, if it was measured."""
         what, unit, before, after = self._pairs(now)[0]
         return f"{what} error {_number(after)}{unit} instead of {_number(before)}{unit}"
 
@@ -206,7 +180,6 @@ def errors_of(measured: Floats, shown: Floats, channels: Collection[int]) -> Err
     Args:
         measured: (N, 4) in the order of ``CHANNELS``, NaN where nothing was measured.
         shown: by a model or the estimator (N, 4).
-        channels: those that were measured and can be judged.
     """
     error = (shown - measured)[:, PRESSURE_1:]
     return Errors(
@@ -218,12 +191,7 @@ def errors_of(measured: Floats, shown: Floats, channels: Collection[int]) -> Err
 
 
 def total_of(parts: Sequence[Errors], samples: Sequence[int]) -> Errors:
-    """Errors over several recordings: root mean squares over all samples, the largest of the other figures.
-
-    Args:
-        parts: errors in each.
-        samples: of each.
-    """
+    """Errors over several recordings: root mean squares over all samples, the largest of the other figures."""
     if len(parts) == 1:
         return parts[0]
 

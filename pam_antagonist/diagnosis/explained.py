@@ -40,35 +40,17 @@ def remaining_residuals(experiments: Sequence[Experiment], fits: Sequence[Fitted
 
 
 def held_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
-    """Share of the held-out excess that is gone.
-
-    Args:
-        experiments: the recordings.
-        before: what a model leaves of each.
-        after: what another model leaves.
-    """
+    """Share of the held-out excess that is gone."""
     return further_share(experiments, before, before, after, fitted=False)
 
 
 def fitted_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
-    """Share of the fitted part's excess that is gone.
-
-    Args:
-        experiments: the recordings.
-        before: what a model leaves of each.
-        after: what another model leaves.
-    """
+    """Share of the fitted part's excess that is gone."""
     return share_of([e.excess_removed(b.fitted, a.fitted) for e, b, a in zip(experiments, before, after, strict=True)])
 
 
 def whole_share(experiments: Sequence[Experiment], before: Sequence[Residuals], after: Sequence[Residuals]) -> float:
-    """Share of the excess of both parts together that is gone.
-
-    Args:
-        experiments: the recordings.
-        before: what a model leaves of each.
-        after: what another model leaves.
-    """
+    """Share of the excess of both parts together that is gone."""
     return further_share(experiments, before, before, after)
 
 
@@ -82,10 +64,6 @@ def further_share(
     """Share of the base model's excess that goes with one effect among others.
 
     Args:
-        experiments: the recordings.
-        base: what the model without effects leaves.
-        before: what the model without this effect leaves.
-        after: what the model with it leaves.
         fitted: whether the fitted parts count as well as the held-out ones.
     """
     parts = []
@@ -113,12 +91,6 @@ def with_fits(
     """A candidate with the results of its fits. A recording without positive evidence for it keeps its model.
 
     Args:
-        candidate: that was fitted.
-        experiments: the recordings.
-        first: what the model without effects leaves.
-        before: what the model without the candidate leaves.
-        model: that model.
-        effects: names of the effects of the model with the candidate.
         fits: of that model, None for a recording in which the candidate was not fitted.
     """
     chosen, total, held_out = [], 0.0, 0.0
@@ -146,9 +118,6 @@ def is_worth_taking(tried: TriedCandidate) -> bool:
 
     Its evidence is positive in the fitted part and in the held-out part, and strong enough in both together. It removes
     enough of the excess.
-
-    Args:
-        tried: the candidate beside the model.
     """
     if tried.delta_bic is None or tried.held_out_evidence is None or tried.shares is None or tried.model is None:
         return False
@@ -167,10 +136,6 @@ def ends_at_noise(experiments: Sequence[Experiment], tried: TriedCandidate) -> b
     """Whether a fitted candidate has enough evidence, and with it the model is at the sensors' noise.
 
     Such a candidate may remove little of the excess, since the model has left little.
-
-    Args:
-        experiments: the recordings.
-        tried: the candidate beside the model.
     """
     if tried.delta_bic is None or tried.held_out_evidence is None or tried.model is None:
         return False
@@ -179,12 +144,7 @@ def ends_at_noise(experiments: Sequence[Experiment], tried: TriedCandidate) -> b
 
 
 def near(best: TriedCandidate, others: Sequence[TriedCandidate]) -> tuple[str, ...]:
-    """Candidates that do as well as the best one, by evidence and on held-out data.
-
-    Args:
-        best: that was taken.
-        others: of the same round.
-    """
+    """Candidates that do as well as the best one, by evidence and on held-out data."""
     return tuple(
         other.effect for other in others if other is not best and other.shares is not None
         and best.standing - other.standing < thresholds.STRONG and other.shares[0] >= thresholds.FIRST_SHARE
@@ -192,13 +152,7 @@ def near(best: TriedCandidate, others: Sequence[TriedCandidate]) -> tuple[str, .
 
 
 def evidence_of(experiments: Sequence[Experiment], without: Model, model: Model) -> float:
-    """Evidence for a model against one without some of its effects, over all recordings.
-
-    Args:
-        experiments: the recordings.
-        without: the model without these effects.
-        model: the one with them.
-    """
+    """Evidence for a model against one without some of its effects, over all recordings."""
     return sum(
         evidence(experiment, old, new)
         for experiment, old, new in zip(experiments, without.fits, model.fits, strict=True)
@@ -219,13 +173,7 @@ def has_significant_excess(experiments: Sequence[Experiment], fits: Sequence[Fit
 
 
 def explains(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
-    """Whether a model with effects leaves so little of the excess that they are the explanation.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: the one with effects.
-    """
+    """Whether a model with effects leaves so little of the excess that they are the explanation."""
     if not model.effects:
         return False
     enough = share_of_all(experiments, base, model) >= thresholds.EXPLAINED
@@ -237,9 +185,6 @@ def leader(tried: Sequence[TriedCandidate]) -> TriedCandidate | None:
 
     Physics outside of the catalogue is imitated by several effects about equally well. An effect whose form differs
     from its law has no such rival.
-
-    Args:
-        tried: the candidates of all rounds.
     """
     first = [candidate for candidate in tried if candidate.round == 1]
     best = max(first, key=lambda candidate: candidate.standing, default=None)
@@ -252,25 +197,13 @@ def leader(tried: Sequence[TriedCandidate]) -> TriedCandidate | None:
 
 
 def explains_in_part(experiments: Sequence[Experiment], base: Model, model: Model) -> bool:
-    """Whether effects that are the explanation leave something that is worth a warning.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: the one with effects.
-    """
+    """Whether effects that are the explanation leave something that is worth a warning."""
     partly = share_of_all(experiments, base, model) < thresholds.EXPLAINED_WELL
     return partly and not at_noise(experiments, model)
 
 
 def share_of_all(experiments: Sequence[Experiment], base: Model, model: Model) -> float:
-    """Share of the excess, fitted and held out together, that a model removes.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: the one with effects.
-    """
+    """Share of the excess, fitted and held out together, that a model removes."""
     return whole_share(experiments, *(remaining_residuals(experiments, m.fits) for m in (base, model)))
 
 

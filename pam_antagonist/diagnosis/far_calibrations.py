@@ -37,13 +37,7 @@ class _Score(NamedTuple):
 
 
 def fits(experiment: Experiment, fitted: Fitted, candidates: Sequence[Candidate]) -> dict[str, Fitted]:
-    """The calibrations that do best beside the base as configured, fitted from there, by name.
-
-    Args:
-        experiment: the recording.
-        fitted: its model, whose effects and calibrations are kept.
-        candidates: further calibrations, of one number each.
-    """
+    """The calibrations that do best beside the base as configured, fitted from there, by name."""
     start = as_configured(experiment, fitted)
     none = _cost(experiment, start, start.point, start.residual)
     scores = (_score(experiment, start, candidate) for candidate in candidates)

@@ -25,13 +25,7 @@ from pam_antagonist.model.effects import DISTURBANCE
 
 @dataclass(frozen=True)
 class Sized:
-    """A parameter of an effect in one recording.
-
-    Attributes:
-        recording: index of the experiment.
-        value: of the parameter.
-        std: its standard deviation.
-    """
+    """A parameter of an effect in one recording."""
 
     recording: int
     value: float
@@ -43,13 +37,7 @@ _Part = tuple[int | None, _Numbers]
 
 
 class Findings(NamedTuple):
-    """The effects of a model.
-
-    Attributes:
-        effects: each with its sizes.
-        values: of their parameters for one rig, by dotted path.
-        contradictions: between the recordings.
-    """
+    """The effects of a model."""
 
     effects: tuple[FoundEffect, ...]
     values: dict[str, float]
@@ -57,14 +45,7 @@ class Findings(NamedTuple):
 
 
 def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) -> Fitted:
-    """A model without the sizes of an effect whose gain is less than their price.
-
-    Args:
-        experiment: the recording.
-        before: the model without the effect.
-        fitted: the model with it.
-        effect: its name.
-    """
+    """A model without the sizes of an effect whose gain is less than their price."""
     while True:
         here = [u for u in fitted.free if u.path.startswith(f"effects.{effect}.") and u.item.is_size]
         if len(here) < 2:
@@ -98,14 +79,7 @@ def _strength(fitted: Fitted, free: FreeEffectParameter, std: float) -> float:
 
 
 def backward_elimination(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Model:
-    """A model without the effects and sizes that are not significant beside the others.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: the model.
-        jobs: threads.
-    """
+    """A model without the effects and sizes that are not significant beside the others."""
     names = model.effects[:-1]
     while names:
         without = refitted_without(experiments, model, names, jobs)
@@ -128,17 +102,7 @@ def backward_elimination(experiments: Sequence[Experiment], base: Model, model: 
 
 
 def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> tuple[Findings, dict[str, Model]]:
-    """The effects of a model, each with what would be lost without it; see :func:`found_effects`.
-
-    Args:
-        experiments: the recordings.
-        base: the model without effects.
-        model: the one with effects.
-        jobs: threads.
-
-    Returns:
-        The effects, and the model without each of them, fitted again, by its name.
-    """
+    """The effects of a model, each with what would be lost without it; see :func:`found_effects`."""
     gains, shares = {}, {}
     whole, before = (remaining_residuals(experiments, m.fits) for m in (model, base))
     several = len(model.effects) > 1
@@ -156,14 +120,7 @@ def found_effects(
     gains: Mapping[str, float],
     shares: Mapping[str, float],
 ) -> Findings:
-    """The effects of a model.
-
-    Args:
-        experiments: the recordings.
-        model: their models.
-        gains: evidence for each effect.
-        shares: share of the held-out excess that goes with each.
-    """
+    """The effects of a model."""
     names = [experiment.trial.name for experiment in experiments]
     found = Findings((), {}, [])
     effects: list[FoundEffect] = []
@@ -244,8 +201,6 @@ def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> lis
     """Value of a parameter in every recording in which it is free, not 0, and not small beside the other muscle's.
 
     Args:
-        model: the recordings' models.
-        free: the parameter.
         certain: whether a size must be more than two standard deviations from 0.
     """
     seen = []
@@ -276,15 +231,7 @@ def profile_sizes(
     jobs: int,
     progress: Callable[[str], None],
 ) -> tuple[SizeProfile, ...]:
-    """Profiles of the found sizes, each in the recording that shows it first.
-
-    Args:
-        experiments: the recordings.
-        model: the chosen model.
-        found: its effects.
-        jobs: threads.
-        progress: is called with what is being done.
-    """
+    """Profiles of the found sizes, each in the recording that shows it first."""
     names = [experiment.trial.name for experiment in experiments]
     result = []
     for effect in found:

@@ -18,10 +18,7 @@ class FoundCalibration:
 
     Attributes:
         name: in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`.
-        value: in SI units.
         std: its standard deviation, including the uncertainty of the rig's parameters.
-        unit: of both.
-        delta_bic: evidence for it.
         by_recording: value and standard deviation in each recording that shows it, by its name.
         rivals: effects and calibrations that the recordings cannot distinguish from it.
     """
@@ -36,11 +33,7 @@ class FoundCalibration:
 
 
 def differences(found: Sequence[FoundCalibration]) -> list[str]:
-    """Calibrations in which recordings contradict each other.
-
-    Args:
-        found: the calibrations.
-    """
+    """Calibrations in which recordings contradict each other."""
     out = []
     for item in found:
         if contradict(list(item.by_recording.values()), item.value):
@@ -53,11 +46,7 @@ def differences(found: Sequence[FoundCalibration]) -> list[str]:
 
 
 def corrections(values: Mapping[str, float]) -> Corrections:
-    """Corrections that undo calibrations, as a user enters them.
-
-    Args:
-        values: by name.
-    """
+    """Corrections that undo calibrations, as a user enters them."""
     return Corrections(
         encoder_zero=values.get("encoder_zero", 0.0),
         torque_zero=values.get("torque_zero", 0.0),
@@ -70,11 +59,7 @@ def corrections(values: Mapping[str, float]) -> Corrections:
 
 
 def in_words(found: FoundCalibration) -> str:
-    """A calibration in words.
-
-    Args:
-        found: the calibration.
-    """
+    """A calibration in words."""
     wording = _WORDS[found.name]
     size, std = abs(found.value) * wording.factor, found.std * wording.factor
     # A standard deviation has one digit, or two that begin with 1; the value has no more than these.
@@ -85,20 +70,12 @@ def in_words(found: FoundCalibration) -> str:
 
 
 def experiment(name: str) -> str:
-    """How to measure a calibration without a model.
-
-    Args:
-        name: of the calibration.
-    """
+    """How to measure a calibration without a model."""
     return _EXPERIMENTS.get(name, _CLOCK)
 
 
 def alternative(name: str) -> str:
-    """What a report says of a calibration that does as well as what was found.
-
-    Args:
-        name: of the calibration.
-    """
+    """What a report says of a calibration that does as well as what was found."""
     what = {"encoder_zero": "a zero of the encoder", "torque_zero": "a zero of the torque meter"}
     clock = f"stamps of the {name.removeprefix('delay_')} that are early or late"
     return what.get(name, "another scale of the torque meter" if name == "torque_scale" else clock)

@@ -81,12 +81,7 @@ class Tried:
     """An effect that was added to the model.
 
     Attributes:
-        name: of the effect.
         muscle: 1 or 2; None for both.
-        place: where it acts.
-        gain: share of the held-out squared error that it removes.
-        delta_bic: evidence in the fitted data.
-        fit: of this part of the model, with the effect.
     """
 
     name: str
@@ -113,10 +108,7 @@ class FoundFromPressures:
     """A diagnosis from measured pressures.
 
     Attributes:
-        recalibrated: the identified rig without a further effect.
         extended: the same with the taken effects; None if none was taken.
-        tried: all effects, those that remove most first.
-        taken: the taken ones, one of each part of the model at most.
         errors: of the base model on held-out data: angle, driven by the measured pressures [rad], and pressure over a
             second [Pa]; RMS, NaN where unknown.
         unexplained: parts of the model that err by more than their sensors and for which no effect was taken.

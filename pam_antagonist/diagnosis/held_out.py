@@ -38,9 +38,6 @@ def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float
     its own data.
 
     Args:
-        group: the recordings.
-        base: the recalibrated model.
-        model: the extended one.
         effects: values of its effects that suit all recordings, by dotted path.
     """
     out = [
@@ -64,8 +61,6 @@ def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -
     """One recording's own rig.
 
     Args:
-        prepared: the recordings.
-        parts: what was compared of this recording.
         model: one of ``MODELS``.
     """
     if model == "as_configured":
@@ -86,11 +81,7 @@ def by_recording(
     """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
 
     Args:
-        prepared: the recordings.
-        compared: the same, or parts of them, with their models.
         tuned: rigs whose tuning the estimator uses, by model; default: the configured tuning.
-        estimator: whether to run the estimator as well.
-        jobs: threads.
     """
 
     def one(number: int) -> RecordingEntry:
@@ -150,9 +141,7 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
     """Errors of the model alone, run from the recording's start, on the samples that were held out.
 
     Args:
-        part: the recording.
         model: one of ``MODELS``.
-        rig: its own rig with that model.
     """
     experiment = part.experiment
     held = experiment.held_samples
@@ -171,7 +160,6 @@ def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[Record
     """Errors over all recordings of which something was held out.
 
     Args:
-        compared: the recordings, or parts of them.
         entries: of :func:`by_recording`.
     """
     held = [(part.number, part.experiment) for part in compared if part.judges]
@@ -186,7 +174,6 @@ class EstimatorErrors:
     """The estimator over a recording, on the samples that were held out.
 
     Attributes:
-        errors: of all channels.
         time: of each sample since the recording's first (M,) [s].
         innovation: of the pressures, in its standard deviations (M, 2).
     """
@@ -209,26 +196,14 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
 
 
 def corrected(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
-    """A recording corrected by the calibrations of a model: as read, and on its even grid.
-
-    Args:
-        recording: as read.
-        part: the recording, with its models.
-        model: one of them.
-    """
+    """A recording corrected by the calibrations of a model: as read, and on its even grid."""
     point = part.points[model]
     corrections = found_calibrations.corrections(calibration.values_of(point.effects))
     return corrections.applied(recording), part.experiment.corrected(point)[0]
 
 
 def estimator_errors(recording: Recording, experiment: Experiment, rig: Rig) -> EstimatorErrors:
-    """Errors of the estimator, which knows pressures and voltages only, on the samples that were held out.
-
-    Args:
-        recording: as read; the filter runs over all of it.
-        experiment: the recording on its even grid: condition of the joint, measurements, what was held out.
-        rig: whose default tuning is used.
-    """
+    """Errors of the estimator, which knows pressures and voltages only, on the samples that were held out."""
     run, late = _estimated(recording, rig, experiment)
     rows, index = run.rows[late], run.index[late]
     variance = {ANGLE: rows["covariance"][:, 0, 0], TORQUE: rows["covariance"][:, 2, 2]}
@@ -269,12 +244,7 @@ def deciding_evidence(
     """Evidence of the estimator's innovations where nothing but pressures was measured; None where anything else was.
 
     Args:
-        prepared: the recordings.
-        group: those that are judged.
-        base: the recalibrated model.
-        model: the extended one.
         effects: values of its effects that suit all recordings, by dotted path.
-        jobs: threads.
     """
     if any(e.trial.has(c) for e in (*group.experiments, *group.held_out) for c in (ANGLE, TORQUE)):
         return None
@@ -285,11 +255,6 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
     """Twice the log likelihood ratio of the innovations of held-out samples, extended over recalibrated model.
 
     Both filters have the tuning of the rig as configured. No parameter has a price: nothing was fitted there.
-
-    Args:
-        prepared: the recordings.
-        compared: the same with their models.
-        jobs: threads.
     """
 
     def likelihood(part: HeldOutComparison, model: str) -> float:
@@ -313,9 +278,6 @@ def static_map(prepared: Prepared) -> dict[str, float] | None:
 
     They are fitted by least squares to what may be fitted, and judged on the rest. None for a joint that is not driven
     by its angle, and where no torque from outside was recorded.
-
-    Args:
-        prepared: the recordings.
     """
     known = {
         number: experiment
@@ -345,7 +307,6 @@ def innovation_likelihood(run: EstimateRun, counted: slice | NDArray[np.bool_]) 
     """Sum of the innovations' log likelihoods, and the number of samples in it.
 
     Args:
-        run: of the filter.
         counted: samples of it that count: a slice, or for each sample whether it does (M,).
     """
     rows = run.rows[counted]

@@ -27,14 +27,7 @@ from pam_antagonist.diagnosis.stretches import Stretch, above_noise
 
 
 def judge(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
-    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained.
-
-    Args:
-        prepared: all recordings.
-        group: the experiments that are judged.
-        selection: what was tried on them.
-        settings: of the diagnosis.
-    """
+    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained."""
     judged = _judged(prepared, group, selection, settings)
     found = calibrations.found(
         group.experiments, (judged.model, selection.model), selection.calibrations, selection.rivals
@@ -177,14 +170,7 @@ def _by_effects(
 def _firm(
     group: Group, base: Model, model: Model, settings: Settings
 ) -> tuple[Model, findings.Findings, dict[str, splits.Firmness], list[str]]:
-    """The effects that most splits support: their model, what they are, what the splits say, and what was dropped.
-
-    Args:
-        group: the recordings.
-        base: the model without effects.
-        model: the model with those that are needed.
-        settings: of the diagnosis.
-    """
+    """The effects that most splits support: their model, what they are, what the splits say, and what was dropped."""
     experiments, jobs, notes = group.experiments, settings.jobs, []
     while True:
         found, without = findings.found(experiments, base, model, jobs)

@@ -51,7 +51,6 @@ class Dated(NamedTuple):
     """When an effect acts in a recording, and how exactly that is known.
 
     Attributes:
-        span: begin and end.
         std_s: standard deviations of both [s]; 0 of one that lies beyond the recording.
     """
 
@@ -79,7 +78,6 @@ class Changing:
 
     Attributes:
         group: the recordings, each with the spans of its effects and with blocks held out in turn.
-        selection: what was tried on them.
         dates: of each recording, when each effect acts that begins or ends, by its name.
     """
 
@@ -100,12 +98,7 @@ def search(
     """Effects that begin or end during the recordings, if they explain what others do not; else None.
 
     Args:
-        group: the recordings.
-        base: the recalibrated model.
         chosen: the model of the selection of effects that act throughout.
-        jobs: threads.
-        progress: is called with what is being done.
-        checkpoint: keeps finished candidates.
         to_noise: whether only effects are accepted that leave nothing but noise. A search that stays far above it is
             ended early then.
     """
@@ -126,13 +119,7 @@ def search(
 
 
 def parts_above_noise(group: Group, model: Model, jobs: int) -> dict[str, tuple[Span, ...]]:
-    """The parts of each recording in which it leaves its noise, by its name; without those that do not begin or end.
-
-    Args:
-        group: the recordings.
-        model: their model, which is at the noise of a part of them at least.
-        jobs: threads.
-    """
+    """The parts of each recording in which it leaves its noise, by its name; without those that do not begin or end."""
     if not _can_change(group):
         return {}
     pairs = zip(group.experiments, model.fits, strict=True)
@@ -156,11 +143,6 @@ def _beside(
     """Effects that begin or end beside a model, one part of the recordings after the other; None if there are none.
 
     Args:
-        group: the recordings.
-        start: the model, whose effects act throughout.
-        jobs: threads.
-        progress: is called with what is being done.
-        checkpoint: keeps finished candidates.
         to_noise: as for :func:`search`.
     """
     in_threads = Parallel(n_jobs=jobs, prefer="threads")
@@ -217,12 +199,7 @@ def _is_near(one: Span, other: Span) -> bool:
 
 
 def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
-    """Whether no stretch of any recording is above noise.
-
-    Args:
-        experiments: the recordings.
-        model: their models.
-    """
+    """Whether no stretch of any recording is above noise."""
     pairs = zip(experiments, model.fits, strict=True)
     return all(
         change_point.is_noise(experiment, experiment.residual(fitted.point, whole=True)) for experiment, fitted in pairs
@@ -269,10 +246,6 @@ def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
     """The most likely begin and end of one recording's new effects, by the likelihood with all else fitted again.
 
     All data count: an edge within what is held out would be anywhere there.
-
-    Args:
-        experiment: with the span of the change.
-        fitted: its model.
     """
     if not set(experiment.span.edges) & set(experiment.edges(fitted.point)):
         return _Refined(experiment, fitted, None)
@@ -295,9 +268,7 @@ def _edge(linear: Linear, span: Span, k: int, best: Near) -> tuple[Span, Near, f
 
     Args:
         linear: the model of all of the recording, with derivatives that serve for other edges as well.
-        span: where to start.
         k: 0 for its begin, 1 for its end.
-        best: the model there.
     """
     done: dict[float, Near] = {}
     trial, everything = linear.experiment.trial, np.ones(len(linear.residual), dtype=bool)
@@ -343,11 +314,6 @@ def _best_of_recordings(own: _Refined, start: Point, others: Sequence[_Refined])
     """The better of a recording's own span and those that start from what other recordings show.
 
     Edges and size may compensate each other. So a search from the change can end beside the best.
-
-    Args:
-        own: the recording with the span of its own search.
-        start: its model outside of the change.
-        others: the other recordings.
     """
     best = own
     for other in others:
@@ -370,7 +336,6 @@ def _better(experiments: Sequence[Experiment], chosen: Model, found: Changing) -
     """Whether effects that begin or end make all data clearly more likely than effects that act throughout.
 
     Args:
-        experiments: the recordings.
         chosen: the model with effects that act throughout, or with none.
         found: effects that begin or end; each edge is one more free parameter.
     """
@@ -386,12 +351,7 @@ def _better(experiments: Sequence[Experiment], chosen: Model, found: Changing) -
 
 
 def dated(judged: Judged, found: Changing) -> Judged:
-    """A verdict with begin and end of each effect; one that acts at several times becomes several effects.
-
-    Args:
-        judged: the verdict on the recordings with their spans.
-        found: the effects in recordings that change.
-    """
+    """A verdict with begin and end of each effect; one that acts at several times becomes several effects."""
     by_name = {e.trial.name: dates for e, dates in zip(found.group.experiments, found.dates, strict=True)}
     effects = [one for effect in judged.effects for one in _by_date(effect, by_name)]
     if all(effect.onset_s is None and effect.end_s is None for effect in effects):

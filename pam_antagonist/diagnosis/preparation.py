@@ -53,13 +53,6 @@ class Settings:
     Attributes:
         joint: ``free``, ``locked`` or ``auto``.
         lock_angle: angle of a locked joint [rad], where it is known.
-        holdout: share at the end of each recording that no fit sees.
-        jobs: threads.
-        seed: draws the starts of fits.
-        progress: is called with what is being done.
-        profiles: whether to work out profile likelihoods.
-        estimator: whether to run the estimator before and after.
-        checkpoint: keeps finished candidates.
     """
 
     joint: str
@@ -98,9 +91,7 @@ class Group:
 
     Attributes:
         name: ``joint``, or the part of it that they show.
-        experiments: one a recording.
         numbers: which recording each is of, in the order in which they were given.
-        held_out: recordings that are held out as a whole.
     """
 
     name: str
@@ -111,17 +102,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What a diagnosis works on.
-
-    Attributes:
-        rig: as configured.
-        base: the rig that the experiments start from.
-        recordings: as read, those that are held out as a whole behind the others.
-        trials: the same on an even grid.
-        groups: the experiments.
-        fitted: how many of the recordings are fitted.
-        notes: warnings about the recordings.
-    """
+    """What a diagnosis works on."""
 
     rig: Rig
     base: Rig
@@ -147,13 +128,7 @@ def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig:
     """Prepare recordings for a diagnosis.
 
     Args:
-        recordings: that are fitted.
         held_out: that are held out as a whole; none to hold out the end of each.
-        rig: as configured.
-        settings: of the diagnosis.
-
-    Raises:
-        BadInput: recordings from which nothing can be learned.
     """
     if not recordings:
         raise BadInput("no recording: expected one at least")
@@ -176,14 +151,7 @@ def longest_piece(recording: Recording, least: float) -> tuple[Recording, str]:
     """The longest piece without a hole: what was commanded in a hole is not known, and the model errs after it.
 
     Args:
-        recording: the recording.
         least: length of a piece [s].
-
-    Returns:
-        The piece, and what to say about it; the recording itself and nothing if there is no hole.
-
-    Raises:
-        BadInput: no piece is long enough.
     """
     known = np.flatnonzero(np.isfinite(recording.voltage).all(axis=1))
     time = recording.time_s[known]
@@ -240,16 +208,7 @@ def _check_duration(trial: Trial, least: float, what: str) -> None:
 
 
 def check_distinct(recordings: Sequence[Recording], others: Sequence[Recording], names: Sequence[str]) -> None:
-    """Refuse held-out recordings that are also fitted, or given twice.
-
-    Args:
-        recordings: that are fitted.
-        others: that are held out as a whole.
-        names: of the latter.
-
-    Raises:
-        BadInput: a recording that is held out is among the fitted ones, or is given twice.
-    """
+    """Refuse held-out recordings that are also fitted, or given twice."""
     for k, (other, name) in enumerate(zip(others, names, strict=True)):
         for seen in (*recordings, *others[:k]):
             if np.array_equal(other.stamp_ns, seen.stamp_ns) and np.array_equal(
@@ -268,12 +227,7 @@ def valve_driven_experiments(
     in common, each is judged by all.
 
     Args:
-        trials: to be fitted.
-        others: to be held out; none to hold out the end of each.
-        rig: as configured.
         share: of each recording that is held out where no whole one is.
-        seed: of what is drawn in fits.
-        jobs: threads.
     """
     if not others:
         return tuple(ValveDriven(rig, trial, cut(trial, share), seed=seed, jobs=jobs) for trial in trials), ()
@@ -310,17 +264,7 @@ def _angle_driven(recordings: Sequence[Recording], rig: Rig, settings: Settings)
 
 
 def driven_trial(recording: Recording, rig: Rig, joint: str, holdout: float) -> Trial:
-    """A recording of a sealed joint on an even grid, the torque from outside in the place of a torque meter's.
-
-    Args:
-        recording: the recording.
-        rig: the sealed rig.
-        joint: what the command line says of the joint.
-        holdout: share at the end that no fit sees.
-
-    Raises:
-        BadInput: a recording from which nothing can be learned.
-    """
+    """A recording of a sealed joint on an even grid, the torque from outside in the place of a torque meter's."""
     name = bag_name(recording.path)
     refuse_moving_valves([(recording, name)], rig)
     state = joint_condition(recording, joint)
@@ -350,15 +294,6 @@ def base_without_friction(
     ``identify`` explains the loop of the torque by friction of the shaft. But friction of the drive, dry friction of
     the muscles and hysteresis all cause such a loop. A base model with friction would choose between them before
     anything is tested. So Coulomb friction is removed, and the cause of the loop is found by the tests.
-
-    Args:
-        recordings: each with its name.
-        rig: as configured.
-        holdout: share at the end of each that is not seen.
-        progress: is called with what is being done.
-
-    Raises:
-        BadInput: recordings from which nothing can be learned, or a law of friction that is not the paper's.
     """
     if rig.model.friction != "kikuuwe":
         raise BadInput(

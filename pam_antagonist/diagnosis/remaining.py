@@ -117,7 +117,6 @@ class Form:
     """A sum of few terms that approximates a residual.
 
     Attributes:
-        terms: name and coefficient of each.
         share: of the residual's variance that it explains where it was fitted.
         held_out: share of the residual's squares that it explains on held-out data, NaN where there are none.
     """
@@ -141,16 +140,9 @@ class RemainingResidual:
     """A residual that no effect explains, in one channel of one recording.
 
     Attributes:
-        recording: its name.
-        channel: a sensor, or the error of an equation.
-        unit: of the residual.
-        times_noise: its root mean square over what the sensors alone give.
         depends_on: share of its variance that goes with each kind of dependence alone.
-        bands: share of its power in each band of frequency.
         period: about which its power lies [s].
-        form: what a sparse regression suggests.
         values: the residual (N,) where it was fitted.
-        around: pressures, voltages and motion there.
     """
 
     recording: str
@@ -266,7 +258,6 @@ def shares(residual: Floats, around: Surroundings) -> dict[str, float]:
 
     Args:
         residual: (N,).
-        around: its surroundings.
     """
     count = len(residual) / correlation_length(residual - residual.mean())
     total = float(np.sum((residual - residual.mean()) ** 2)) or 1.0
@@ -321,7 +312,6 @@ def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundin
 
     Args:
         residual: (N,).
-        around: its surroundings.
         later: residual (M,) and surroundings of what was held out, for judging.
     """
     library = around.library()

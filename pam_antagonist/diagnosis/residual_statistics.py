@@ -60,8 +60,6 @@ class Relation:
 
     Attributes:
         lag_s: by which the signal precedes the residual [s]: where the whitened series correlate most.
-        correlation: at that lag.
-        z: the same in standard deviations.
         limit: size of z that chance alone exceeds once in twenty times.
         p: probability of the largest of all lags and signals being chance.
     """
@@ -83,16 +81,10 @@ class ResidualRow:
     """A residual of a model on held-out data.
 
     Attributes:
-        channel: sensor, equation or innovation.
         kind: ``sensor``, ``equation`` or ``innovation``.
-        unit: of the residual.
-        rms: root mean square.
-        noise: root mean square of the sensors' noise.
         above_noise: share of the mean square that the sensors' noise does not explain.
         memory_s: time between independent values [s].
-        independent: number of independent values.
         whiteness_p: probability of such an autocorrelation in white noise; NaN where there are too few values.
-        relations: correlations with signals, by signal.
     """
 
     channel: str
@@ -118,12 +110,7 @@ def unit_of(channel: Channel) -> str:
 
 
 def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
-    """Residuals of sensors and equations of a model on what was held out.
-
-    Args:
-        experiment: the recording.
-        point: the model.
-    """
+    """Residuals of sensors and equations of a model on what was held out."""
     experiment, point = experiment.corrected(point)
     given = experiment.signals(point)
     first = -(-experiment.errors_from // experiment.trial.block)
@@ -155,8 +142,6 @@ def of_innovations(experiment: Experiment, point: Point, time: Floats, innovatio
     """Statistics of the estimator's innovations, in their own standard deviations.
 
     Args:
-        experiment: the recording.
-        point: the model, for the signals.
         time: of each held-out sample since the recording's first (M,) [s].
         innovation: of the pressures there, in standard deviations (M, 2).
     """
@@ -186,9 +171,7 @@ def row_of(
     """Statistics of a residual.
 
     Args:
-        what: its channel, kind and unit.
         values: the residual (N,), at a constant step.
-        noise: standard deviation that its sensor alone gives.
         given: signals (N,) that it may go with, by name.
         step: between values [s].
     """
@@ -268,8 +251,6 @@ class EquationErrors:
         begin: the block from which each was taken (W,).
         values: (W, 4) in the order and units of ``EQUATIONS``; 0 where something is missing.
         noise: what the sensors alone give (4,).
-        known: which of them could be worked out.
-        span: blocks that each is taken over.
     """
 
     begin: NDArray[np.int64]
@@ -280,12 +261,7 @@ class EquationErrors:
 
 
 def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
-    """Errors of each equation of a model.
-
-    Args:
-        experiment: the recording.
-        point: the model.
-    """
+    """Errors of each equation of a model."""
     trial, p_at = experiment.trial, _vectors(experiment, point)
     states, _ = experiment.states(point)
     shown = np.full((len(experiment.measured), 4), np.nan)

@@ -24,13 +24,7 @@ MODELS = ("as_configured", "recalibrated", "extended")
 
 
 class Size(NamedTuple):
-    """A parameter of a found effect.
-
-    Attributes:
-        value: in `unit`.
-        std: its standard deviation, in `unit`.
-        unit: of both.
-    """
+    """A parameter of a found effect."""
 
     value: float
     std: float
@@ -42,12 +36,7 @@ class Size(NamedTuple):
 
 
 class Splits(NamedTuple):
-    """How many splits of the recordings support what was found.
-
-    Attributes:
-        agree: splits that support it.
-        of: all splits.
-    """
+    """How many splits of the recordings support what was found."""
 
     agree: int
     of: int
@@ -100,17 +89,10 @@ class Ambiguity:
     """An effect that was compared with a found one on equal terms.
 
     Attributes:
-        found: the one in the model.
-        other: the one that could take its place.
-        evidence: for the found one against it, as a ΔBIC.
         residual: root mean square of what each leaves (found, other) where they were compared.
-        unit: of these.
         shape: the other's width [m] or time constant [s].
-        about: where and how they were compared.
         size: of the found effect in the comparison, in `size_unit`; NaN if it has none of its own.
         parameter: of the found effect, whose standard deviation should cover the difference to `size`; or empty.
-        ambiguous: whether the recordings leave open which it is.
-        size_unit: of the size.
     """
 
     found: str
@@ -132,7 +114,6 @@ class PartVerdict:
 
     Attributes:
         name: ``joint``, or ``pressures`` and ``torque`` of a joint that is driven by its angle.
-        verdict: of this part alone.
         share: of its held-out excess over noise that its effects remove; None if that is a disturbance torque in
             recordings of which nothing is held out.
     """
@@ -151,17 +132,9 @@ class Judged(Shown):
     """A group of experiments with the verdict on it.
 
     Attributes:
-        group: the experiments.
-        base: the model without effects.
-        selection: what was tried.
-        verdict: on this group alone.
         share: of its held-out excess that the chosen model removes; None likewise.
-        model: the final one; the model without effects where none was found.
         effects: that were found, with the experiments' names as recordings.
-        values: of their parameters for one rig, by dotted path.
-        warnings: what the user should know.
         firmness: what the splits say of each effect, by its name; empty where there were no splits.
-        calibrations: of sensors and clocks, that the recordings need.
     """
 
     group: Group
@@ -208,14 +181,10 @@ class RecordingEntry:
     """A recording with the errors of the models on it.
 
     Attributes:
-        recording: its name.
         joint: ``free``, ``locked`` or ``driven``.
         lock_angle_rad: where a locked joint was held [rad].
         role: ``fitted``, ``held out``, or ``both``: its end was held out.
         held_out_from_s: where the held-out part begins, the first of them if there are several [s].
-        errors: on held-out data; None where nothing was held out.
-        residuals: on held-out data; None likewise.
-        ukf: errors of the estimator; None where it was not run.
         sweeps: how often a driven joint slides in the fitted and in the held-out part; None of other joints.
         sha256: of the bag's files; empty where it was not read from a bag.
         held_out_s: begin and end of every held-out part [s]; None where nothing was held out.
@@ -247,12 +216,6 @@ class SizeProfile:
     """Profile likelihood of a size.
 
     Attributes:
-        parameter: its name.
-        recording: whose size it is.
-        value: fitted one, in `unit`.
-        std: its standard deviation, in `unit`.
-        unit: of the parameter.
-        values: at which it was held, in `unit`.
         rise: of −2 log posterior there.
         flat: whether half of the size would explain the recording as well.
     """

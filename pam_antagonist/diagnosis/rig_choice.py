@@ -31,11 +31,8 @@ class RigFile:
     """A rig file that may be written.
 
     Attributes:
-        name: of the file.
-        rig: its content.
         number: of the recording whose own values these are; None: it is for all recordings.
         before: errors on held-out data as configured; None where nothing of this recording was held out.
-        now: with this file; None likewise.
     """
 
     name: str
@@ -85,8 +82,6 @@ class RigChoice:
     """The rig files of a diagnosis.
 
     Attributes:
-        files: that are written, those for all recordings first.
-        proposed: the one to use; None: keep the rig file that there is.
         no_common: why there is no rig_extended.yaml, in a sentence; empty if there is one.
     """
 
@@ -106,12 +101,7 @@ def rig_errors(
     """Errors on held-out data with one rig for all recordings: as configured, recalibrated and extended.
 
     Args:
-        prepared: the recordings.
         models: by name: each group of recordings, its model, and values of its effects for one rig, by dotted path.
-        rigs: by name: the rig for all recordings.
-        compared: the recordings, or parts of them, with their models.
-        entries: what was said of each recording.
-        settings: of the diagnosis.
     """
     totals = held_out.total_errors(compared, entries)
     samples = {part.number: int(part.experiment.held_samples.sum()) for part in compared if part.judges}
@@ -163,13 +153,7 @@ def _calibrations(point: Point) -> dict[str, float]:
 
 
 def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> RigChoice:
-    """Decide which rig files are written, and which one is proposed.
-
-    Args:
-        found: the diagnosis.
-        name: of the rig as configured.
-        refusal: why no command would read a file; empty if all would.
-    """
+    """Decide which rig files are written, and which one is proposed."""
     errors, explained = found.of_one_rig, found.verdict != "unexplained"
     given = errors["as_configured"]
     extended = RigFile("rig_extended.yaml", found.rig_extended, None, given, errors["extended"])

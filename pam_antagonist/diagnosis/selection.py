@@ -38,8 +38,6 @@ class Selection:
     """What was tried and what was taken.
 
     Attributes:
-        recalibrated: the model without effects.
-        model: the one that was chosen.
         tried: every candidate of every round, in the order of evidence.
         calibrations: every calibration of every round, likewise; it is in both models where it was taken.
         rivals: for each effect and calibration that was taken, those that would have done as well in its place; of an
@@ -57,8 +55,6 @@ def recalibrate(experiments: Sequence[Experiment], jobs: int, known: Model | Non
     """The base parameters of every recording at their most probable values.
 
     Args:
-        experiments: the recordings.
-        jobs: threads.
         known: model of the recordings whose calibrations are fitted as well.
     """
 
@@ -86,11 +82,7 @@ def select(
     """Add effects, and calibrations of the recordings, while one is worth taking.
 
     Args:
-        experiments: the recordings.
         base: the recalibrated model, or one with effects that stay in it.
-        jobs: threads.
-        progress: is called with what is being done.
-        checkpoint: keeps finished candidates.
         before: residuals before an effect that the experiments already contain, which then counts as the first one;
             default: residuals of the recalibrated model.
         calibrate: whether zeros, scales and late stamps may be found as well.
@@ -139,14 +131,7 @@ def select(
 def refitted_without(
     experiments: Sequence[Experiment], model: Model, effects: Sequence[str], jobs: int
 ) -> tuple[Model, ...]:
-    """The model without each of these of its effects, the others and the base fitted anew.
-
-    Args:
-        experiments: the recordings.
-        model: their models.
-        effects: names of the effects, each left out in turn.
-        jobs: threads.
-    """
+    """The model without each of these of its effects, the others and the base fitted anew."""
 
     def one(effect: str, experiment: Experiment, fitted: Fitted) -> Fitted:
         path = f"effects.{effect}."
@@ -169,11 +154,6 @@ def shared(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
 
     A rig has an effect in all recordings, even if one of them hardly shows it. That one takes over the values, with its
     base parameters fitted anew. A recording does not get an effect that it rules out.
-
-    Args:
-        experiments: the recordings.
-        model: of which each recording has the effects that paid in it.
-        jobs: threads.
     """
 
     def one(experiment: Experiment, fitted: Fitted) -> Fitted:

@@ -38,11 +38,8 @@ def in_turn(
     """Splits that hold out blocks in turn, so that each part of a recording is held out once.
 
     Args:
-        count: how many block means the recording has (B).
-        splits: how many splits.
         length: of what is held out at once, about [block means].
         buffer: block means on either side of what is held out that are neither fitted nor held out.
-        errors_from: sample from which on errors are shown in a report.
         edges: where the recording changes; every part between them is split by itself.
     """
     turn = np.zeros(count, dtype=int)
@@ -63,7 +60,6 @@ class Firmness:
     """What the splits say of an effect.
 
     Attributes:
-        evidence: of each split's held-out parts, over all recordings.
         held_s: begin and end [s] of what each split holds out, the last part of it.
     """
 
@@ -92,11 +88,7 @@ class Firmness:
 
 
 def in_words(firm: Mapping[str, Firmness]) -> str:
-    """What the splits say of all effects, in words; empty where there were no splits.
-
-    Args:
-        firm: what the splits say of each, by its name.
-    """
+    """What the splits say of all effects, in words; empty where there were no splits."""
     if len({one.agree for one in firm.values()}) == 1 and min(one.agree for one in firm.values()) == SPLITS:
         return next(iter(firm.values())).in_words()
     several = len(firm) > 1
@@ -108,10 +100,6 @@ def recalibrated(group: Group, jobs: int) -> tuple[Group, Model]:
 
     An angle-driven joint shows few sweeps. Its last part alone would decide by one or two of them. So its recordings
     are fitted as a whole and judged by all splits together. Errors in a report stay those of the last part.
-
-    Args:
-        group: the recordings.
-        jobs: threads.
     """
     if any(experiment.runs_by_itself for experiment in group.experiments):
         return group, recalibrate(group.experiments, jobs)
@@ -123,14 +111,7 @@ def recalibrated(group: Group, jobs: int) -> tuple[Group, Model]:
 def firmness(
     experiments: Sequence[Experiment], model: Model, without: Mapping[str, Model], jobs: int
 ) -> dict[str, Firmness]:
-    """What the splits say of each effect of a model, by its name.
-
-    Args:
-        experiments: the recordings.
-        model: their models.
-        without: the model without each of the effects, fitted again.
-        jobs: threads.
-    """
+    """What the splits say of each effect of a model, by its name."""
     splits = [_splits(*pair) for pair in zip(experiments, model.fits, strict=True)]
     fits = {"": model, **without}
     differ = {name: [r for r, old in enumerate(one.fits) if old is not model.fits[r]] for name, one in without.items()}

@@ -27,16 +27,7 @@ _RIVALS = 4
 
 
 def search(group: Group, selection: Selection, settings: Settings) -> tuple[Group, Selection] | None:
-    """Friction that explains what no effect explains in a free run; None if it does not, or if no joint sticks.
-
-    Args:
-        group: the recordings.
-        selection: what was tried on them in free runs.
-        settings: of the diagnosis.
-
-    Returns:
-        The recordings as they are judged, and what was tried on them.
-    """
+    """Friction that explains what no effect explains in a free run; None if it does not, or if no joint sticks."""
     free_runs = zip(group.experiments, selection.recalibrated.fits, strict=True)
     experiments = tuple(_along_motion(experiment, fitted) for experiment, fitted in free_runs)
     stuck = [r for r, experiment in enumerate(experiments) if isinstance(experiment, MeasuredMotion)]

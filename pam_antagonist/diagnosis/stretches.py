@@ -31,8 +31,6 @@ class Stretch:
     """A stretch of one channel that is above noise.
 
     Attributes:
-        recording: its name.
-        channel: what was measured, as a figure calls it.
         begin_s: [s].
         end_s: [s].
         times_noise: root mean square of the residual there, over its noise.
@@ -51,11 +49,6 @@ def above_noise(experiments: Sequence[Experiment], points: Sequence[Point], jobs
     """The clearest stretch above noise of every recording that has one even with the base fitted to all of it.
 
     The stretch is taken from the model as it is: the base fitted to all data may hide what is wrong.
-
-    Args:
-        experiments: the recordings.
-        points: their recalibrated models.
-        jobs: threads.
     """
 
     def one(experiment: Experiment, point: Point) -> Stretch | None:
@@ -72,13 +65,7 @@ def above_noise(experiments: Sequence[Experiment], points: Sequence[Point], jobs
 
 
 def fitted_to_all(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter] = ()) -> Fitted:
-    """A model fitted to all of a recording, held out or not, as a model that is right: every block counts.
-
-    Args:
-        experiment: the recording.
-        point: the model nearby.
-        free: parameters of its effects that may move.
-    """
+    """A model fitted to all of a recording, held out or not, as a model that is right: every block counts."""
     alone = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), split=None, judged=())
     return refit(alone, point, free, rounds=_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
 
@@ -91,7 +78,6 @@ def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
     twice the logarithm of the number of choices is the price (Bonferroni).
 
     Args:
-        experiment: the recording.
         residual: of all of it (B, C).
     """
     seconds = 1.0 / experiment.trial.block_s

@@ -37,10 +37,6 @@ def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
     """Effects that look like a valve curve of another slope, if the rig file calls its curves guessed.
 
     The prior of a guessed curve covers its shift only, so no fit moves its slope.
-
-    Args:
-        rig: as configured.
-        effects: names of effects that were found.
     """
     if not guesses_curves(rig):
         return ()
@@ -48,12 +44,7 @@ def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
 
 
 def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:
-    """A warning if a guessed curve may look like a found effect.
-
-    Args:
-        rig: as configured.
-        effects: names of effects that were found.
-    """
+    """A warning if a guessed curve may look like a found effect."""
     alike = " or ".join(like_a_curve(rig, effects))
     if not alike:
         return []
@@ -87,12 +78,7 @@ def explained_in_part(effects: Sequence[str]) -> str:
 
 
 def at_bounds(experiments: Sequence[Experiment], model: Model) -> list[str]:
-    """Parameters of effects that ended at a bound: the recording asks for more than makes sense.
-
-    Args:
-        experiments: the recordings.
-        model: their models with effects.
-    """
+    """Parameters of effects that ended at a bound: the recording asks for more than makes sense."""
     out = []
     for experiment, fitted in zip(experiments, model.fits, strict=True):
         for free in fitted.free:
@@ -146,13 +132,7 @@ def _edges(span: Span) -> list[tuple[str, float]]:
 
 
 def along_motion(experiments: Sequence[Experiment], base: Model, model: Model) -> str:
-    """The note on a verdict that rests on the model along the measured motion.
-
-    Args:
-        experiments: the recordings, those of a joint that sticks along their motion.
-        base: the model without effects.
-        model: the one with friction.
-    """
+    """The note on a verdict that rests on the model along the measured motion."""
     each = []
     for experiment, *fits in zip(experiments, base.fits, model.fits, strict=True):
         if isinstance(experiment, MeasuredMotion):
@@ -177,9 +157,7 @@ def decided_by_innovations(effects: Sequence[str], evidence: float, taken: bool)
     """What the innovations said where pressures alone were measured.
 
     Args:
-        effects: that the pressures call for.
         evidence: twice the log likelihood ratio of the held-out innovations with and without them.
-        taken: whether that was enough.
     """
     which = " and ".join(effects)
     if taken:
@@ -241,13 +219,7 @@ def _times(count: int) -> str:
 
 
 def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[str, ...]:
-    """What no analysis of these recordings can show, one sentence each.
-
-    Args:
-        prepared: the recordings.
-        bases: the recalibrated model of each group, by its name.
-        jobs: threads.
-    """
+    """What no analysis of these recordings can show, one sentence each."""
     trials = prepared.trials[: prepared.fitted]
     if prepared.angle_driven:
         hidden = [effect for effect in _WITH_VALVES if effect.sealed.part is None]
@@ -309,11 +281,6 @@ def invisible(experiments: Sequence[Experiment], base: Model, jobs: int) -> tupl
 
     An effect shows where one of its sizes, neither small nor large, moves what was measured beyond the sensors' noise
     in a way that the base parameters cannot imitate, by strong evidence.
-
-    Args:
-        experiments: the recordings.
-        base: the recalibrated model.
-        jobs: threads.
     """
     names = [candidate.effect for candidate in experiments[0].candidates({})]
     pairs = zip(experiments, base.fits, strict=True)

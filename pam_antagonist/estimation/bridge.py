@@ -119,14 +119,8 @@ def propagate(steps, since, dt, u, known_u, effects, memory, settings, work):
     """Predict over steps of the model. Returns how many pivots were repaired.
 
     Args:
-        steps: how many.
-        since: step from which on the new commands hold.
         dt: step [s].
         u: new commands (2,).
-        known_u: whether they are known.
-        effects: None where the rig is known to be plain.
-        memory: of the filter, changed in place.
-        settings: of the filter.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
     """
     repaired = 0
@@ -170,17 +164,8 @@ def over_gap(steps, since, dt, y, usable_1, usable_2, u, known_u, effects, memor
 
     Args:
         steps: as for :func:`propagate`.
-        since: likewise.
-        dt: likewise.
         y: pressures after the gap (2,) [Pa].
-        usable_1: whether the first one is known.
-        usable_2: whether the second one is.
         u: as for :func:`propagate`.
-        known_u: likewise.
-        effects: likewise.
-        memory: likewise.
-        settings: likewise.
-        work: likewise.
     """
     x, covariance, cross, held = memory.x, memory.covariance, memory.cross, memory.held
     p, limits, pressure = settings.parameter_sets[0], settings.commands, work.brackets[0]

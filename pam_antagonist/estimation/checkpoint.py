@@ -46,13 +46,8 @@ class FilterIdentity:
     """What a filter was made with.
 
     Attributes:
-        rig: name of the rig.
-        fingerprint: of the rig's physics.
-        tuning: name of its tuning.
         joint: ``free`` or ``locked``.
         lock_angle: angle of a locked joint [rad].
-        added: names of the states that effects add.
-        settings: hash of all settings of the filter.
     """
 
     rig: str
@@ -85,12 +80,10 @@ class Checkpoint:
     Attributes:
         stamp_ns: stamp of that sample [ns].
         started_ns: stamp of the sample that started the filter [ns].
-        identity: what the filter was made with.
         state: (n,).
         covariance: (n, n).
         cross: covariance with the consider parameters (n, m).
         voltage: last known ones (2,) [V].
-        rejected: consecutive samples that the gate rejected.
         distances: number of intervals between stamps since the start, then the last intervals [ns], a ring buffer.
         angle_sensor: memory of the encoder (encoder.MEMORY,); empty where none was read.
     """
@@ -108,11 +101,7 @@ class Checkpoint:
 
 
 def settings_hash(settings: Settings) -> str:
-    """Hash of all settings of a filter, sixteen hex digits.
-
-    Args:
-        settings: of the filter.
-    """
+    """Hash of all settings of a filter, sixteen hex digits."""
     content = settings._asdict()
     del content["possible"], content["commands"]  # follow from the rig; checkpoints older than them remain valid
     sets = settings.parameter_sets
@@ -135,12 +124,7 @@ def settings_hash(settings: Settings) -> str:
 
 
 def take(memory: Memory, identity: FilterIdentity) -> Checkpoint:
-    """A checkpoint of a running filter, as a copy.
-
-    Args:
-        memory: of the filter.
-        identity: of the filter.
-    """
+    """A checkpoint of a running filter, as a copy."""
     clock = memory.clock
     return Checkpoint(
         int(clock[LAST]),
@@ -157,16 +141,7 @@ def take(memory: Memory, identity: FilterIdentity) -> Checkpoint:
 
 
 def put(checkpoint: Checkpoint, memory: Memory, identity: FilterIdentity) -> None:
-    """Load a checkpoint into a filter's memory. A filter that refuses it stays unchanged.
-
-    Args:
-        checkpoint: of a filter with the same settings.
-        memory: of the filter, changed in place.
-        identity: of the filter.
-
-    Raises:
-        BadInput: the checkpoint is of another filter, or damaged.
-    """
+    """Load a checkpoint into a filter's memory. A filter that refuses it stays unchanged."""
     other = identity.difference(checkpoint.identity)
     if other:
         raise BadInput(f"the checkpoint was made with {other}")

@@ -202,18 +202,13 @@ def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step
         reading: ψ as measured, offset subtracted [rad], finite.
         elapsed: since the last sample [s].
         y: pressures (2,) [Pa].
-        usable: whether both are finite.
         u: voltages (2,) [V] over the step.
         x: estimate (n,), of which the added states count.
-        p: parameter vector.
         noise: diagonal of R (2,) [Pa²].
         angle_noise: variance of a reading [rad²].
         angle_step: of the converter [rad]; 0: none.
         encoder: its memory (MEMORY,), changed in place.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
-
-    Returns:
-        Whether the reading may be used.
     """
     elapsed += encoder[WITHOUT]
     encoder[WITHOUT] = 0.0
@@ -253,9 +248,6 @@ def correct(reading, memory, settings, work):
         memory: :class:`pam_antagonist.estimation.memory.Memory`, changed in place.
         settings: :class:`pam_antagonist.estimation.memory.Settings`.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
-
-    Returns:
-        Whether it was used.
     """
     innovation = reading - memory.x[ANGLE]
     variance = memory.covariance[ANGLE, ANGLE] + settings.angle_noise

@@ -20,10 +20,6 @@ class ChannelErrors:
     """Errors of an angle or a torque.
 
     Attributes:
-        unit: of `rmse` and `largest`: degrees or N m.
-        rmse: root mean square.
-        largest: largest absolute value.
-        ratio: `largest` over the range of the measured signal.
         coverage95: share of the measured values in the filter's 95 % interval; None for a model without one.
         width: half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
         delay_s: delay of the estimated external torque [s]; None for other channels.
@@ -61,13 +57,7 @@ class PressureErrors:
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Errors of the model alone; None where a channel was not measured.
-
-    Attributes:
-        angle: of the angle.
-        torque: of the torque.
-        pressure: of the pressures.
-    """
+    """Errors of the model alone; None where a channel was not measured."""
 
     angle: ChannelErrors | None
     torque: ChannelErrors | None
@@ -93,9 +83,7 @@ def channel_errors(
     Args:
         measured: (N,), NaN where there is no value.
         value: of the estimate or the model (N,).
-        unit: in which the errors are given.
         variance: of the estimate (N,), to check its 95 % interval.
-        reading: noise and step of the sensor that measured.
     """
     if measured is None or not np.isfinite(measured).any():
         return None

@@ -86,16 +86,9 @@ def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: fl
     """Parameter vectors of the sigma points: the nominal one, then a pair for each consider parameter.
 
     Args:
-        rig: values and uncertainties.
         tuning: its κ sets the distance of the pairs, its ``consider`` whether there are any.
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] of a locked joint.
-
-    Returns:
-        (1 + 2 m, parameters.SIZE).
-
-    Raises:
-        BadInput: a joint condition that does not exist.
     """
     nominal = rig.parameters(joint, lock_angle)
     steps = considered(rig) if tuning.consider else []
@@ -113,9 +106,6 @@ def considered(rig: Rig) -> list[dict[str, float]]:
 
     Args:
         rig: its ``uncertainty`` names single parameters, its ``directions`` several that change together.
-
-    Returns:
-        For each consider parameter, the changes by parameter name.
     """
     return [{name: std} for name, std in rig.uncertainty.items()] + list(rig.directions.values())
 

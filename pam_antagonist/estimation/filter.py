@@ -218,9 +218,6 @@ def _advance(elapsed, period, y, usable_1, usable_2, u, known_u, effects, memory
     """Predict over the time since the last sample [ns], missing samples included.
 
     The voltages of a sample were on the valves over the stream's period [s] that ends there.
-
-    Returns:
-        Whether samples are missing, and how many pivots were repaired.
     """
     steps, dt, gap, since = _steps_over(elapsed, period, settings.period, settings.step)
     for i in range(memory.x.shape[0]):
@@ -318,7 +315,6 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         u: both voltages [V] over the step that ends at the stamp, NaN where missing.
         angles: measured angles (N,) [rad], NaN where missing; None where none is used.
         k: index of the sample's angle in ``angles``.
-        effects: None where the rig is known to be plain.
         memory: :class:`Memory` of the filter, changed in place.
         settings: its :class:`Settings`.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
@@ -386,7 +382,6 @@ def process_all(
         pressures: (N, 2) [Pa].
         voltages: (N, 2) [V].
         angles: (N,) [rad]; None for a filter without an encoder, for which numba compiles a smaller version.
-        effects: None where the rig is known to be plain, likewise.
         memory_fields: fields of :class:`Memory` as a plain tuple: numba unpacks it in a third of a NamedTuple's time.
         settings_fields: fields of :class:`Settings`, likewise.
         work_fields: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
@@ -394,9 +389,6 @@ def process_all(
         states: result (N, n), the whole state of each estimate.
         index: result (N,), the index of each estimate's sample.
         started: result (N,), the stamp [ns] at which the filter of each estimate was started.
-
-    Returns:
-        Number of estimates.
     """
     memory, settings, work = Memory(*memory_fields), Settings(*settings_fields), Work(*work_fields)
     count = 0

@@ -90,7 +90,6 @@ class Memory(NamedTuple):
         cross: covariance with the consider parameters C (n, m).
         held: last known voltages (2,) [V].
         clock: memory of the stream's stamps (stamps.CLOCK_SIZE,).
-        counts: counters of the samples by outcome (len(COUNTERS),).
         innovation: of the last sample (2,) [Pa], NaN where a pressure was not used.
         innovation_covariance: (2, 2) [Pa²].
         torque_moments: mean of the torque [N m], its variance, its covariance with each state (2 + n,).
@@ -112,12 +111,7 @@ class Memory(NamedTuple):
 
 
 def make_memory(states: int, considered: int) -> Memory:
-    """The memory of a filter that has not started.
-
-    Args:
-        states: n.
-        considered: m.
-    """
+    """The memory of a filter that has not started."""
     n = states
     return Memory(
         x=np.zeros(n),

@@ -49,9 +49,6 @@ def rmse(error: ArrayLike) -> float:
 
     Args:
         error: estimate minus measurement, (N,), in any unit.
-
-    Returns:
-        The RMSE in the unit of `error`, NaN where no sample is finite.
     """
     z = _finite(error)
     return float(np.sqrt(np.mean(z * z))) if z.size else float("nan")
@@ -62,9 +59,6 @@ def max_error(error: ArrayLike) -> float:
 
     Args:
         error: estimate minus measurement, (N,), in any unit.
-
-    Returns:
-        The maximum in the unit of `error`, NaN where no sample is finite.
     """
     z = _finite(error)
     return float(np.max(np.abs(z))) if z.size else float("nan")
@@ -76,9 +70,6 @@ def estimation_ratio(error: ArrayLike, signal: ArrayLike) -> float:
     Args:
         error: estimate minus measurement, (N,).
         signal: the measured signal, (N,), in the unit of `error`.
-
-    Returns:
-        M(error) / (max signal - min signal), NaN where the signal has no range.
     """
     measured = _finite(signal)
     span = float(np.ptp(measured)) if measured.size else 0.0
@@ -160,7 +151,6 @@ def coverage(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT, 
     Args:
         error: estimate minus measurement, (N,).
         variance: variance of the estimate, (N,).
-        reference: errors of the reference sensor.
         level: probability of the interval, between 0 and 1.
 
     Returns:
@@ -181,7 +171,6 @@ def nees(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT) -> f
     Args:
         error: estimate minus measurement, (N,).
         variance: variance of the estimate, (N,).
-        reference: errors of the reference sensor.
 
     Returns:
         1 where the covariance is right, more where it is too small; NaN if no sample is finite.
@@ -194,10 +183,6 @@ def nees(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT) -> f
 
 def chi_square_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
     """Two-sided bounds of a chi-square variable, the same probability left out on either side.
-
-    Args:
-        dof: degrees of freedom.
-        level: probability between the bounds.
 
     Returns:
         (lower, upper); for two degrees of freedom and 95 %: (0.0506, 7.378).
@@ -213,7 +198,6 @@ class NisConsistency:
     Attributes:
         mean: mean over the samples that used both pressures; 2 where the covariance is right.
         in_95: share of all samples inside the two-sided 95 % bounds for their number of pressures; 0.95 is right.
-        samples: number of samples judged.
     """
 
     mean: float
@@ -281,7 +265,6 @@ def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
 
     Args:
         series: (N, m), one row a sample at a constant step; rows with NaN are left out.
-        lags: the largest lag, in samples.
 
     Returns:
         (lags + 1, m, m): mean of e(t) e(t - k)^T for k = 0..lags, NaN without a pair.
@@ -304,7 +287,6 @@ def largest_autocorrelation(series: ArrayLike, lags: int = 20) -> float:
 
     Args:
         series: (N, m), one row a sample at a constant step; rows with NaN are left out.
-        lags: the largest lag, in samples.
 
     Returns:
         Between -1 and 1; NaN where there are not enough samples.
@@ -326,7 +308,6 @@ def whiteness_p(series: ArrayLike, lags: int = 20) -> float:
 
     Args:
         series: (N, m), one row a sample at a constant step, e.g. normalised innovations; rows with NaN are left out.
-        lags: number of lags tested, in samples.
 
     Returns:
         p-value between 0 and 1, NaN for fewer than 5 x `lags` samples or a series that does not vary.

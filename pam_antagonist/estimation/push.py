@@ -33,12 +33,7 @@ _COUNTED = 0.5
 
 @in_place
 def jumped(distance, p):
-    """Whether an innovation is so improbable that a push must have begun or ended.
-
-    Args:
-        distance: squared Mahalanobis distance of the innovation.
-        p: parameter vector.
-    """
+    """Whether an innovation is so improbable that a push must have begun or ended."""
     return p[_AT] > 0.0 and p[LOCKED] == 0.0 and distance > p[_ONSET] * p[_ONSET]
 
 
@@ -48,7 +43,6 @@ def widen(covariance, p):
 
     Args:
         covariance: P (n, n).
-        p: parameter vector.
     """
     at, variance = int(p[_AT]), p[_PRIOR] * p[_PRIOR]
     unit = _NOTICED / p[INERTIA]

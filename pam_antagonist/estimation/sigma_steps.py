@@ -22,7 +22,6 @@ def beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
 
     Args:
         parameter_sets: sets of the first points (1 + 2 m, SIZE); the others have the first set.
-        points: number of points.
 
     Returns:
         (G, SIZE, LANES), G groups; unused places of the last group have the first set.
@@ -40,7 +39,6 @@ def advance(points, u, parameter_sets, dt, effects, work):
         u: input (2,) held over the step.
         parameter_sets: sets of the first points (1 + 2 m, SIZE); the others have the first set.
         dt: step [s].
-        effects: None where the rig is known to be plain.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
     """
     raise NotImplementedError("in compiled code only")

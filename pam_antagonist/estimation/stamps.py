@@ -40,11 +40,7 @@ _FEW = 5
 
 
 def whole_ns(stamp_ns: SupportsFloat) -> int:
-    """A stamp [ns] as an integer.
-
-    Raises:
-        BadInput: it is no whole number.
-    """
+    """A stamp [ns] as an integer."""
     if isinstance(stamp_ns, (int, np.integer)):
         return int(stamp_ns)
     if isinstance(stamp_ns, float) and stamp_ns.is_integer():
@@ -53,11 +49,7 @@ def whole_ns(stamp_ns: SupportsFloat) -> int:
 
 
 def all_ns(stamp_ns: Any) -> np.ndarray:
-    """Stamps (N,) [ns] as integers, in an array of their own.
-
-    Raises:
-        BadInput: they are no whole numbers, or too close for ns.
-    """
+    """Stamps (N,) [ns] as integers, in an array of their own."""
     given = np.array(stamp_ns)
     try:
         stamps = given.astype(np.int64)
@@ -75,9 +67,6 @@ def check_unit(intervals: np.ndarray) -> None:
 
     Args:
         intervals: between them (M,) [ns].
-
-    Raises:
-        BadInput: most of them are shorter than that of any stream.
     """
     if len(intervals) >= _FEW and abs(middle := float(np.median(intervals))) < _SHORTEST_NS:
         raise BadInput(f"stamp_ns: the stamps are {middle:g} ns apart; expected ns, not seconds, ms or us")
@@ -98,9 +87,6 @@ def refuse_other_units(clock: np.ndarray) -> None:
 
     Args:
         clock: of a running filter (CLOCK_SIZE,).
-
-    Raises:
-        BadInput: they are not in ns.
     """
     seen = int(clock[_SEEN])
     if seen <= _DISTANCES:
@@ -152,7 +138,6 @@ def steps_over(elapsed, period, nominal, longest):
 
     Returns:
         Number of steps; length of each [s]; whether samples are missing; and the step with which the last period
-        begins.
     """
     seconds = elapsed / 1e9
     steps = max(1, int(seconds / longest + 0.5))

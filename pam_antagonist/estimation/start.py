@@ -49,7 +49,6 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
     Args:
         y: pressures (2,) [Pa].
         u: voltages (2,) [V].
-        p: parameter vector.
         initial: diagonal of P(0) (n,).
         noise: diagonal of R (2,) [Pa²].
         gain_noise: value of R in the gain (2,) [Pa²].
@@ -58,7 +57,6 @@ def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross,
         covariance: result (n, n).
         cross: result (n, m), zero.
         innovation: (2,) [Pa], set to NaN, since the sample was not predicted.
-        effects: None where the rig is known to be plain.
         work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
     """
     pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)

@@ -75,7 +75,6 @@ def make_work(states: int, parameter_sets: np.ndarray) -> Work:
     """Scratch arrays for a number of states and parameters.
 
     Args:
-        states: n.
         parameter_sets: of the sigma points (1 + 2 m, SIZE).
     """
     n, points = states, 2 * states + len(parameter_sets)
@@ -106,7 +105,6 @@ def spread_points(x, cross, lower, reach, points):
         x: mean (n,).
         cross: C (n, m).
         lower: L (n, n).
-        reach: c.
         points: result (1 + 2 m + 2 n, n): the mean, then a pair for each θ, then one for each state.
     """
     n = x.shape[0]
@@ -173,8 +171,6 @@ def predict(x, covariance, cross, u, parameter_sets, dt, noise, change, kappa, e
         dt: step [s].
         noise: diagonal of Q (n,) for this step.
         change: variance of the error of a predicted change of pressure in this step, relative to its square.
-        kappa: κ.
-        effects: None where the rig is known to be plain.
         work: :class:`Work`, scratch.
 
     Returns:
@@ -268,12 +264,7 @@ def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, wo
         innovation: (2,) [Pa].
         noise: diagonal of R (2,).
         gain_noise: value of R in the gain: R itself, or 2 R for the gain as printed.
-        use_1: whether the first pressure is used.
-        use_2: whether the second one is.
         work: :class:`Work`, scratch.
-
-    Returns:
-        Normalised innovation squared of the pressures used.
     """
     factor, scratch, gain = work.lower, work.scratch, work.gain
     n = x.shape[0]
@@ -365,8 +356,6 @@ def torque_moments(x, covariance, cross, parameter_sets, kappa, effects, work, m
         covariance: P (n, n).
         cross: C (n, m).
         parameter_sets: (1 + 2 m, SIZE), as for :func:`predict`.
-        kappa: κ.
-        effects: None where the rig is known to be plain.
         work: :class:`Work`, scratch.
         moments: result (1 + 1 + n,): mean of τ [N m], its variance, its covariance with each state.
 

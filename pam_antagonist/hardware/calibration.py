@@ -88,9 +88,6 @@ def load_calibration(name_or_path: str | Path) -> Calibration:
 
     Args:
         name_or_path: the path of a YAML file, or the name of one in ``config/hardware`` (``example``).
-
-    Raises:
-        BadInput: not there, not readable, an unknown or missing key, or values that no sensor has.
     """
     path = _locate(str(name_or_path))
     content = read_mapping(path, "hardware", "config/hardware/example.yaml")
@@ -187,7 +184,6 @@ class Converter:
     """Readings to SI units, and back.
 
     Args:
-        calibration: of the sensors.
         rest: correction that is added to both pressures (2,) [Pa], as measured at rest.
     """
 
@@ -242,9 +238,6 @@ class Converter:
 
         Args:
             drive: of the rig, ``valve`` or ``regulator``.
-
-        Raises:
-            BadInput: no regulators for a rig with regulators, or no pressure sensors for a rig with valves.
         """
         if drive == "regulator" and self._regulators is None:
             raise BadInput(

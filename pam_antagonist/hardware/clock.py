@@ -41,13 +41,9 @@ class ClockMap:
 
     Args:
         window_ns: time over which the least delay is searched [ns].
-        windows: number of windows that the line uses.
         warm_up_ns: host time from the first arrival until the map is used for stamps [ns].
         largest_rate: largest deviation of the ratio of the clocks' rates from 1 [-]; more is no drift.
         largest_error_ns: largest error of the map that is corrected smoothly [ns]; a larger one restarts the map.
-
-    Attributes:
-        restarts: how often the map was restarted.
     """
 
     def __init__(

@@ -15,9 +15,6 @@ def encode(data: bytes) -> bytes:
 
     Args:
         data: at most ``LONGEST`` bytes.
-
-    Raises:
-        ValueError: more bytes.
     """
     if len(data) > LONGEST:
         raise ValueError(f"{len(data)} bytes, expected at most {LONGEST}")
@@ -25,11 +22,7 @@ def encode(data: bytes) -> bytes:
 
 
 def decode(encoded: bytes) -> bytes | None:
-    """Decode; None for an invalid encoding.
-
-    Args:
-        encoded: bytes between two zeros on the wire.
-    """
+    """Decode; None for an invalid encoding."""
     if not 0 < len(encoded) <= LONGEST + 1:
         return None
     blocks = []

@@ -18,10 +18,7 @@ class DeviceInfo:
     """Properties that a device reports when it starts.
 
     Attributes:
-        name: for display.
         unit: of the readings of pressures and torque, ``V`` or ``code``.
-        encoder: whether it has an encoder.
-        torque: whether it has a torque meter.
         period_ns: time between two samples [ns].
         watchdog_ns: time without a command until the device applies the safe voltages [ns]; None: it has no watchdog,
             and the valves stay as they are when the host dies.
@@ -48,9 +45,7 @@ class RawSample(NamedTuple):
         arrival_ns: time of arrival on the host's steady clock (``time.monotonic_ns``) [ns].
         pressure: readings of both muscles (2,) [V or code].
         voltage: on the valves over the sample that ends at ``device_ns`` (2,) [V].
-        encoder: counts, None without an encoder.
         torque: reading [V or code], None without a torque meter.
-        status: faults.
     """
 
     sequence: int
@@ -76,24 +71,13 @@ class Device(Protocol):
 
         Args:
             action: of the valves until the first command, and whenever commands stop.
-
-        Raises:
-            DeviceLost: the device cannot be reached.
         """
 
     def samples(self, timeout_s: float) -> Sequence[RawSample]:
-        """The samples since the last call, as soon as there is one; empty after the time [s].
-
-        Raises:
-            DeviceLost: the device is gone.
-        """
+        """The samples since the last call, as soon as there is one; empty after the time [s]."""
 
     def command(self, voltage: tuple[float, float]) -> None:
-        """Put voltages on the valves, with the next sample or at once (2,) [V]. Does not wait.
-
-        Raises:
-            DeviceLost: the device is gone.
-        """
+        """Put voltages on the valves, with the next sample or at once (2,) [V]. Does not wait."""
 
     def close(self) -> None:
         """Apply the safe voltages and close the device. May be called at any time, also twice."""

@@ -34,9 +34,6 @@ class Port:
 
     Args:
         link: path of the link, which is removed with the port; None: no link.
-
-    Raises:
-        BadInput: the link cannot be made, or the path exists and is no link.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -83,9 +80,6 @@ class VoltageLog:
 
     Columns: time since 1970 [ns], device's clock [µs], event (``voltage``, or a fault that begins or ends, as ``+flip``
     and ``-flip``), both voltages [V], 1 where they are the safe ones for lack of a valid command.
-
-    Args:
-        file: gets the rows; None: no log.
     """
 
     def __init__(self, file: TextIO | None) -> None:
@@ -101,7 +95,6 @@ class VoltageLog:
         Args:
             device_us: time of the device [µs].
             voltage: on the valves (2,) [V].
-            safe: whether the firmware put the safe voltages there.
         """
         if (voltage, safe) != self._last:
             safe_changed = self._last is None or self._last[1] != safe
@@ -146,17 +139,9 @@ class Emulator:
     """The device: its clock, firmware, sensors and port.
 
     Args:
-        plant: the simulated joint.
-        converter: gives the readings of the sensors.
-        firmware: the device's logic.
-        faults: planned and ordered faults.
-        log: of the voltages.
-        open_port: opens a port, also again after a fault closed one.
-        clock: the device's clock.
         regulated: whether the voltages are commands of pressure regulators.
 
     Attributes:
-        ticks: samples so far.
         missed: samples that were skipped because this process stalled for too long.
     """
 

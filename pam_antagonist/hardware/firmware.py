@@ -23,8 +23,6 @@ class Settings:
     """Fixed settings of the device.
 
     Attributes:
-        name: of the device.
-        features: sensors, and unit of the readings.
         period_us: time between two samples [µs].
         watchdog_us: time without a valid command until the safe voltages [µs].
         session_us: time without a valid command until the device becomes silent and waits for a hello [µs].
@@ -50,9 +48,7 @@ class Readings:
     Attributes:
         pressure_1: [V or code].
         pressure_2: [V or code].
-        encoder: counts.
         torque: [V or code].
-        fault: faults that the hardware itself found.
     """
 
     pressure_1: float
@@ -68,15 +64,9 @@ class Firmware:
     Commands take effect at the next tick, so that the voltages are constant over every sample, and the sample's
     telemetry can report them.
 
-    Args:
-        settings: fixed settings of the device.
-
     Attributes:
         voltage: on the valves now (2,) [V]; changes at ticks and with a goodbye.
         safe: whether these are the safe voltages for lack of a valid command.
-        running: whether there is a session.
-        watchdog_trips: how often the watchdog has acted.
-        refused: number of refused commands.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -108,11 +98,7 @@ class Firmware:
         """Take bytes from the host.
 
         Args:
-            data: in any portions.
             now_us: device's clock [µs], modulo 2³².
-
-        Returns:
-            Answer to send at once.
         """
         answer = b""
         for payload in self._frames.feed(data):
@@ -175,10 +161,6 @@ class Firmware:
 
         Args:
             now_us: device's clock [µs], modulo 2³².
-            readings: of the inputs, now.
-
-        Returns:
-            The telemetry to send; empty without a session.
         """
         silence_us = _since(self._command_us, now_us)
         sent = self._telemetry(now_us, silence_us, readings) if self.running else b""

@@ -34,14 +34,7 @@ class FrameReader:
         self._skip = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take received bytes.
-
-        Args:
-            data: bytes, in any portions.
-
-        Returns:
-            Payloads of the complete and valid frames, in order.
-        """
+        """Take received bytes."""
         *pieces, rest = (self._rest + data).split(b"\0")
         payloads = []
         for piece in pieces:

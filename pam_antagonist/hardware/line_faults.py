@@ -54,11 +54,7 @@ class LineFault:
 
 
 def parse_fault(text: str) -> LineFault:
-    """A fault as written on the command line: ``KIND[=VALUE][@BEGIN[-END]]``, such as ``flip=0.01@2-3``.
-
-    Raises:
-        BadInput: an unknown fault, or invalid numbers.
-    """
+    """A fault as written on the command line: ``KIND[=VALUE][@BEGIN[-END]]``, such as ``flip=0.01@2-3``."""
     head, at, times = text.partition("@")
     kind, equals, number = head.partition("=")
     if kind not in KINDS:
@@ -92,12 +88,6 @@ class FaultOrders:
     """A named pipe for orders that begin and end faults while the device runs.
 
     Each line is an order: ``+KIND`` or ``+KIND=VALUE`` begins a fault, ``-KIND`` ends all of that kind.
-
-    Args:
-        path: of the pipe to make.
-
-    Raises:
-        BadInput: the pipe cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -129,8 +119,6 @@ class FaultPlan:
     """The faults that are present at a time.
 
     Args:
-        faults: planned faults.
-        seed: of the random numbers.
         orders: returns new orders, see :class:`FaultOrders`; None: no orders.
     """
 
@@ -143,11 +131,7 @@ class FaultPlan:
         self._now: dict[str, tuple[float, ...]] = {}
 
     def _obey(self, order: str) -> None:
-        """Begin or end a fault by order.
-
-        Raises:
-            BadInput: an unknown order.
-        """
+        """Begin or end a fault by order."""
         sign, text = order[0], order[1:]
         if sign == "+":
             self._faults = (*self._faults, parse_fault(text.partition("@")[0]))

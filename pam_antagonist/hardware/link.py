@@ -33,7 +33,6 @@ class Sample(NamedTuple):
         voltage: on the valves over the sample that ends at the stamp (2,) [V].
         angle: [rad], None without an encoder.
         torque: [N m], None without a torque meter.
-        status: of the device.
     """
 
     stamp_ns: int
@@ -52,7 +51,6 @@ class Wanted:
         period_ns: time between two samples [ns].
         voltage_min: lowest voltage of all commands [V].
         voltage_max: highest voltage of all commands [V].
-        action: safe action of the valves.
     """
 
     period_ns: int
@@ -66,13 +64,7 @@ class LinkCounts:
     """Counters since the start.
 
     Attributes:
-        samples: delivered samples.
-        lost: samples that never came, by their numbers.
-        without_stamp: samples before the clock map was ready.
         backwards: samples left out because their stamps would have decreased.
-        clock_steps: steps of the host's clock.
-        sessions: how often a device was started.
-        lost_devices: how often the device was lost.
         safe_by_itself: samples with the device's own safe voltages for lack of a command.
     """
 
@@ -90,19 +82,9 @@ class Link:
     """Runs a device.
 
     Args:
-        device: the hardware.
-        converter: of its readings.
-        wanted: required properties.
         now_ns: the clock of the stamps [ns].
-        deliver: takes each sample, on the link's thread.
         attend: called on the link's thread after every check for samples, at least every 0.5 ms; it may command the
             device.
-
-    Attributes:
-        counts: counters since the start.
-        info: of the device; None while there is none.
-        trouble: why there is no device, in words; empty while it runs.
-        clock: map from the device's clock to the host's.
     """
 
     def __init__(

@@ -14,12 +14,7 @@ _OFF = 1.001
 
 
 class Miswired:
-    """A simulated joint behind faulty wiring.
-
-    Args:
-        plant: the joint.
-        faults: the faults.
-    """
+    """A simulated joint behind faulty wiring."""
 
     def __init__(self, plant: Plant, faults: FaultPlan) -> None:
         self._plant, self._faults = plant, faults
@@ -33,9 +28,6 @@ class Miswired:
 
         Args:
             voltage: outputs of the device (2,) [V].
-
-        Returns:
-            Sensor values at the end of the period.
         """
         faults = self._faults
         if (wanted := self._wanted()) != self._changed:

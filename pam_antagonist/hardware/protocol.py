@@ -68,8 +68,6 @@ class Hello(NamedTuple):
     """Host to device: begin a session.
 
     Attributes:
-        version: of the protocol.
-        session: number of this session, other than the last one.
         safe_voltage_1: safe voltage of valve 1, applied at once without commands [V].
         safe_voltage_2: safe voltage of valve 2 [V].
         vent_voltage_1: final voltage of valve 1 when venting [V].
@@ -90,8 +88,6 @@ class Welcome(NamedTuple):
     """Device to host: the answer to a hello.
 
     Attributes:
-        version: of the device's protocol.
-        session: of the hello.
         result: a ``Result``.
         features: a ``Feature``.
         period_us: time between two samples [µs].
@@ -116,7 +112,6 @@ class Command(NamedTuple):
     """Host to device: voltages.
 
     Attributes:
-        session: of the hello.
         sequence: counts commands, modulo 65536.
         seen: sequence number of the newest sample at the host when it sent the command.
         voltage_1: for valve 1 [V].
@@ -167,11 +162,7 @@ class Telemetry(NamedTuple):
 
 
 class Goodbye(NamedTuple):
-    """Host to device: the session ends; safe voltages at once.
-
-    Attributes:
-        session: of the hello.
-    """
+    """Host to device: the session ends; safe voltages at once."""
 
     session: int
 
@@ -195,11 +186,7 @@ def pack(message: Message) -> bytes:
 
 
 def unpack(payload: bytes) -> Message | None:
-    """The message in a payload; None for an unknown kind or length.
-
-    Args:
-        payload: of a valid frame.
-    """
+    """The message in a payload; None for an unknown kind or length."""
     known = _KINDS.get(payload[0]) if payload else None
     if known is None:
         return None

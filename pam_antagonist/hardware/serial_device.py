@@ -28,13 +28,6 @@ class SerialDevice:
     Args:
         open_transport: opens a new transport; called again after the device was lost.
         hello_for_s: how long a device may take to answer [s].
-        seed: of the session numbers; None: random.
-
-    Attributes:
-        sessions: handshakes so far.
-        damaged: damaged frames from the device.
-        strange: valid frames with an unknown message.
-        telemetry: the newest telemetry; None before the first.
     """
 
     def __init__(
@@ -69,11 +62,7 @@ class SerialDevice:
         return self._frames.damaged
 
     def start(self, action: SafeAction) -> DeviceInfo:
-        """See :meth:`Device.start`; opens the transport if needed, and does the handshake.
-
-        Raises:
-            DeviceLost: no port, no answer, another version, or safe voltages that the device refuses.
-        """
+        """See :meth:`Device.start`; opens the transport if needed, and does the handshake."""
         self._closed = False
         if self._transport is None:
             self._transport = self._open()
@@ -122,11 +111,7 @@ class SerialDevice:
         )
 
     def samples(self, timeout_s: float) -> list[RawSample]:
-        """See :meth:`Device.samples`.
-
-        Raises:
-            DeviceLost: the transport is gone, or the device's clock went back because it restarted.
-        """
+        """See :meth:`Device.samples`."""
         data = self._read(timeout_s)
         if not data:
             return []

@@ -21,18 +21,10 @@ class Transport(Protocol):
         """File descriptor for ``select``."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Received bytes, as soon as there are some; empty after the time [s].
-
-        Raises:
-            DeviceLost: unplugged.
-        """
+        """Received bytes, as soon as there are some; empty after the time [s]."""
 
     def write(self, data: bytes) -> None:
-        """Send without waiting; bytes that do not fit into the buffer are dropped, never sent late.
-
-        Raises:
-            DeviceLost: unplugged.
-        """
+        """Send without waiting; bytes that do not fit into the buffer are dropped, never sent late."""
 
     def close(self) -> None:
         """Close the transport. May be called twice."""
@@ -44,10 +36,6 @@ class SerialTransport:
     Args:
         port: such as ``/dev/ttyACM0``, or a link below ``/dev/serial/by-id``, whose name is fixed.
         baud: bit rate [1/s]; USB devices ignore it.
-
-    Raises:
-        DeviceLost: not there, in use by another program, or no serial port.
-        BadInput: a rate that the port does not have, or pyserial is not installed.
     """
 
     def __init__(self, port: str, baud: int = 921_600) -> None:

@@ -14,11 +14,7 @@ _LOUDEST = 3e3  # [Pa] largest standard deviation; with more, air still moves
 
 
 class ZeroPressureMeasurement:
-    """The last thousand samples of both pressures.
-
-    Args:
-        converter: of the samples, with its present correction.
-    """
+    """The last thousand samples of both pressures."""
 
     def __init__(self, converter: Converter) -> None:
         self._converter = converter
@@ -33,11 +29,7 @@ class ZeroPressureMeasurement:
         self._pressures.clear()
 
     def result(self) -> tuple[float, float]:
-        """Correction to add to both pressures (2,) [Pa], so that they equal the atmosphere.
-
-        Raises:
-            BadInput: no sensors, too few samples, or muscles that are not open to the air.
-        """
+        """Correction to add to both pressures (2,) [Pa], so that they equal the atmosphere."""
         if not self._converter.measures_pressures:
             raise BadInput("sensors at rest: the calibration has no pressure sensors (pressure_sensors: none)")
         if len(self._pressures) < _SAMPLES:

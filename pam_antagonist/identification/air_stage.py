@@ -36,11 +36,7 @@ _LAST_EVALUATIONS = 4
 
 
 def unknowns(rig: Rig) -> list[Unknown]:
-    """The numbers of chambers and valves, or regulators, that no data sheet tells.
-
-    Args:
-        rig: as configured.
-    """
+    """The numbers of chambers and valves, or regulators, that no data sheet tells."""
     out = [_positive("gas.polytropic_volume", rig, 0.3, 0.25, 1.9)]
     if rig.drive == "regulator":
         for name in ("frequency_1", "frequency_2", "damping"):
@@ -67,7 +63,6 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
     """Pressures (N, 2) [Pa] that a model gives for commands and measured motion, and the rows that are a start (N,).
 
     Args:
-        run: with commands and a measured angle.
         p: parameter vector of a locked joint (m,).
         zero: reading of the encoder at ψ = 0 [rad].
         horizon: time after which the simulation starts anew from the measurement [s].
@@ -93,7 +88,6 @@ def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
     """Errors of the pressures over the longest horizon, RMS [Pa]: of the model, and of pressures that do not change.
 
     Args:
-        rig: with the values of joint and air.
         runs: corrected by the found calibration; :func:`usable` ones count.
     """
     p, of_model, of_rest = rig.parameters("locked"), [np.zeros(1)], [np.zeros(1)]
@@ -112,12 +106,8 @@ def residual_of(
     """The residuals of all runs for values of the unknowns, in their units.
 
     Args:
-        rig: with the values of the joint.
-        runs: to be fitted.
         zero: reading of the encoder at ψ = 0 [rad].
         horizon: of the simulations [s].
-        unknown: of the fit; default: values are by dotted path.
-        raw: whether errors stay in Pa.
     """
     vector = rig.parameters("locked")
 
@@ -148,13 +138,7 @@ def fit_air(
     """Fit chambers and valves, or regulators, with growing horizons; None without commands.
 
     Args:
-        rig: with the values of the joint.
-        runs: to be fitted.
         zero: reading of the encoder at ψ = 0 [rad].
-        evaluations: the most derivatives of each horizon.
-        jobs: threads.
-        progress: called with what is being done.
-        free: what may move; default: all that no data sheet tells.
         refine: whether errors are weighed by their size at last, and each recording may deviate a little.
     """
     free, given = unknowns(rig) if free is None else list(free), usable(runs)

@@ -33,12 +33,8 @@ class EpisodesIdentified:
     """What was found.
 
     Attributes:
-        start: the rig as given.
-        rig: with the identified values.
         values: fitted values with 95 % intervals by episode, by dotted path.
         errors: RMSE [deg] on later and on interleaved episodes, of the rig as configured and as identified.
-        regulators: of both muscles; None where no command was recorded.
-        counts: episodes fitted, later and interleaved.
     """
 
     start: Rig

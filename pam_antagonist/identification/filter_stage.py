@@ -67,9 +67,6 @@ def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1, gue
     """The rig with process noise of its pressures, and with a gate that lets the errors of their prediction pass.
 
     Args:
-        rig: with all values that were found.
-        recordings: parts that were fitted.
-        jobs: threads.
         guessed: whether the valves were guessed, so that several pairs of the noise's parts are tried.
     """
     rig = _with_start(rig.replaced(directions={}, uncertainty={}), recordings)
@@ -143,7 +140,6 @@ class Covered:
     """The unknown torque, and what it gives.
 
     Attributes:
-        rig: with it.
         torque: its standard deviation [N m].
         share: of the measured angles in their 95 % intervals, on the fitted recordings.
     """
@@ -156,14 +152,7 @@ class Covered:
 def with_unknown_torque(
     rig: Rig, recordings: Sequence[Given], jobs: int = 1, progress: Callable[[str], None] | None = None
 ) -> Covered:
-    """The rig with the standard deviation of an unknown torque.
-
-    Args:
-        rig: with process noise.
-        recordings: parts that were fitted, of a free joint with a measured angle, corrected by the found calibration.
-        jobs: threads.
-        progress: called with what is being done.
-    """
+    """The rig with the standard deviation of an unknown torque."""
     noise, seen = rig.sensors.error("angle"), []
     torque = _FIRST_SHARE * torque_scale(rig)
     for number in range(_ROUNDS):
@@ -215,8 +204,6 @@ def with_least_error(rigs: Sequence[Rig], recordings: Sequence[Given], jobs: int
 
     Args:
         rigs: the first is taken where nothing was measured, or where none is clearly better.
-        recordings: parts that were fitted.
-        jobs: threads.
     """
 
     def error(rig: Rig, given: Given) -> tuple[float, float]:

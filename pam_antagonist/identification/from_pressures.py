@@ -163,13 +163,7 @@ def _is_frozen(item: Unknown, frozen: Sequence[str]) -> bool:
 
 
 def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, list[Given]]:
-    """The rig with the values of its joint, and the recordings with the zero and the delay that were found.
-
-    Args:
-        rig: as configured.
-        joint: values of joint and muscles.
-        recordings: with the calibration of the rig.
-    """
+    """The rig with the values of its joint, and the recordings with the zero and the delay that were found."""
     found = _found(joint)
     return moved(rig, model_values(joint.unknowns, joint.values)), [
         (found.applied(recording), state, name) for recording, state, name in recordings
@@ -184,8 +178,6 @@ def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -
     """Runs of the fitted parts; where the angle of a free joint was not measured, the model gives it.
 
     Args:
-        rig: with the values of the joint.
-        recordings: corrected by the found calibration.
         ends: of the fitted part of each [s].
     """
     p = rig.parameters()
@@ -209,17 +201,8 @@ def concluded(
     """Noise and covariance of the filter for values that were found, and its errors on held-out data.
 
     Args:
-        recordings: each with its joint's condition and a name.
         ends: of the fitted part of each [s], see :func:`fitted_until`.
-        rig: as configured.
-        joint: values of joint and muscles.
         air: values of chambers and valves, or regulators; None without commands.
-        jobs: threads.
-        progress: called with a text about each step.
-        model: the rig that the values were fitted to; default: as configured, with the laws that are fitted.
-        options: as given.
-        steps: of the identification.
-        said_before: notes for the user.
     """
     progress = progress or (lambda text: None)
     own, corrected = with_joint(model or rig, joint, recordings)
@@ -365,15 +348,7 @@ def _refuse_two_rigs(
     """Refuse recordings whose common fit is worse on held-out data than separate ones.
 
     Args:
-        recordings: each with its joint's condition and a name.
         ends: of the fitted part of each [s].
-        rig: with the values of the joint.
-        joint: values of joint and muscles.
-        air: values of the air.
-        jobs: threads.
-
-    Raises:
-        NoResult: it is, and an area of a valve differs by more than that of a rig does.
     """
     if air is None or not any(item.recording for item in air.unknowns):
         return

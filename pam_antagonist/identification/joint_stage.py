@@ -60,7 +60,6 @@ def torques(run: Run, p: Floats) -> Floats:
     """Torque of the muscles [N m] at the rows of a run whose angle is known.
 
     Args:
-        run: corrected by the calibration.
         p: parameter vector (m,).
     """
     known = np.isfinite(run.angle)
@@ -116,7 +115,6 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
 
     Args:
         rig: as configured, with forces of the form ``braided``.
-        runs: with a measured angle.
     """
     out = []
     for i in (1, 2):
@@ -162,7 +160,6 @@ def middle(runs: Sequence[Run], atmosphere: float) -> tuple[float, float]:
     The distance is a standard deviation: two muscles differ in force, so that equal pressures move the joint off ψ = 0.
 
     Args:
-        runs: to be fitted.
         atmosphere: [Pa].
     """
     moving = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
@@ -181,13 +178,7 @@ def _positive(rig: Rig, path: str, share: float) -> Unknown:
 
 
 def model_values(unknown: Sequence[Unknown], values: Mapping[str, float], recording: str = "") -> dict[str, float]:
-    """Parameters by dotted path, the weight of the limb included; without zero and delay.
-
-    Args:
-        unknown: of the fit.
-        values: by name of the unknown.
-        recording: whose own deviations are added.
-    """
+    """Parameters by dotted path, the weight of the limb included; without zero and delay."""
     out = parameters(unknown, values, recording)
     if WEIGHT_COS in values:
         cosine, sine = values[WEIGHT_COS], values[WEIGHT_SIN]
@@ -200,7 +191,6 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
     """Readings of the encoder (N,) [rad] that a model gives for the measured pressures of a run.
 
     Args:
-        run: of a free joint.
         p: parameter vector (m,).
         zero: reading at ψ = 0 [rad].
         delay: by how much the reading is late [s].
@@ -222,7 +212,6 @@ def by_the_model(run: Run, p: Floats) -> Run:
     """A run of a free joint without a measured angle, with the angle that the measured pressures give.
 
     Args:
-        run: the run.
         p: parameter vector (m,).
     """
     p = par.changed(p, NO_REGULATORS)
@@ -238,10 +227,6 @@ def errors_of(
     """What a model leaves of each run: kind, run, and the known errors of the angle [rad] or the torque [N m].
 
     Args:
-        rig: as configured.
-        runs: of free and locked joints.
-        unknown: of the fit.
-        values: of the unknowns, by name.
         horizon: of the simulations [s].
     """
     zero, delay, vector = values.get(ZERO, 0.0), values.get(DELAY, 0.0), rig.parameters()
@@ -271,9 +256,6 @@ def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horiz
     """The residuals of all runs for values of the unknowns, in their units.
 
     Args:
-        rig: as configured.
-        runs: to be fitted.
-        unknown: of the fit.
         horizon: of the simulations [s].
     """
     unit = {
@@ -309,14 +291,7 @@ def fit_joint(
     """Fit joint and muscles, with growing horizons. Short horizons have several starts, of which the best goes on.
 
     Args:
-        rig: as configured.
-        runs: to be fitted.
-        evaluations: the most derivatives of each fit.
         starts: number of starts: the first is the rig file, the others are drawn from the priors.
-        seed: of the drawn starts.
-        jobs: threads.
-        progress: called with what is being done.
-        free: what may move; default: all that no data sheet tells.
         refine: whether errors are weighed by their size at last, and each recording may deviate a little. A rig that
             only data sheets tell of errs by more than its sensors, and its priors are wide.
     """

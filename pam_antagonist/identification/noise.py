@@ -27,12 +27,7 @@ _NEAR = 0.1
 
 
 def with_noise(rig: Rig, recordings: Sequence[Recording]) -> Rig:
-    """The rig with the sensors' noise and R of the tuning ``default`` as the recordings show them.
-
-    Args:
-        rig: with all values that were found.
-        recordings: parts that were fitted.
-    """
+    """The rig with the sensors' noise and R of the tuning ``default`` as the recordings show them."""
 
     def noise_of(columns: Iterable[tuple[Floats, float]]) -> float:
         stds = [white_std(values, dt) for values, dt in columns if np.isfinite(values).any()]
@@ -64,11 +59,6 @@ def with_directions(rig: Rig, joint: Fit, runs: Sequence[Run]) -> Rig:
     """The rig with the few combinations of values whose uncertainty changes the muscles' torque most.
 
     In a new recording values deviate from the common ones as they did in those that were fitted.
-
-    Args:
-        rig: with the values that were found.
-        joint: values of joint and muscles.
-        runs: with a measured angle.
     """
     runs = [run for run in runs if np.isfinite(run.angle).any()]
     if not joint.unknowns or not runs:

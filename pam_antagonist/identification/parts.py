@@ -48,8 +48,6 @@ def fitted_until(recordings: Sequence[Given], holdout: float, whole: int = 0) ->
     """For each recording the end of the part that is fitted [s]; 0 where all of it is held out.
 
     Args:
-        recordings: each with its joint's condition and a name.
-        holdout: share of the data that is held out.
         whole: number of recordings at the end that are held out as a whole, in place of the share.
     """
     free = [k for k, given in enumerate(recordings) if is_free(given) and has_commands(given)]
@@ -73,10 +71,7 @@ def parts_of(
     """Runs of the fitted parts of recordings, or of the held-out ones of a free joint.
 
     Args:
-        recordings: each with its joint's condition and a name.
         ends: of the fitted part of each [s].
-        held_out: which of both.
-        locked: whether held-out ones of a locked joint count.
     """
     found = []
     for (recording, state, name), end in zip(recordings, ends, strict=True):
@@ -91,12 +86,7 @@ def checked(recordings: Sequence[Given], ends: Sequence[float], rig: Rig) -> lis
     """The runs of the fitted parts.
 
     Args:
-        recordings: each with its joint's condition and a name.
         ends: of the fitted part of each [s].
-        rig: with the laws that are fitted.
-
-    Raises:
-        BadInput: the data hold too little to fit, or to judge a fit.
     """
     guessed = is_guessed(rig)
     if guessed and not any(is_free(given) for given in recordings):
@@ -121,11 +111,7 @@ def checked(recordings: Sequence[Given], ends: Sequence[float], rig: Rig) -> lis
 
 
 def _check_motion(recordings: Sequence[Given], runs: Sequence[Run], ends: Sequence[float]) -> None:
-    """Refuse data that hold too little to fit, or to judge a fit.
-
-    Raises:
-        BadInput: they do.
-    """
+    """Refuse data that hold too little to fit, or to judge a fit."""
     fitted = [run.angle[np.isfinite(run.angle)] for run in runs if not run.locked]
     moved_by = math.degrees(float(np.ptp(np.concatenate([np.zeros(0), *fitted])))) if any(map(len, fitted)) else 0.0
     if moved_by < _LEAST_MOTION:

@@ -33,7 +33,6 @@ class RegulatorsFound:
 
     Attributes:
         values: with 95 % intervals by episode, by dotted path.
-        tried: what was tried beside the lag.
         errors: RMSE [Pa] of each muscle's pressure on later episodes.
         command_errors: RMSE [Pa] of the command itself against each measured pressure.
         gains: measured over modelled pressure on fitted episodes, of each muscle; 1 where both are on one scale.
@@ -57,13 +56,7 @@ class RegulatorsFound:
 
 
 def of_commands(joint: Episodes, held: Held, progress: Callable[[str], None]) -> RegulatorsFound:
-    """Identify both regulators.
-
-    Args:
-        joint: episodes with commands.
-        held: which of them may be fitted.
-        progress: is called with what is being done.
-    """
+    """Identify both regulators."""
     driven = CommandDriven.like(joint)
     pool = thinned(held.pool, _USED)
     searched = search(driven, pool, lambda text: progress(f"regulators, {text}"), _all_of_them, few=0)
@@ -84,12 +77,7 @@ def _all_of_them(fitted: Episodes, model: EpisodeModel, offered: Mapping[str, Se
 
 
 def pressures_of(found: RegulatorsFound, joint: Episodes) -> Floats:
-    """Pressures that the regulators make of the commands (N, 2) [Pa].
-
-    Args:
-        found: the regulators.
-        joint: episodes with commands.
-    """
+    """Pressures that the regulators make of the commands (N, 2) [Pa]."""
     driven = replace(CommandDriven.like(joint), rig=found.on(joint.rig))
     return driven.simulated(driven.as_configured)
 

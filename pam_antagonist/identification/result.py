@@ -35,9 +35,6 @@ class Options(NamedTuple):
     Attributes:
         free: names, or beginnings of names, of parameters that may move beside the usual ones.
         frozen: names, or beginnings of names, of parameters that may not move.
-        holdout: share of the data that is held out.
-        starts: of the joint's fit.
-        seed: of the further starts.
     """
 
     free: tuple[str, ...] = ()
@@ -54,12 +51,7 @@ class Step(NamedTuple):
     """A step of the identification.
 
     Attributes:
-        name: what it identifies.
-        source: the data that it uses.
-        values: value of each parameter before and after it, by dotted path.
         before: RMS errors before it, by channel [rad, N m, Pa].
-        after: RMS errors after it, likewise.
-        note: for the user.
     """
 
     name: str
@@ -80,14 +72,12 @@ class Held:
     """Held-out data of one recording.
 
     Attributes:
-        name: of the recording.
         from_s: begin of the held-out part [s].
         replays: the recording, replayed with the identified rig, and as configured with angle and torque only.
         reports: errors of the held-out part: ``as_configured``, ``identified``, and ``own`` with the recording's own
             deviations where recordings may deviate.
         pressures_alone: error of the angle where the measured pressures drive the joint, RMS [deg]; NaN where locked.
         linear: error of a linear map of the two pressures, fitted to the same data, RMS [deg]; NaN likewise.
-        rows: number of rows with a measured angle of a free joint.
     """
 
     name: str
@@ -140,19 +130,11 @@ class FromPressures:
     """An identified rig and how it was found.
 
     Attributes:
-        start: the rig as configured.
-        rig: the result.
         own: the rig with the deviations of each recording, where recordings may deviate.
-        joint: values of joint and muscles, from the fitted part.
         air: values of chambers and valves, or regulators, likewise; None without commands.
         final: the same two from all of the data, where the rig was guessed.
-        covered: the unknown torque of the filter.
-        held: errors on held-out data.
         fitted: name of each recording, and the end of its part that was fitted [s].
-        notes: for the user.
         pressures: errors of the pressures in a second from the commands [Pa]: of the model, and if nothing flowed.
-        steps: of the identification.
-        options: as given.
     """
 
     start: Rig
@@ -235,10 +217,7 @@ def held_of(given: Given, before: Given, end: float, rigs: Mapping[str, Rig], li
     """Errors of a recording's held-out part.
 
     Args:
-        given: the recording, corrected by the found calibration.
-        before: the same with the calibration of the rig file.
         end: of the part that was fitted [s].
-        rigs: by their names, see :attr:`Held.reports`.
         line: coefficients of the linear map (3,); None without any.
     """
     recording, state, name = given

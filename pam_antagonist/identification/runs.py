@@ -32,15 +32,12 @@ class Run:
     """A stretch of a recording without a hole (N rows).
 
     Attributes:
-        name: of the recording.
         time: from the begin of the recording (N,) [s].
         pressure: measured (N, 2) [Pa].
         command: voltages [V] or commanded pressures [Pa] over the row's step (N, 2); NaN where unknown.
         angle: measured (N,) [rad], NaN where missing.
         torque: measured (N,) [N m], NaN where missing.
         velocity: slope of the measured angle (N,) [rad/s], 0 where unknown.
-        locked: whether the joint was held.
-        held: whether the pressures are slower than the log.
     """
 
     name: str
@@ -83,16 +80,7 @@ class Run:
 
 
 def runs_of(recording: Recording, state: JointCondition, name: str) -> list[Run]:
-    """The runs of a recording.
-
-    Args:
-        recording: with its calibration applied.
-        state: of its joint.
-        name: for messages.
-
-    Raises:
-        BadInput: no stretch is long enough.
-    """
+    """The runs of a recording."""
     found = [run for rows in _stretches(recording) if (run := _run(recording, rows, state, name)) is not None]
     if not found:
         raise BadInput(

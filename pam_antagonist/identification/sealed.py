@@ -39,7 +39,6 @@ class SealedTrial:
     """Block means of a recording, K of them.
 
     Attributes:
-        name: of the recording.
         time: (K,) [s].
         angle: (K,) [rad].
         velocity: (K,) [rad/s].
@@ -67,12 +66,7 @@ class SealedStage:
     """A step of the identification.
 
     Attributes:
-        name: what it identifies.
-        values: parameters found, by name.
-        std: their standard deviations.
         residual: RMS of what is left, in ``unit``.
-        unit: Pa or N m.
-        note: what a user should know about it.
     """
 
     name: str
@@ -90,12 +84,7 @@ def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedT
     nothing is simulated over time here. So gaps do no harm.
 
     Args:
-        recording: of a sealed joint.
-        name: for messages.
         share: of its duration, from 0 to 1.
-
-    Raises:
-        BadInput: no measured angle, an angle that hardly moves, or too few samples.
     """
     if recording.angle is None or not np.isfinite(recording.angle).any():
         raise BadInput(
@@ -137,8 +126,6 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
     The slope of the volume is fitted. The volume at ψ = 0 stays as declared.
 
     Args:
-        trials: recordings of one charge.
-        rig: start values.
         muscle: 0 or 1.
     """
     number = muscle + 1
@@ -178,10 +165,6 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
 
     Args:
         trials: recordings; those without a torque from outside are left out.
-        rig: with the volumes already found.
-
-    Raises:
-        BadInput: no recording has a torque from outside, or the joint slides too seldom.
     """
     used = [trial for trial in trials if trial.external is not None]
     sliding = [np.abs(trial.velocity) > SLIDING for trial in used]
@@ -251,13 +234,9 @@ class SealedIdentified:
     """What was found.
 
     Attributes:
-        start: the rig as it was configured.
-        rig: the identified one.
-        stages: steps, in their order.
         held_from: for each recording, the time from which on it was held out [s].
         likelihood: mean logarithm of the likelihood of an angle's error, less the square of ln(NIS/2), with the start's
             tuning and with the new one.
-        evaluations: how many tunings were tried.
     """
 
     start: Rig
@@ -277,13 +256,7 @@ def identify_sealed(
     """Identify a sealed joint.
 
     Args:
-        recordings: of one charge, each with its name.
         rig: start values; ``valves.sealed``.
-        holdout: share at the end of each recording that is not fitted.
-        progress: called with what is being done.
-
-    Raises:
-        BadInput: recordings from which nothing can be learned, or valves that moved.
     """
     progress = progress or (lambda text: None)
     refuse_moving_valves(recordings, rig)
@@ -304,15 +277,7 @@ def identify_sealed(
 
 
 def refuse_moving_valves(recordings: Sequence[tuple[Recording, str]], rig: Rig) -> None:
-    """Refuse recordings whose valves moved.
-
-    Args:
-        recordings: each with its name.
-        rig: the sealed one.
-
-    Raises:
-        BadInput: a valve moves.
-    """
+    """Refuse recordings whose valves moved."""
     for recording, name in recordings:
         swing = float(np.nanmax(np.nanmax(recording.voltage, axis=0) - np.nanmin(recording.voltage, axis=0)))
         if swing > _LEAST_MOVE:

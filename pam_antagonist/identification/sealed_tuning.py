@@ -42,18 +42,7 @@ def tuned(
     progress: Callable[[str], None],
     evaluations: int = _EVALUATIONS,
 ) -> tuple[Rig, tuple[float, float], int]:
-    """The tuning under which the errors of the measured angle are most likely, with innovations as large as expected.
-
-    Args:
-        rig: whose default tuning is the start.
-        recordings: each with its name.
-        share: of each, from its start, that may be used.
-        progress: called with what is being done.
-        evaluations: at most so many tunings are tried.
-
-    Returns:
-        The rig with that tuning, the objective before and after, and how many tunings were tried.
-    """
+    """The tuning under which the errors of the measured angle are most likely, innovations as large as expected."""
     ends = [(recording, share * _duration(recording)) for recording, _ in recordings]
     parts = [recording.slice(begin * end, end) for recording, end in ends for begin in _BEGINS]
     std = pressure_noise(parts)

@@ -68,15 +68,8 @@ class StaticResult:
     """The results of static tables.
 
     Attributes:
-        rig: the start rig, with the length that was given; None for a muscle without a rig.
         fitted: that rig with the fits, None where only a report was requested.
-        muscles: numbers of the muscles that the tables hold for.
-        volumes: table of volumes, or None.
-        volume: its fit, or None.
-        force_map: table of forces, or None.
-        forms: every form of the force map fitted to it, or why not.
         form: the one for the rig, without a rig that with the least error at lengths left out; empty without a map.
-        warnings: sentences on what to look at.
     """
 
     rig: Rig | None
@@ -139,17 +132,10 @@ def work_out(
     """Fit static tables and put them into a rig.
 
     Args:
-        rig: start; what is not fitted stays as it is. None for a muscle without a rig: then nothing but a report.
-        volumes: table of length and volume.
-        force_map: table of length, pressure and force.
         muscles: which the tables hold for, 1, 2 or both.
         form: of the force map, one of ``parameters.FORCE_FORMS``; default: the rig's, and for muscles of a data sheet
             ``braided``, as in an identification.
         length: muscle length at ψ = 0 [m] in place of the rig's; without a rig the nominal one. 0: not given.
-        report_only: make no rig; then the muscle need not fit the joint.
-
-    Raises:
-        BadInput: another muscle, a table that does not determine its coefficients, or an impossible rig.
     """
     if length and rig is not None:
         rig = rig.replaced(geometry=rig.geometry.replaced(length=length))

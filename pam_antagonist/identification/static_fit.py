@@ -120,15 +120,12 @@ class StaticFit:
     """A form fitted to a table, in SI units.
 
     Attributes:
-        form: what was fitted.
         coefficients: (K,), pressures absolute.
         covariance: (K, K); values at one length count as dependent on each other. NaN where there are only as many
             volumes as coefficients.
-        freedom: measured values minus coefficients.
         scale: standard deviation of the residuals, or its ratio to the declared deviations.
         errors: of the measured values it was fitted to (N,); they say little about others.
         left_out: for each length, what the fit without it predicts there.
-        notes: sentences about what is odd.
     """
 
     form: Form
@@ -230,14 +227,10 @@ def fit(table: StaticTable, name: str, rest_length: float = 0.2, nominal: float 
     """Fit a form to a table, to all of it and without each of its lengths.
 
     Args:
-        table: of forces or volumes.
         name: of the form, a key of ``UNITS``.
         rest_length: L_0 of the rig [m], from which the contraction k = 1 − l/L_0 counts.
         nominal: length of the muscle without pressure and load [m], from which that of ``braided`` counts; 0: the
             longest of the table. Inside the table it changes nothing, beyond its longest length much.
-
-    Raises:
-        Undetermined: the table does not determine the form's coefficients.
     """
     held: tuple[float, ...] = ()
     if name == "braided":
@@ -284,9 +277,7 @@ def compare_forms(
     """Every form fitted to the same table, or the reason why the table does not determine it.
 
     Args:
-        table: the measured forces.
         rest_length: as for :func:`fit` [m].
-        names: of the forms.
         nominal: as for :func:`fit`.
     """
     out: dict[str, StaticFit | Undetermined] = {}

@@ -57,13 +57,7 @@ _ADVICE = {
 
 @dataclass(frozen=True)
 class Choice:
-    """A column as the user named it.
-
-    Attributes:
-        column: its name in the file's first line.
-        unit: its unit, empty where the name contains it.
-        reference: of a pressure: gauge, absolute or empty.
-    """
+    """A column as the user named it."""
 
     column: str
     unit: str = ""
@@ -75,19 +69,15 @@ class StaticTable:
     """Forces or volumes of a muscle that is held at a length, and for forces at a pressure; N rows.
 
     Attributes:
-        name: of the file.
         length: (N,) [m].
         value: forces (N,) [N] or volumes (N,) [m³].
         pressure: absolute (N,) [Pa]; of volumes zeros.
         group: number of the length that each row belongs to (N,), from the shortest on.
         spread: standard deviation of each value (N,) in its SI unit, ones where it was not given.
-        declared: whether the standard deviation was given.
         slack: where a force is not above the limit (N,): the muscle is slack, and only that the map is not above the
             limit is known.
         limit: [N] of the forces.
         atmosphere: absolute pressure of the surroundings [Pa].
-        sha256: of the file's bytes.
-        issues: sentences about what was left out or is odd.
     """
 
     name: str
@@ -151,14 +141,10 @@ def read_force_map(
     """Read a table of length, pressure and force.
 
     Args:
-        path: the CSV file.
         atmosphere: absolute pressure of the surroundings [Pa], which gauge pressures count from.
         columns: by quantity, those that the user named; the others are found by their names.
         reference: gauge or absolute, for a pressure whose column does not say it.
         slack_below: largest force [N] that is taken for a slack muscle or for no measurement.
-
-    Raises:
-        BadInput: no such column, no unit, values that cannot be in their unit, or too little in the table.
     """
     table, labels = _read(path, ("length", "pressure", "force"), columns, reference, atmosphere)
     force = table.value
@@ -181,11 +167,7 @@ def read_volumes(path: Path, columns: Mapping[str, Choice] | None = None) -> Sta
     """Read a table of length and volume.
 
     Args:
-        path: the CSV file.
         columns: by quantity, those that the user named; the others are found by their names.
-
-    Raises:
-        BadInput: as :func:`read_force_map`.
     """
     table, labels = _read(path, ("length", "volume"), columns, "", 0.0)
     if table.lengths < 3:

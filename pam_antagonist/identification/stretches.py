@@ -39,11 +39,6 @@ _SHARE = 1.0 / 3.0
 def beside_the_lag(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[dict[str, float], str]:
     """Range, dead zone and largest rate of both regulators, as far as the recordings show them.
 
-    Args:
-        rig: whose pressures regulators hold.
-        trials: recordings with commands and measured pressures.
-        jobs: threads.
-
     Returns:
         Values that differ from the rig's, by dotted path [Pa, Pa/s], and a sentence.
     """

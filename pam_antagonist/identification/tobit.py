@@ -52,7 +52,6 @@ class Solution(NamedTuple):
     Attributes:
         coefficients: (K,).
         covariance: (K, K) for errors that do not depend on each other; NaN where no degree of freedom is left.
-        freedom: measured values (not censored) minus coefficients.
         scale: standard deviation of the residuals over ``spread``; NaN likewise.
         cost: negative logarithm of the likelihood, but for a constant.
     """
@@ -69,11 +68,7 @@ def solve(design: Floats, seen: Observations, others: int = 0) -> Solution:
 
     Args:
         design: (N, K).
-        seen: the values.
         others: coefficients that were fitted outside, which take degrees of freedom too.
-
-    Raises:
-        Undetermined: fewer measured values than coefficients, or columns that these cannot tell apart.
     """
     measured = ~seen.censored
     rows, values = design / seen.spread[:, None], seen.value / seen.spread

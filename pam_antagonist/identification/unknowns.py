@@ -44,14 +44,9 @@ class Unknown:
 
     Attributes:
         name: what it is; a dotted path where it is a single parameter.
-        paths: parameters that have its value, by dotted path.
-        start: value of the prior's middle.
         std: of the prior; of the logarithm where ``positive``.
         positive: whether it stays above 0.
-        low: least value.
-        high: largest value.
         adds: parameters that are a sum of unknowns: factor of this one in each, by dotted path.
-        recording: name of the only one that it belongs to; empty for what all have in common.
     """
 
     name: str
@@ -89,10 +84,8 @@ class Fit:
     """Result of a fit.
 
     Attributes:
-        unknowns: in order.
         amounts: found values in standard deviations of the priors (F,).
         covariance: of the amounts (F, F), from the curvature with the priors.
-        cost: half the sum of squares, priors included.
         scale: factor of each kind of residual, see :func:`scale_of`; empty for the stage's own.
     """
 
@@ -158,7 +151,6 @@ def scale_of(errors: Mapping[str, Floats], least: Mapping[str, float]) -> dict[s
 
     Args:
         errors: of each kind (N,).
-        least: noise of each kind.
     """
     out = {}
     for kind, values in errors.items():
@@ -169,13 +161,7 @@ def scale_of(errors: Mapping[str, Floats], least: Mapping[str, float]) -> dict[s
 
 
 def parameters(unknowns: Sequence[Unknown], values: Mapping[str, float], recording: str = "") -> dict[str, float]:
-    """Value of each parameter, by dotted path.
-
-    Args:
-        unknowns: in order.
-        values: of each, by name.
-        recording: whose own deviations are added; default: what all have in common.
-    """
+    """Value of each parameter, by dotted path."""
     out = {path: values[item.name] for item in unknowns for path in item.paths}
     for item in unknowns:
         if item.recording in ("", recording):
@@ -194,8 +180,6 @@ def deviations(
 
     Args:
         ways: change of the parameters by a relative deviation of 1, by the name of the way; of free ones only.
-        unknowns: common ones.
-        names: of the recordings.
     """
     free = {path for item in unknowns for path in (*item.paths, *item.adds)}
     return [
@@ -216,12 +200,8 @@ def refined(
     """A fit again, with errors weighed by their size, so that its standard errors are those of the values.
 
     Args:
-        found: the fit; its unknowns come first.
         extra: further unknowns, that begin at the middle of their priors.
         errors: that values leave, of each kind (N,).
-        least: noise of each kind.
-        evaluations: the most derivatives of each of two rounds.
-        jobs: threads.
     """
     unknowns, amounts = [*found.unknowns, *extra], np.concatenate([found.amounts, np.zeros(len(extra))])
     scale: dict[str, float] = {}
@@ -248,11 +228,8 @@ def fitted(
     """Find the unknowns that explain the data best, with their priors, within their bounds.
 
     Args:
-        unknowns: what may move (F).
         residual: of the data (N,), in standard deviations, for values by name; not finite where a simulation diverged.
         begin: first amounts (F,); None: the priors' middles.
-        evaluations: the most derivatives.
-        jobs: threads.
     """
     if not unknowns:
         return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual({}) ** 2)))

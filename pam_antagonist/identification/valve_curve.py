@@ -71,9 +71,6 @@ def steady_points(voltage: Floats, pressure: Floats, dt: float) -> SteadyPoints:
         voltage: of one valve (N,) [V].
         pressure: of its muscle (N,) [Pa], NaN where missing.
         dt: sample period [s].
-
-    Returns:
-        One point for each voltage that was held until the pressure stood still.
     """
     length = round(_STEADY_S / dt)
     found: dict[int, list[float]] = {}
@@ -97,14 +94,10 @@ def valve_curve(points: SteadyPoints, p: Floats) -> tuple[Floats, Floats]:
     """Step three: the open rate that gives each steady pressure.
 
     Args:
-        points: of step two.
         p: parameter vector (P,).
 
     Returns:
         Voltages (K,) [V] and open rates (K,) [-], not decreasing: knots of the curve, linear between them.
-
-    Raises:
-        BadInput: fewer than three voltages were held until the pressure stood still.
     """
     if len(points.voltage) < _FEWEST:
         raise BadInput(
@@ -131,8 +124,6 @@ class CurveFinding:
         open_rate: their open rates (K,) [-].
         declared: the declared curve there (K,) [-].
         std: standard deviations of the open rates (K,) [-].
-        replaced: whether the declared curve was changed.
-        note: the finding in words.
     """
 
     valve: int
@@ -149,13 +140,6 @@ def identify_curves(rig: Rig, runs: Sequence[Run]) -> tuple[Rig, list[CurveFindi
 
     Between the measured voltages the correction of the declared curve is linear. Beyond them the declared curve is
     kept, since nothing is known there.
-
-    Args:
-        rig: the declared curves.
-        runs: stretches of the recordings.
-
-    Returns:
-        The rig with the curves that had to be replaced, and what was found.
     """
     findings = []
     for valve in (0, 1):

@@ -135,7 +135,6 @@ def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirect
     """Directions that the pressure of a sealed muscle determines: the slope of its volume, and its charge.
 
     Args:
-        rig: start values.
         number: of the muscle, 1 or 2.
     """
     slope, charge = getattr(rig, f"muscle_{number}").volume.d2, f"valves.charge_{number}"
@@ -301,7 +300,6 @@ class AngleDriven(Experiment):
 
         Args:
             point: not used; the rig has the fitted parameters of both parts.
-            rig: with the fitted parameters.
         """
         whole = replace(self, rig=rig, part=BALANCE)
         pressure, needed = whole.driven(whole.origin, whole=True)
@@ -336,13 +334,7 @@ class AngleDriven(Experiment):
 
 
 def sweeps(trial: Trial, first: int, last: int) -> int:
-    """Number of sweeps in one direction in a part of a recording; each is one independent value.
-
-    Args:
-        trial: the recording.
-        first: first sample of the part.
-        last: sample after the part.
-    """
+    """Number of sweeps in one direction in a part of a recording; each is one independent value."""
     velocity = motion_of(trial.measured[:, ANGLE], trial.dt).velocity[first:last]
     directions = np.sign(velocity[np.abs(velocity) > SLIDING])
     return 0 if not len(directions) else 1 + int(np.sum(np.diff(directions) != 0.0))

@@ -22,13 +22,7 @@ CHANCE = 0.05
 
 
 class Interval(NamedTuple):
-    """A value and its 95 % interval.
-
-    Attributes:
-        value: the value.
-        low: lower end.
-        high: upper end.
-    """
+    """A value and its 95 % interval."""
 
     value: float
     low: float
@@ -39,21 +33,14 @@ class Interval(NamedTuple):
         """The interval of a bootstrap.
 
         Args:
-            value: the value.
             draws: its value in each draw (D,).
-            chance: probability that it lies outside.
         """
         low, high = np.quantile(draws, [0.5 * chance, 1.0 - 0.5 * chance])
         return cls(float(value), float(low), float(high))
 
 
 def drawn(episodes: int, seed: int = 0) -> Indices:
-    """Episodes of each draw of a bootstrap of blocks (DRAWS, about E).
-
-    Args:
-        episodes: number of episodes.
-        seed: of the draws.
-    """
+    """Episodes of each draw of a bootstrap of blocks (DRAWS, about E)."""
     blocks = max(round(episodes / BLOCK), min(episodes, _LEAST_BLOCKS))
     edges = np.linspace(0, episodes, blocks + 1).round().astype(int)
     size = int(np.min(np.diff(edges)))
@@ -68,7 +55,6 @@ def steps(spans: Sequence[tuple[int, int]], slopes: Floats, left: Floats, seed: 
         spans: first row of each episode, and the row after its last (E,).
         slopes: derivatives of the residual at the fit (N, K).
         left: residual at the fit (N,).
-        seed: of the draws.
     """
     squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
     pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
@@ -93,7 +79,6 @@ def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
 
     Args:
         first: of each episode (E,).
-        second: likewise.
         offered: number of ratios from which this one was chosen; the interval is corrected for it.
     """
     draws = drawn(len(first))

@@ -58,20 +58,12 @@ def is_calibration(dotted: str) -> bool:
 
 
 def values_of(effects: Mapping[str, float]) -> dict[str, float]:
-    """The calibrations of a point, by name.
-
-    Args:
-        effects: a point's values by dotted path.
-    """
+    """The calibrations of a point, by name."""
     return {dotted[len(_PREFIX) :]: value for dotted, value in effects.items() if is_calibration(dotted)}
 
 
 def without(effects: Mapping[str, float]) -> dict[str, float]:
-    """The values of a point that belong to effects.
-
-    Args:
-        effects: a point's values by dotted path.
-    """
+    """The values of a point that belong to effects."""
     return {dotted: value for dotted, value in effects.items() if not is_calibration(dotted)}
 
 
@@ -92,13 +84,7 @@ class CalibrationCandidate(Candidate):
 
 
 def candidates(trial: Trial, channels: Iterable[int], taken: Mapping[str, float]) -> tuple[CalibrationCandidate, ...]:
-    """Calibrations that a recording can show and that the model does not have yet.
-
-    Args:
-        trial: the recording.
-        channels: compared channels.
-        taken: values of the model's parameters, by dotted path.
-    """
+    """Calibrations that a recording can show and that the model does not have yet."""
     compared = set(channels)
     # One of all clocks is the reference and has no delay.
     clocks = sum(name.startswith("delay_") for name in values_of(taken))
@@ -132,7 +118,6 @@ def readings(simulated: Floats, dt: float, values: Mapping[str, float]) -> Float
     Args:
         simulated: readings of exact sensors (N, 4), in the order of ``CHANNELS``.
         dt: sample period [s].
-        values: calibrations by name.
 
     Returns:
         (N, 4), NaN where a late or early channel would need times before the first sample or after the last.
@@ -152,12 +137,7 @@ def readings(simulated: Floats, dt: float, values: Mapping[str, float]) -> Float
 
 
 def corrected(trial: Trial, values: Mapping[str, float]) -> Trial:
-    """A recording with these calibrations removed from its readings.
-
-    Args:
-        trial: the recording.
-        values: calibrations by name.
-    """
+    """A recording with these calibrations removed from its readings."""
     if not values:
         return trial
     measured, time = trial.measured.copy(), trial.time

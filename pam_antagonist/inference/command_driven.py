@@ -77,10 +77,6 @@ class CommandDriven(Episodes):
 
         A lag that was fitted alone may be so slow that a largest rate, a dead zone or a range changes nothing. So a
         second start has the lag as configured, and the candidate's values estimated from the readings.
-
-        Args:
-            model: without the candidate.
-            candidate: a candidate.
         """
         paths = [path for item in candidate.free for path in item.paths]
         usual = {path: self.rig.value(path) or _STARTS.get(path.removeprefix("effects."), 0.0) for path in paths}

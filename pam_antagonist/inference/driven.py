@@ -26,12 +26,7 @@ _STEP = 2e-3
 
 
 class Driven(ABC):
-    """A model of a joint, and its residual to a recording.
-
-    Attributes:
-        rig: as configured.
-        jobs: threads that compute derivatives.
-    """
+    """A model of a joint, and its residual to a recording."""
 
     rig: Rig
     jobs: int
@@ -43,11 +38,7 @@ class Driven(ABC):
 
     @abstractmethod
     def residual(self, point: Point) -> Floats:
-        """Measured minus simulated values (B, C) of the fitted part, 0 where nothing was measured.
-
-        Args:
-            point: the model.
-        """
+        """Measured minus simulated values (B, C) of the fitted part, 0 where nothing was measured."""
 
     @property
     def start_std(self) -> Floats:
@@ -62,9 +53,7 @@ class Driven(ABC):
         """Changes of the residual (B, C) from a point to others nearby.
 
         Args:
-            point: the point.
             residual: at this point (B, C).
-            moved: the other points.
         """
         return self.side_by_side(lambda there: self.residual(there) - residual, moved)
 

@@ -51,13 +51,10 @@ class Tried:
     """An effect in one round of the search.
 
     Attributes:
-        name: the effect, with the signal on which it depends.
-        round: number of effects that the model had before, plus one.
         score: share of the squared error of the fitted episodes that it would remove, to first order; None where all
             offered effects are fitted.
         removed: share of the squared error that it removed from unseen episodes, with an interval that is corrected
             for the number of offered effects; None where the score was too low for a fit.
-        taken: whether it is in the model.
     """
 
     name: str
@@ -71,9 +68,7 @@ class Begun(NamedTuple):
     """A candidate before it is fitted.
 
     Attributes:
-        name: of the effect.
         score: as of :class:`Tried`.
-        starts: start models of its fit; none: it is not fitted.
     """
 
     name: str
@@ -86,8 +81,6 @@ class _Folds:
     """Folds of a cross-validation: episodes that are fitted, and episodes that judge the fit.
 
     Attributes:
-        fitted: of each fold.
-        judged: of each fold; every episode is judged once at most.
         order: puts the judged episodes into the order of the recording.
     """
 
@@ -97,13 +90,7 @@ class _Folds:
 
     @classmethod
     def of(cls, joint: Episodes, pool: Indices, few: int) -> _Folds:
-        """Halves of many episodes, quarters of few.
-
-        Args:
-            joint: the episodes.
-            pool: episodes that may be used.
-            few: with fewer episodes than this, quarters are used.
-        """
+        """Halves of many episodes, quarters of few."""
         pairs = [(thinned(pool[::2], _FITTED), thinned(pool[1::2], _SCORED))]
         if len(pool) < few:
             pairs = [(np.delete(pool, np.s_[k::_FOLDS]), pool[k::_FOLDS]) for k in range(_FOLDS)]
@@ -161,9 +148,6 @@ class Searched:
     """Result of a search for effects.
 
     Attributes:
-        base: the model without effects.
-        model: the extended model.
-        tried: all effects that were tried, by rounds.
         replaced: variants of the extended model, in which another effect that may explain as much replaces a taken
             one; by the names of the other and of the taken effect.
         left: squared error of the extended model over the error that noise alone would leave.
@@ -186,9 +170,6 @@ def search(
     """Add effects to the base model, one in each round, as long as the error exceeds the noise.
 
     Args:
-        joint: the episodes.
-        pool: episodes that may be used.
-        progress: called with a text on the current work.
         begin: chooses the candidates to fit and their start models; default: those with the best scores.
         few: with fewer episodes than this, each quarter is judged by fits to the rest.
     """
@@ -244,15 +225,7 @@ def _best(
     left: float,
     whole: float,
 ) -> list[tuple[Tried, Models]]:
-    """Effects that pass the thresholds and may remove as much as the best one, those with fewest parameters first.
-
-    Args:
-        folds: with the episodes that decide.
-        both: the episodes that decide and those that were fitted.
-        found: tried effects, with their models if they were fitted.
-        left: squared error before them.
-        whole: squared error without any effect.
-    """
+    """Effects that pass the thresholds and may remove as much as the best one, those with fewest parameters first."""
     worth = [
         (item, refitted, folds.squares(refitted))
         for item, refitted in found
@@ -274,10 +247,6 @@ def _has_a_size(joint: Episodes, model: EpisodeModel) -> bool:
 
     An effect with several sizes always passes, because single sizes that can replace each other, such as both parts of
     a friction, are not determined.
-
-    Args:
-        joint: episodes of the fit.
-        model: with the effect.
     """
     effect = model.free[-1].paths[0].rsplit(".", 1)[0]
     sizes = [item.paths[0] for item in model.free if item.item.is_size and item.paths[0].startswith(f"{effect}.")]
@@ -296,10 +265,8 @@ def with_effect(
     """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes.
 
     Args:
-        model: without the candidate.
         forms: of the candidate, the simplest first; without forms the result is None.
         shape: values of its shapes, by dotted path; others are neutral.
-        sizes: values of its sizes, by dotted path.
     """
     if not forms:
         return None
@@ -310,13 +277,7 @@ def with_effect(
 
 
 def by_score(joint: Episodes, model: EpisodeModel, offered: Mapping[str, Sequence[Candidate]]) -> list[Begun]:
-    """Candidates by the share of the squared error that each would remove to first order, the largest first.
-
-    Args:
-        joint: the fitted episodes.
-        model: of these episodes.
-        offered: forms of each candidate, by its name.
-    """
+    """Candidates by the share of the squared error that each would remove to first order, the largest first."""
     here = joint.residual(model)
     left = here.ravel()
     basis = np.linalg.qr(joint.slopes(model, here))[0]

@@ -58,20 +58,12 @@ _CONVERGED = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class EpisodeModel(Point):
-    """A point in the space of models, with the parameters of its effects that a fit moves.
-
-    Attributes:
-        free: effects' parameters that were fitted.
-    """
+    """A point in the space of models, with the parameters of its effects that a fit moves."""
 
     free: tuple[FreeEffectParameter, ...] = ()
 
     def without(self, paths: Sequence[str]) -> EpisodeModel:
-        """The model without some of its effects' parameters.
-
-        Args:
-            paths: of the parameters.
-        """
+        """The model without some of its effects' parameters."""
         free = tuple(item for item in self.free if not set(item.paths) & set(paths))
         return EpisodeModel(self.theta, {k: v for k, v in self.effects.items() if k not in paths}, free)
 
@@ -98,15 +90,12 @@ class Episodes(Driven):
     """Episodes of a joint whose pressures regulators hold.
 
     Attributes:
-        rig: as configured, with the further signals that effects may use.
-        name: of the recording.
         first: index of the first row of each episode, then the number of rows (E + 1,).
         time: of the rows (N,) [s].
         angle: measured (N,) [rad], NaN where missing.
         pressure: measured (N, 2) [Pa].
         signals: further signals (N, S) [SI], in the order of ``rig.signals``, minus their values there.
         command: commanded pressures over the step that ends at each row (N, 2) [Pa], NaN where unknown.
-        jobs: threads.
         left_out: number of episodes that are too short, or lack pressures, signals or the first angle.
         usual: mean pressure of each muscle [Pa], at which the free directions of the force map leave the force
             unchanged; the same for all parts of a recording.
@@ -131,13 +120,7 @@ class Episodes(Driven):
         """Prepare a recording.
 
         Args:
-            recording: with measured angle and episodes.
-            rig: with pressure regulators.
             also: names of further signals, beside those of the rig file.
-            jobs: threads.
-
-        Raises:
-            BadInput: a rig with valves, no angle, a signal that was not recorded, or too few episodes.
         """
         name = bag_name(recording.path)
         if rig.drive != "regulator":
@@ -200,11 +183,7 @@ class Episodes(Driven):
 
     @classmethod
     def like(cls: type[E], other: Episodes) -> E:
-        """The same episodes, driven in this way.
-
-        Args:
-            other: the episodes.
-        """
+        """The same episodes, driven in this way."""
         return cls(**{item.name: getattr(other, item.name) for item in fields(other)})
 
     # Each subclass defines these.
@@ -216,11 +195,7 @@ class Episodes(Driven):
 
     @abstractmethod
     def simulated(self, point: Point) -> Floats:
-        """Simulated readings of the sensors (N, C).
-
-        Args:
-            point: the model.
-        """
+        """Simulated readings of the sensors (N, C)."""
 
     @abstractmethod
     def candidates(self, taken: Mapping[str, float]) -> Mapping[str, tuple[Candidate, ...]]:
@@ -232,19 +207,11 @@ class Episodes(Driven):
 
     @abstractmethod
     def as_if(self: E, model: Point) -> E:
-        """These episodes as simulated by a model, with the noise of the readings added.
-
-        Args:
-            model: the model.
-        """
+        """These episodes as simulated by a model, with the noise of the readings added."""
 
     @abstractmethod
     def shown(self, model: Point) -> dict[str, float]:
-        """Values of a model for a report, by dotted path; without coefficients that only change together.
-
-        Args:
-            model: the model.
-        """
+        """Values of a model for a report, by dotted path; without coefficients that only change together."""
 
     @property
     @abstractmethod
@@ -280,11 +247,7 @@ class Episodes(Driven):
         return np.asarray(np.clip(left, -far, far))
 
     def step_that_serves(self, model: Point) -> float:
-        """The longest step [s], not above the present one, that is accurate enough for a model.
-
-        Args:
-            model: the model.
-        """
+        """The longest step [s], not above the present one, that is accurate enough for a model."""
         finest = replace(self, longest_step=STEPS[-1]).residual(model)
         for step in STEPS:
             apart = replace(self, longest_step=step).residual(model) - finest
@@ -314,7 +277,6 @@ class Episodes(Driven):
         """A model with other coordinates; all other values stay.
 
         Args:
-            model: the model.
             coordinates: (K + F,).
         """
         count = len(self.directions)
@@ -328,19 +290,13 @@ class Episodes(Driven):
         """Derivatives of the residual by the coordinates (N C, K + F).
 
         Args:
-            model: where to differentiate.
             left: residual of this model (N, C).
         """
         effect = effect_jacobian(self, model, left, model.free, self.share_of_steps)
         return np.concatenate([self.jacobian(model, left), effect], axis=2).reshape(left.size, -1)
 
     def fit(self, model: EpisodeModel, rounds: int = _ROUNDS) -> EpisodeModel:
-        """The model with the least squared error.
-
-        Args:
-            model: where to start.
-            rounds: largest number of simulations of all episodes.
-        """
+        """The model with the least squared error."""
         bounds = [self._bounds(direction) for direction in self.directions]
         bounds += [(item.coordinate(item.item.low), item.coordinate(item.item.high)) for item in model.free]
         low, high = np.array(bounds).T
@@ -364,12 +320,7 @@ class Episodes(Driven):
         return (low - now) / change, (high - now) / change
 
     def draws(self, model: EpisodeModel, seed: int = 0) -> dict[str, Floats]:
-        """Values of :meth:`shown` in draws of a bootstrap by episode, each by one Gauss-Newton step (D,).
-
-        Args:
-            model: fitted to these episodes.
-            seed: of the draws.
-        """
+        """Values of :meth:`shown` in draws of a bootstrap by episode, each by one Gauss-Newton step (D,)."""
         left, channels = self.residual(model), self.measured.shape[1]
         spans = [(channels * begin, channels * end) for begin, end in self.spans]
         at = self.coordinates(model)
@@ -378,11 +329,7 @@ class Episodes(Driven):
         return {name: np.array([one[name] for one in found]) for name in found[0]}
 
     def intervals(self, model: EpisodeModel) -> dict[str, Interval]:
-        """Values of :meth:`shown`, with 95 % intervals by episode.
-
-        Args:
-            model: fitted to these episodes.
-        """
+        """Values of :meth:`shown`, with 95 % intervals by episode."""
         best = self.shown(model)
         return {name: Interval.of(best[name], values) for name, values in self.draws(model).items()}
 

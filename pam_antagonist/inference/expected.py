@@ -24,19 +24,12 @@ def expected_sizes(rig: Rig) -> tuple[str, ...]:
     """Sizes of effects that are 0 in the rig file and have a prior there, by dotted path.
 
     The file expects them: they are values of the rig that have not been measured yet.
-
-    Args:
-        rig: the rig file.
     """
     return tuple(name for name in rig.priors if name in _SIZES and not rig.value(name))
 
 
 def guesses_curves(rig: Rig) -> bool:
-    """Whether a rig file expects the curve of a valve to be shifted.
-
-    Args:
-        rig: the rig file.
-    """
+    """Whether a rig file expects the curve of a valve to be shifted."""
     return any(path.startswith(_CURVE_SHIFT) for path in expected_sizes(rig))
 
 
@@ -44,10 +37,6 @@ def with_known_curves(rig: Rig, start: Rig) -> Rig:
     """A rig with expected shifts moved from the effect into the curves of its valves.
 
     An expected shift that is known now is part of the curve, and a rig without effects runs faster.
-
-    Args:
-        rig: with the shifts that were found.
-        start: the rig file that expected them.
     """
     changes: dict[str, Any] = {}
     known = set()

@@ -39,20 +39,15 @@ class Experiment(Driven):
     it may have changed. What recordings have in common is looked for afterwards.
 
     Attributes:
-        rig: as configured.
-        trial: the recording.
         fitted: how many of its samples may be fitted; the rest is held out.
         judged: recordings that are held out as a whole, on which this one's models are judged; `fitted` of theirs is
             their start, from which nothing but their first state is fitted. Then all of this one is fitted.
-        seed: of what is drawn in fits.
-        jobs: threads that work out derivatives, beside those that fit several recordings or candidates at once.
         split: which blocks are fitted and which are held out, where that is not the first part and the rest;
             `fitted` is then all of the recording.
         splits: blocks that are held out in turn, where all of the recording is fitted and models are judged by what
             each split leaves of its held-out blocks; empty where `split` or `fitted` says what is held out.
         spans: when effects of a point act, by the effect's name; one that is not named acts as :attr:`span` says.
             Effects of the rig file act throughout.
-        span: when all other effects of a point act.
     """
 
     rig: Rig
@@ -93,16 +88,12 @@ class Experiment(Driven):
         """What the sensors would show, sample by sample.
 
         Args:
-            point: the model.
             whole: over all of the recording, or over the part that may be fitted.
         """
 
     @abstractmethod
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """Course of the model over all of the recording.
-
-        Args:
-            point: the model.
 
         Returns:
             States (N, n), the first of them angle [rad], velocity [rad/s] and pressures [Pa], and torques (N,) [N m].
@@ -122,9 +113,6 @@ class Experiment(Driven):
 
         Pressures and motion are the model's, which have no noise in common with a residual. A joint without valves has
         no voltages; a locked one has no motion.
-
-        Args:
-            point: the model.
         """
 
     @abstractmethod
@@ -136,11 +124,7 @@ class Experiment(Driven):
         """
 
     def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
-        """Calibrations that this recording can show, beside those that a model has already; by default none.
-
-        Args:
-            taken: values of the model's parameters, by dotted path.
-        """
+        """Calibrations that this recording can show, beside those that a model has already; by default none."""
         return ()
 
     # What may differ, with what holds for most.
@@ -167,12 +151,7 @@ class Experiment(Driven):
         return in_decibels(before, after, self.noise, round(self.blocks_per_error))
 
     def shown(self, point: Point, rig: Rig) -> Floats:
-        """What every sensor would show over all of the recording (N, 4), in the order of ``CHANNELS``.
-
-        Args:
-            point: the model.
-            rig: the same model with what other parts of the joint come to; of use where this is a part only.
-        """
+        """What every sensor would show over all of the recording (N, 4), in the order of ``CHANNELS``."""
         return self.simulated(point, whole=True)
 
     @property
@@ -203,11 +182,7 @@ class Experiment(Driven):
         return np.array([direction.prior**-2 for direction in self.directions] + [1.0] * len(self.start_std))
 
     def corrected(self, point: Point) -> tuple[Experiment, Point]:
-        """The recording as calibrated sensors would have shown it, and the model of it without its calibrations.
-
-        Args:
-            point: the model.
-        """
+        """The recording as calibrated sensors would have shown it, and the model of it without its calibrations."""
         values = calibration.values_of(point.effects)
         if not values:
             return self, point
@@ -232,11 +207,7 @@ class Experiment(Driven):
         )
 
     def span_of(self, effect: str) -> Span:
-        """When an effect of a point acts.
-
-        Args:
-            effect: its name.
-        """
+        """When an effect of a point acts."""
         return self.spans.get(effect, self.span)
 
     def edges(self, point: Point) -> tuple[float, ...]:
@@ -256,19 +227,13 @@ class Experiment(Driven):
         return np.concatenate([own, *(self.residual_elsewhere(other, point) for other in self.judged)])
 
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
-        """:meth:`residual` of several models.
-
-        Args:
-            points: the models.
-        """
+        """:meth:`residual` of several models."""
         return self.side_by_side(self.residual, points)
 
     def near(self, there: Point, point: Point, residual: Floats) -> Floats:
         """Residual (B, C) of a model near one whose residual is known, as exact as derivatives need it.
 
         Args:
-            there: the model.
-            point: the one nearby.
             residual: which that leaves (B, C).
         """
         return residual + self.differences(point, residual, [there])[0]

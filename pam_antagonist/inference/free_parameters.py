@@ -59,7 +59,6 @@ class Direction:
     """Parameters that move together.
 
     Attributes:
-        name: what it is.
         changes: change of each parameter for an amount of 1, by dotted path.
     """
 
@@ -72,11 +71,7 @@ class FreeParameter:
     """A single parameter that a fit may move, in standard deviations of its prior.
 
     Attributes:
-        name: its dotted path.
-        start: value in the rig file.
         prior_std: standard deviation of the prior around it, in the parameter's unit.
-        low: least value that makes sense.
-        high: largest value.
     """
 
     name: str
@@ -100,12 +95,7 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     either way; a number that may be negative changes by five times its value at most.
 
     Args:
-        rig: start values and priors.
-        free: names, or beginnings of names, to be freed as well.
         frozen: names, or beginnings of names, to be kept at the start value.
-
-    Raises:
-        BadInput: a name that matches no parameter, or a freed parameter without a scale.
     """
     for name in (*free, *frozen):
         if not any(_matches(known, name) for known in par.INDEX):
@@ -183,11 +173,6 @@ class FreeDirection(Direction):
     """One direction in which the base model may differ from its file.
 
     Its amount is a relative change, or the value of a parameter that is 0 in the file.
-
-    Attributes:
-        prior: standard deviation of the amount.
-        free_only: whether only a free joint depends on it.
-        unit: of the amount; empty where it is a relative change.
     """
 
     prior: float = RELATIVE_PRIOR
@@ -273,7 +258,6 @@ class FreeEffectParameter:
 
     Attributes:
         paths: dotted paths of the parameters with this value: several if only their sum is observable.
-        item: catalogue entry of the first path.
     """
 
     paths: tuple[str, ...]
@@ -315,25 +299,14 @@ class FreeEffectParameter:
 
 
 def start_values(rig: Rig, directions: Iterable[Direction]) -> dict[str, float]:
-    """A rig's values of the parameters that directions move, by dotted path.
-
-    Args:
-        rig: the rig.
-        directions: the directions.
-    """
+    """A rig's values of the parameters that directions move, by dotted path."""
     return {name: rig.value(name) for direction in directions for name in direction.changes}
 
 
 def values_along(
     start: Mapping[str, float], directions: Iterable[Direction], amounts: Iterable[float]
 ) -> dict[str, float]:
-    """Values of the parameters that directions move, by dotted path.
-
-    Args:
-        start: start values, of these parameters at least.
-        directions: K directions; further amounts are ignored.
-        amounts: amount of each direction.
-    """
+    """Values of the parameters that directions move, by dotted path."""
     total: dict[str, float] = {}
     for direction, amount in zip(directions, amounts, strict=False):
         for name, change in direction.changes.items():
@@ -342,12 +315,7 @@ def values_along(
 
 
 def moved(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """A rig with other values.
-
-    Args:
-        rig: the rig.
-        values: by dotted path.
-    """
+    """A rig with other values."""
     result = rig
     for name, value in values.items():
         result = _put(result, name.split("."), float(value))
@@ -373,7 +341,6 @@ class Candidate:
     """An effect of the catalogue that a fit may add; its sizes show on which muscle it acts.
 
     Attributes:
-        effect: name of the effect.
         form: its free parameters; None for the form of the catalogue.
     """
 

@@ -88,9 +88,6 @@ def start_of(trial: Trial) -> Start:
 
     The means of these samples lie behind it: valves that fill a muscle change its pressure by much more than the noise
     in that time.
-
-    Args:
-        trial: the recording.
     """
     first = trial.measured[: trial.samples(_START_S)]
     pressure, share = np.transpose([_at_first(first[:, k]) for k in (PRESSURE_1, PRESSURE_1 + 1)])
@@ -122,8 +119,6 @@ def predict(trial: Trial, model: Run, start: Start) -> Floats:
     """The model alone, from the start of a recording on.
 
     Args:
-        trial: its voltages are used.
-        model: the model.
         start: what the sensors showed first; the added states start settled.
 
     Returns:
@@ -140,14 +135,7 @@ def predict_each(
     Of a long recording, only one group is held at a time.
 
     Args:
-        trial: its voltages are used.
-        models: the models.
-        start: what the sensors showed first.
-        jobs: threads.
         made: is called with the number of a model, and with what the sensors would show (N, 4).
-
-    Returns:
-        What is made of each.
     """
     alike: dict[tuple[float, ...], list[int]] = {}
     for k, model in enumerate(models):
@@ -185,9 +173,7 @@ def courses(trial: Trial, models: Sequence[Run], start: Start) -> list[Course]:
     """States (N, n) and torques (N,) [N m] of models whose phases begin at the same times, side by side.
 
     Args:
-        trial: its voltages are used.
         models: the models; the step of their friction is that of the integration.
-        start: what the sensors showed first.
     """
     given = trial.voltage if trial.external is None else trial.given
     parts = [_parts(trial, model) for model in models]
@@ -230,9 +216,7 @@ def initial_state(trial: Trial, p: Floats, start: Start, shift: Floats | None = 
     """State (n,) of the model at the first sample of a recording; the added states are settled.
 
     Args:
-        trial: its first voltages are used.
         p: parameter vector (P,).
-        start: what the sensors showed first.
         shift: deviation of the true start from that (3,) [rad, Pa, Pa].
     """
     moved = np.zeros(3) if shift is None else shift
@@ -256,7 +240,6 @@ def _taken_over(x: Floats, before: Floats, after: Floats, given: Floats) -> Floa
     Args:
         x: state (n,).
         before: parameter vector (P,) of the model that it is of.
-        after: of the other model.
         given: input (2,) or (3,).
     """
     out = np.asarray(equilibrium.initial_state(x[0], x[2], x[3], given, after))

@@ -38,14 +38,10 @@ class Fitted:
     """A model of a recording at its best.
 
     Attributes:
-        point: where it is.
-        free: parameters of effects that were free.
         residual: measured minus simulated (B, C) of the part that was fitted.
         base: its derivatives by the base coordinates (B, C, K + S).
         effect: its derivatives by the effects' coordinates (B, C, m).
-        scale: how its residual is judged.
         cost: −2 log posterior, up to a constant.
-        covariance: of the base coordinates and the effects' coordinates.
     """
 
     point: Point
@@ -73,10 +69,7 @@ def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale
     """−2 log posterior of a model, up to a constant.
 
     Args:
-        experiment: the recording.
-        point: the model.
         residual: it leaves (B, C).
-        scale: how residuals are judged.
     """
     return float(scale.misfits(residual).sum()) + prior_cost(experiment, point.theta)
 
@@ -87,11 +80,7 @@ def effect_jacobian(
     """Derivatives of the residual by the coordinates of effects (B, C, m).
 
     Args:
-        experiment: the recording.
-        point: the model.
         residual: it leaves (B, C).
-        free: parameters of effects (m).
-        share: of the usual steps that are taken.
     """
     result = np.zeros((*residual.shape, len(free)))
     points, steps = [], []
@@ -125,15 +114,12 @@ def refit(
     exact one, and begins again with exact ones where that is worse.
 
     Args:
-        experiment: the recording.
         point: where to start; the free parameters' values in it are their starts.
         free: parameters of effects that may move beside the base parameters.
         base: derivatives by the base coordinates (B, C, K + S) from a point nearby; default: worked out here.
-        rounds: at most so many steps.
         renewals: how often the derivatives by the base coordinates may be worked out.
         blocks_per_error: blocks per value that is counted; default: those of a model that lacks something.
         careful: how many steps may be damped ones, which are tried where the others lead nowhere.
-        near: whether steps may be tried so.
         beside: fit of the same part to another model, from which the first residual is worked out likewise.
         exact: whether the fit ends with the exact residual; one that is only compared with others need not.
     """
@@ -217,11 +203,7 @@ def _step(
     however short: careful ones weigh the channels as they are now, and turn to the steepest descent.
 
     Args:
-        experiment: the recording.
-        point: where to start.
-        free: parameters of effects that may move.
         linear: the residual with its derivatives by the base coordinates and by those.
-        scale: how residuals are judged.
         number: from 0.
     """
     held = _held(point, free)
@@ -236,7 +218,6 @@ class Near(NamedTuple):
     """A fit from a point nearby.
 
     Attributes:
-        point: where it is.
         residual: of all blocks (B, C).
         cost: −2 log posterior of what was fitted, up to a constant.
     """
@@ -251,8 +232,6 @@ class Linear:
     """A model of all of a recording with its derivatives, from which fits to parts of it start.
 
     Attributes:
-        experiment: the recording, all of it fitted.
-        fitted: the model, fitted to any part of it.
         residual: it leaves (B, C).
         base: derivatives of the residual by the base coordinates (B, C, K + S).
         effect: likewise by the effects' coordinates (B, C, m).
@@ -266,12 +245,7 @@ class Linear:
 
     @classmethod
     def of(cls, experiment: Experiment, fitted: Fitted) -> Linear:
-        """A model with its derivatives.
-
-        Args:
-            experiment: the recording, all of it fitted.
-            fitted: the model, fitted to any part of it.
-        """
+        """A model with its derivatives."""
         residual = experiment.residual(fitted.point)
         effect = effect_jacobian(experiment, fitted.point, residual, fitted.free)
         return cls(experiment, fitted, residual, experiment.jacobian(fitted.point, residual), effect)
@@ -284,7 +258,6 @@ class Linear:
 
         Args:
             part: which blocks are fitted (B,).
-            exact: whether the fit ends with the exact residual.
         """
         point, residual, scale = self.fitted.point, self.residual, self.fitted.scale
         cost = cost_of(self.experiment, point, residual[part], scale)
@@ -309,12 +282,7 @@ class Linear:
 
 
 def held_residual(experiment: Experiment, fitted: Fitted) -> Floats:
-    """What a model leaves of held-out blocks (B, C), fitted to each split's other blocks where there are several.
-
-    Args:
-        experiment: the recording.
-        fitted: its model.
-    """
+    """What a model leaves of held-out blocks (B, C), fitted to each split's other blocks where there are several."""
     known = _HELD.get(fitted)
     if known is None or known[0] is not experiment:
         if experiment.splits:
@@ -340,8 +308,6 @@ def moved_by(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, e
     """A point after a step, within the bounds of the effects' parameters.
 
     Args:
-        point: where it starts.
-        free: parameters of effects that move.
         theta: change of the base coordinates (K + S,).
         effect: change of the effects' coordinates (m,).
     """

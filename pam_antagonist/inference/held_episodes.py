@@ -18,8 +18,6 @@ class Held:
 
     Attributes:
         pool: episodes that may be fitted (E,).
-        interleaved: every fifth episode between them, held out.
-        later: the last episodes, held out.
     """
 
     pool: Indices
@@ -28,12 +26,7 @@ class Held:
 
 
 def held_out(episodes: int, share: float) -> Held:
-    """Hold out the last share of the episodes, and every fifth of the others.
-
-    Args:
-        episodes: number of episodes.
-        share: share that is held out at the end.
-    """
+    """Hold out the last share of the episodes, and every fifth of the others."""
     before = np.arange(round(episodes * (1.0 - share)))
     fifth = before % FIFTH == FIFTH - 1
     return Held(before[~fifth], before[fifth], np.arange(len(before), episodes))
@@ -51,6 +44,5 @@ def last(pool: Indices, window: float) -> Indices:
 
     Args:
         pool: episodes that may be fitted (E,).
-        window: share of the pool.
     """
     return pool[round(len(pool) * (1.0 - window)) :]

@@ -63,8 +63,6 @@ class Scale:
     Attributes:
         noise: least standard deviation of each channel's block means (C,).
         length: of an independent value of each channel (C,) [blocks]; 1 where a channel is at its noise.
-        blocks_per_error: blocks per value that a fit counts.
-        fewest: blocks per value that the evidence counts at least.
     """
 
     noise: Floats
@@ -85,8 +83,6 @@ class Scale:
         Args:
             residual: (B, C).
             noise: least standard deviation of each channel's block means (C,).
-            blocks_per_error: blocks per value that a fit counts.
-            fewest: blocks per value that the evidence counts at least.
         """
         quiet = np.mean(residual**2, axis=0) <= noise**2
         lengths = [1.0 if still else correlation_length(r) for still, r in zip(quiet, residual.T, strict=True)]
@@ -125,7 +121,6 @@ class Scale:
 
         Args:
             squares: these (C,).
-            count: of how many blocks they are.
         """
         variances = self.variances_of(squares)
         return np.asarray(count / self.blocks_per_error * (np.log(variances / self.noise**2) + squares / variances))
@@ -143,9 +138,6 @@ class Step:
         theta: change of the base coordinates (K + S,).
         effect: change of the effects' coordinates (m,).
         squares: mean squares of what the linear model leaves (C,).
-        information: on the coordinates that may move, the base first.
-        keep: which these are, of K + S + m.
-        equations: the problem.
     """
 
     theta: Floats
@@ -208,11 +200,7 @@ class Equations:
         return cls(residual, base, effect, gram, slope, np.asarray(np.sum(residual**2, axis=0)))
 
     def among(self, effects: Sequence[int]) -> Equations:
-        """The problem with some of the effects' coordinates only.
-
-        Args:
-            effects: which of them.
-        """
+        """The problem with some of the effects' coordinates only."""
         n = self.base.shape[2]
         keep = np.array([*range(n), *(n + k for k in effects)], dtype=int)
         gram, slope = self.gram[:, keep[:, None], keep], self.slope[:, keep]
@@ -232,11 +220,8 @@ class Equations:
         """Most probable step, with the channels' variances estimated anew in every round.
 
         Args:
-            scale: how residuals are judged.
             prior: precision of each base coordinate (K + S,).
             theta: the base coordinates now (K + S,), which the prior pulls to 0.
-            rounds: how often the variances are estimated.
-            held: effects' coordinates that may not move.
             first: variances (C,) of the first round; default: those of the residual.
             length: of an independent value (C,) [blocks]; default: as fits count.
             damping: share by which the diagonal of the information grows (Marquardt 1963), for shorter steps.
@@ -284,9 +269,6 @@ def in_decibels(before: Floats, after: Floats, noise: Floats, stretch: int) -> t
         after: of another one (B, C).
         noise: standard deviation of each channel's noise (C,).
         stretch: blocks of a second; in each of them a model is right or wrong once.
-
-    Returns:
-        What is gone, negative where it has grown, and what was there to go.
     """
     old, new = _levels(before, noise, stretch), _levels(after, noise, stretch)
     there = np.minimum(old, _FULL)

@@ -16,7 +16,6 @@ def in_steps(trial: Trial, longest: float) -> Trial:
     """A recording as a model in longer steps sees it: every so many-th sample, and the means of the inputs between.
 
     Args:
-        trial: the recording.
         longest: step [s]; whole blocks have a whole number of them.
     """
     most = max(1, round(longest / trial.dt))
@@ -43,9 +42,6 @@ def stride_blocks(values: Floats, stride: int, count: int, size: int) -> Floats:
 
     Args:
         values: every stride-th sample (N, C).
-        stride: samples from one to the next, a divisor of a block's.
-        count: how many blocks.
-        size: samples of a block.
     """
     steps = size // stride
     missing = max(count * steps + 1 - len(values), 0)

@@ -288,7 +288,6 @@ def torque_noise(trial: Trial, p: Floats) -> float:
     """Standard deviation [N m] of the computed torque due to the noise of the pressures' block means.
 
     Args:
-        trial: the recording.
         p: parameter vector (P,).
     """
     x = _middle(trial, p)

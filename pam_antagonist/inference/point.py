@@ -46,13 +46,7 @@ class Point:
 
 
 class Channel(NamedTuple):
-    """A compared quantity, as a figure shows it.
-
-    Attributes:
-        title: name of the quantity.
-        unit: of the figure.
-        factor: from SI to that unit.
-    """
+    """A compared quantity, as a figure shows it."""
 
     title: str
     unit: str

@@ -37,9 +37,6 @@ class Profile:
     """The profile of one parameter.
 
     Attributes:
-        name: of the parameter.
-        best: its most probable value.
-        std: its standard error.
         value: values at which it was held (K,), increasing.
         loss: of the log posterior at these values (K,), 0 at the best.
         flat: whether half of the size explains the recordings as well.
@@ -81,10 +78,7 @@ def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffect
     """Profile of an effect's size in one recording: at 0, at half of the best value, and near the best value.
 
     Args:
-        experiment: the recording.
-        fitted: its model.
         parameter: a free size of the model that is not 0.
-        jobs: threads.
     """
     best = fitted.point.effects[parameter.path]
     k = len(fitted.covariance) - len(fitted.free) + fitted.free.index(parameter)

@@ -44,12 +44,7 @@ _LEAST_DISTANCE = 0.2
 
 
 def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
-    """A fit with the covariance of its parameters from exact derivatives.
-
-    Args:
-        experiment: the recording.
-        fitted: its model.
-    """
+    """A fit with the covariance of its parameters from exact derivatives."""
     theta = fitted.point.theta
     base, effect = _slopes(experiment, fitted)
     near = replace(fitted, base=base, effect=effect)
@@ -66,12 +61,7 @@ def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
 
 
 def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
-    """A fit continued until it has converged.
-
-    Args:
-        experiment: the recording.
-        fitted: its model.
-    """
+    """A fit continued until it has converged."""
     for _ in range(_ROUNDS):
         base, effect = _slopes(experiment, fitted)
         begun = fitted.cost

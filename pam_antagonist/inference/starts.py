@@ -31,13 +31,7 @@ def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS,
     :func:`~pam_antagonist.inference.gauss_newton.relinearised` renews them.
 
     Args:
-        experiment: the recording; its seed draws the starts.
-        fitted: the model at the pace of one that lacks something.
-        starts: how many others are drawn.
         finer: whether a fit that ends at the noise of every channel may count every block.
-
-    Returns:
-        The best fit; where it ends at the noise of every channel, the finer one that counts every block.
     """
     best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
     if finer and np.max(experiment.times_noise(best.residual)) <= MAY_BE_NOISE:

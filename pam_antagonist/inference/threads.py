@@ -16,8 +16,6 @@ def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item], jobs:
 
     Args:
         work: function of one item; mostly compiled code, so that threads run in parallel.
-        items: arguments of the calls.
-        jobs: threads.
     """
     return list(map(work, items) if jobs == 1 else _workers(jobs).map(work, items))
 

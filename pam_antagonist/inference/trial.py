@@ -44,7 +44,6 @@ class Split:
     Attributes:
         fitted: blocks that may be fitted (B,).
         held: blocks that are held out (B,).
-        errors_from: first sample of the errors in a report.
     """
 
     fitted: Mask
@@ -57,7 +56,6 @@ class Trial:
     """One recording on an even grid.
 
     Attributes:
-        name: in reports.
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] at which a locked joint is held.
         dt: sample period [s].
@@ -148,7 +146,6 @@ def blocks(values: Floats, size: int) -> Floats:
 
     Args:
         values: columns (N, C), NaN where a value is missing.
-        size: samples of a block.
 
     Returns:
         (N // size, C); NaN where less than half of a block is known.
@@ -165,14 +162,8 @@ def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, na
     """Put a recording on an even grid of its own period; :func:`check` then checks its content.
 
     Args:
-        recording: the recording.
-        rig: its sample period is used if the recording's is about the same.
         joint: ``free`` or ``locked``.
         lock_angle: [rad].
-        name: for reports and messages.
-
-    Raises:
-        BadInput: no finite voltages.
     """
     dt, step = recording.even_grid(rig.sample_period)
     keep = np.concatenate(([True], np.diff(step) > 0))
@@ -268,9 +259,6 @@ def white_std(values: Floats, dt: float) -> float:
     Args:
         values: readings of the sensor (N,), NaN where missing.
         dt: sample period [s]; if it is long, second differences replace the first.
-
-    Returns:
-        In the unit of the values; NaN if no two neighbours are known.
     """
     if dt > _SLOW_S and np.isfinite(values).sum() > 2:
         return _smooth_noise(values)
@@ -307,7 +295,6 @@ def block_noise(values: Floats, size: int) -> float:
 
     Args:
         values: readings of the sensor (N,), NaN where missing.
-        size: samples of a block.
     """
     white, step = _smooth_noise(values), converter_step(values)
     averaged = white / np.sqrt(size)

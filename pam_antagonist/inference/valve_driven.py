@@ -131,11 +131,7 @@ class ValveDriven(Experiment):
 
     @override
     def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
-        """Zeros, scales and late stamps that could be wrong, beside those that a model has already.
-
-        Args:
-            taken: values of the model's parameters, by dotted path.
-        """
+        """Zeros, scales and late stamps that could be wrong, beside those that a model has already."""
         return calibration.candidates(self.trial, self.channels, taken)
 
     @override
@@ -223,9 +219,7 @@ class ValveDriven(Experiment):
         longer wherever the model in longer steps goes the same way.
 
         Args:
-            point: where the residual is known.
             residual: there (B, C).
-            moved: the others.
         """
         coarse, here = self._coarsest(point, residual)
         p = self.vector.copy()
@@ -247,11 +241,7 @@ class ValveDriven(Experiment):
 
     @override
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
-        """Measured minus simulated block means (B, C) of several models, which run side by side.
-
-        Args:
-            points: the models.
-        """
+        """Measured minus simulated block means (B, C) of several models, which run side by side."""
         channels = list(self.channels)
 
         def left(shown: Floats) -> Floats:

@@ -34,10 +34,8 @@ def braided_force(base, muscle_length, pressure, p):
     """Contraction force [N], and its derivative by the length [N/m].
 
     Args:
-        base: index of the muscle's first number.
         muscle_length: l_i [m].
         pressure: P_i [Pa].
-        p: parameter vector.
     """
     contraction = 1.0 - muscle_length / p[base + NOMINAL]
     driving = p[base + AREA] * ((pressure - p[ATMOSPHERE]) / _UNIT_PRESSURE)

@@ -238,9 +238,6 @@ def source_text(effects: Mapping[str, Effect]) -> str:
 
     Args:
         effects: by name; their parameters and states are in the parameter vector.
-
-    Raises:
-        BadInput: a hook that does not exist, or a function with an argument that it cannot have.
     """
     for effect in effects.values():
         for name in effect.hooks:
@@ -273,12 +270,7 @@ def source_text(effects: Mapping[str, Effect]) -> str:
 
 
 def remembered(what: str, generate: Callable[[], str]) -> str:
-    """A text that depends on the code of the kernels only. It is generated once, then read from the kernels' folder.
-
-    Args:
-        what: name of its file.
-        generate: gives the text.
-    """
+    """A text that depends on the code of the kernels only. It is generated once, then read from the kernels' folder."""
     file = cache_dir() / f"{what}.txt"
     with contextlib.suppress(OSError):
         return file.read_text(encoding="utf-8")
@@ -294,7 +286,6 @@ def imported(text: str, what: str) -> ModuleType:
     """Import a text as a module. Its file is kept in the folder of the compiled kernels.
 
     Args:
-        text: source of the module.
         what: first part of the module's name; the second is a hash of the text.
     """
     name = f"{what}_{hashlib.sha256(text.encode()).hexdigest()[:16]}"

@@ -82,7 +82,6 @@ def forces(x, p, effects=True):
     Args:
         x: state (n,).
         p: parameter vector (m,).
-        effects: None where the rig is known to be plain.
     """
     sine, cosine, _ = _leverage(x[ANGLE], p)
     return _muscle_force(FIRST, sine, cosine, x, p, effects), _muscle_force(SECOND, sine, cosine, x, p, effects)
@@ -95,7 +94,6 @@ def torque(x, p, effects=True):
     Args:
         x: state (n,).
         p: parameter vector (m,).
-        effects: None where the rig is known to be plain.
     """
     force_1, force_2 = forces(x, p, effects)
     _, cosine, _ = _leverage(x[ANGLE], p)
@@ -109,7 +107,6 @@ def torque_slope(x, p, effects=True):
     Args:
         x: state (n,).
         p: parameter vector (m,).
-        effects: None where the rig is known to be plain.
     """
     force_1, force_2 = forces(x, p, effects)
     sine, cosine, bend = _leverage(x[ANGLE], p)
@@ -164,7 +161,6 @@ def sliding_friction(x, direction, p):
     Args:
         x: state (n,), of which angle, velocity and pressures count.
         direction: of the motion, −1 to 1.
-        p: parameter vector.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
     force_1, force_2 = forces(x, p)
@@ -181,7 +177,6 @@ def torque_needed(x, acceleration, direction, p):
         x: state (n,), of which angle, velocity and pressures count.
         acceleration: ψ̈ [rad/s²].
         direction: of the motion, −1 to 1.
-        p: parameter vector.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
     load = _joint_torque(0.0, x[ANGLE], x[VELOCITY], sine, x, p)
@@ -245,7 +240,6 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
         u: input, as for :func:`derivative`.
         wanted_1: open rate [-] that the voltage of valve 1 asks for.
         wanted_2: likewise of valve 2.
-        p: parameter vector.
         dx: result (n,).
     """
     angle = x[ANGLE]
@@ -291,7 +285,6 @@ def derivative(x, u, p, dx):
     Args:
         x: state (n,), n = p[parameters.STATES].
         u: valve voltages [V], and where it is known the torque from outside [N m]; (2,) or (3,).
-        p: parameter vector.
         dx: result (n,), written in place.
     """
     rows(x, u, _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p), p, dx)
@@ -306,7 +299,6 @@ def subsystem(x, p, effects=True):
 
     Args:
         x: state (n,).
-        p: parameter vector.
         effects: as for :func:`forces`.
     """
     slides = 0.0

@@ -38,8 +38,6 @@ def pull(x, p, effects=True):
 
     Args:
         x: state (n,), of which angle and pressures count.
-        p: parameter vector.
-        effects: None where the rig is known to be plain.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
     load = 0.0 if effects is None else _joint_torque(0.0, x[ANGLE], 0.0, sine, x, p)
@@ -56,7 +54,6 @@ def rest_angle(pressure_1, pressure_2, p, effects=True):
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
         p: parameter vector (m,).
-        effects: None where the rig is known to be plain.
     """
     high = largest_angle(p)
     low = -high
@@ -101,7 +98,6 @@ def start_angle(pressure_1, pressure_2, p, effects=True):
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
         p: parameter vector (m,).
-        effects: None where the rig is known to be plain.
     """
     if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
         return rest_angle(pressure_1, pressure_2, p, effects)
@@ -130,7 +126,6 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
         pressure_1: P_1 [Pa].
         pressure_2: P_2 [Pa].
         u: input, as for :func:`integration.rk4_step`.
-        p: parameter vector.
         velocity: ψ̇ [rad/s] of the motion before; the velocity in the state is 0.
 
     Returns:
@@ -153,7 +148,6 @@ def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
         u: input, as for :func:`integration.rk4_step`.
         p: parameter vector (m,).
         velocity: ψ̇ [rad/s] of the motion before.
-        effects: None where the rig is known to be plain.
     """
     x[:] = 0.0
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2

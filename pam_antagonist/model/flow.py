@@ -53,7 +53,6 @@ def open_rate(valve, voltage, p):
     Args:
         valve: 0 or 1.
         voltage: u [V].
-        p: parameter vector.
 
     Returns:
         Open rate in [0, 1].
@@ -100,7 +99,6 @@ def valve_flow(valve, alpha, pressure, supply, p):
         alpha: open rate α [-] of :func:`open_rate`.
         pressure: pressure at the valve [Pa].
         supply: P_tank [Pa].
-        p: parameter vector.
 
     Returns:
         Mass flow into the chamber, and out of the supply [kg/s].
@@ -122,7 +120,6 @@ def open_rate_for(valve, flow, pressure, supply, p):
         flow: wanted into the chamber [kg/s].
         pressure: pressure at the valve [Pa].
         supply: P_tank [Pa].
-        p: parameter vector.
 
     Returns:
         Open rate in [0, 1]; the nearest end where no open rate gives that flow.
@@ -182,7 +179,6 @@ def voltage_for(valve, alpha, p):
     Args:
         valve: 0 or 1.
         alpha: open rate α [-].
-        p: parameter vector.
     """
     along, across = curve_shift(valve, p)
     wanted = alpha - across
@@ -207,7 +203,6 @@ def mass_flow(valve, alpha, pressure, p):
         valve: 0 or 1.
         alpha: open rate α [-] of :func:`open_rate`.
         pressure: P_i [Pa].
-        p: parameter vector.
     """
     flow, _ = valve_flow(valve, alpha, pressure, p[SUPPLY], p)
     return flow
@@ -222,7 +217,6 @@ def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
         chamber_volume: V_i [m³].
         volume_rate: V̇_i [m³/s].
         flow: m_i [kg/s].
-        p: parameter vector.
     """
     supplied = p[POLYTROPIC_FLOW] * p[GAS_CONSTANT] * p[TEMPERATURE] * flow
     # The processor computes the reciprocal before it has the flow, so no division waits for the flow.
@@ -238,7 +232,6 @@ def flow_for(rate, pressure, chamber_volume, volume_rate, p):
         pressure: P_i [Pa].
         chamber_volume: V_i [m³].
         volume_rate: V̇_i [m³/s].
-        p: parameter vector.
     """
     # pressure_rate is linear in the flow: its value without flow is the offset, its value for a unit of flow the slope.
     without = pressure_rate(pressure, chamber_volume, volume_rate, 0.0, p)

@@ -94,10 +94,8 @@ def plain_step(x, u, p, dt, result, scratch):
     Args:
         x: state (4,), not changed unless it is also ``result``.
         u: input, as for :func:`rk4_step_within`.
-        p: parameter vector, plain.
         dt: step [s].
         result: state after the step (4,).
-        scratch: not used.
     """
     _scalar_step(x, u, p, dt, result, None)
 
@@ -109,7 +107,6 @@ def rk4_step_within(x, u, p, dt, result, scratch):
     Args:
         x: state (n,), not changed unless it is also ``result``.
         u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
-        p: parameter vector.
         dt: step [s].
         result: state after the step (n,).
         scratch: (STAGES + 1, n), used where there are added states.
@@ -129,7 +126,6 @@ def rk4_step(x, u, p, dt, result, effects=True):
     Args:
         x: state (n,), not changed unless it is also ``result``.
         u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
-        p: parameter vector.
         dt: step [s].
         result: state after the step (n,).
         effects: None where the rig is known to be plain: less is compiled then.
@@ -169,9 +165,7 @@ def course(x0, voltage, p, dt, substeps):
         x0: state (n,) at the first sample.
         voltage: (N, 2) [V], or (N, 3) with the torque from outside [N m]; row k holds over the step that ends at
             sample k, row 0 is not used.
-        p: parameter vector.
         dt: sample period [s].
-        substeps: Runge-Kutta steps a sample.
 
     Returns:
         States (N, n) and torques (N,) [N m].

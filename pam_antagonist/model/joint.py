@@ -90,7 +90,6 @@ def kikuuwe_torque(velocity, applied, coulomb, viscous, p):
         applied: T_0 [N m], all torques but friction.
         coulomb: T_s + T_p [N m].
         viscous: c_s [N m s/rad].
-        p: parameter vector.
 
     Returns:
         T_f [N m], and 1.0 where the joint slides or 0.0 where it sticks.

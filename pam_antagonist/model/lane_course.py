@@ -24,7 +24,6 @@ def course(x, voltage, p, dt, substeps, states, torques, scratch):
         voltage: input (N, 2) or (N, 3) of all models [V, N m].
         p: parameter vectors (P, LANES).
         dt: sample period [s].
-        substeps: Runge-Kutta steps a sample.
         states: result (LANES, N, n).
         torques: result (LANES, N) [N m].
         scratch: (STAGES + 1, n, LANES) for a step, (CHUNK, n, LANES) and (CHUNK, LANES) for the last samples.

@@ -46,14 +46,7 @@ class NoLaneForm(Exception):
 
 
 def lane_module(roots: Sequence[Any]) -> str:
-    """Source of a module with the lane form of some compiled functions, and of all functions that they call.
-
-    Args:
-        roots: the compiled functions; they keep their names.
-
-    Raises:
-        NoLaneForm: a function that has no form for lanes.
-    """
+    """Source of a module with the lane form of some compiled functions, and of all functions that they call."""
     module = _Module()
     for root in roots:
         module.names[id(root)] = root.py_func.__name__

@@ -247,14 +247,7 @@ def no(typingctx: Any, a: Any) -> Any:
 
 @intrinsic
 def where(typingctx: Any, condition: Any, a: Any, b: Any) -> Any:
-    """A choice between two values, for each lane. Numbers and truth values are allowed as well.
-
-    Args:
-        typingctx: numba's.
-        condition: mask, or a truth value.
-        a: value where the condition holds.
-        b: value elsewhere.
-    """
+    """A choice between two values, for each lane. Numbers and truth values are allowed as well."""
     unified = typingctx.unify_types(a, b)
     if unified is None:
         return None
@@ -289,13 +282,7 @@ def _dimensions(index: Any) -> int:
 
 @intrinsic
 def item(typingctx: Any, array: Any, index: Any) -> Any:
-    """An entry of an array: a number, or lanes where the array has a further dimension of LANES, or a row of either.
-
-    Args:
-        typingctx: numba's.
-        array: of any dimension.
-        index: an integer that is not negative, or a tuple of them.
-    """
+    """An entry of an array: a number, or lanes where the array has a further dimension of LANES, or a row of either."""
     if not isinstance(array, types.Array):
         return None
     left = array.ndim - _dimensions(index)
@@ -321,14 +308,7 @@ def item(typingctx: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def put(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """Set an entry of an array with a further dimension of LANES.
-
-    Args:
-        typingctx: numba's.
-        array: its last dimension is that of the lanes.
-        index: an integer that is not negative, or a tuple of them.
-        value: lanes, or a number for all of them.
-    """
+    """Set an entry of an array with a further dimension of LANES."""
     if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != _dimensions(index) + 1:
         return None
 
@@ -346,9 +326,7 @@ def shared(typingctx: Any, array: Any, index: Any) -> Any:
     """An entry of an array of lanes that is the same in all of them, as a number.
 
     Args:
-        typingctx: numba's.
         array: (n, LANES).
-        index: an integer that is not negative.
     """
     if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != 2:
         return None

@@ -29,7 +29,6 @@ def courses(
         voltage: input (N, 2) or (N, 3), as for one course.
         vectors: parameter vector (P,) of each model.
         dt: sample period [s].
-        substeps: Runge-Kutta steps a sample.
 
     Returns:
         States (N, n) and torques (N,) [N m] of each model.

@@ -25,7 +25,6 @@ def leverage(angle, p):
 
     Args:
         angle: ψ [rad].
-        p: parameter vector.
 
     Returns:
         s, s', s''. Without a cam: sin ψ, cos ψ, −sin ψ for a lever; ψ, 1, 0 for a pulley.

@@ -39,7 +39,6 @@ def length(muscle, sine, p):
     Args:
         muscle: 0 or 1.
         sine: travel over r, sin ψ for a lever (:func:`~pam_antagonist.model.lever_arm.leverage`).
-        p: parameter vector.
 
     Returns:
         l_i [m]: L_0 − r sin ψ for the first muscle, L_0 + r sin ψ for the second.

@@ -19,7 +19,6 @@ def orifice_flow(upstream, downstream, p):
     Args:
         upstream: absolute pressure before the orifice [Pa].
         downstream: absolute pressure behind it [Pa].
-        p: parameter vector.
     """
     sign = 1.0
     if downstream > upstream:

@@ -160,9 +160,6 @@ def refresh(p: np.ndarray) -> np.ndarray:
 
     Args:
         p: parameter vector (SIZE,), changed in place.
-
-    Returns:
-        The same vector.
     """
     k, gas, root_t = p[HEAT_RATIO], p[GAS_CONSTANT], np.sqrt(p[TEMPERATURE])
     p[CRITICAL_RATIO] = (2.0 / (k + 1.0)) ** (k / (k - 1.0))
@@ -200,13 +197,9 @@ def changed(p: np.ndarray, changes: Mapping[str, float]) -> np.ndarray:
 
     Args:
         p: parameter vector (SIZE,).
-        changes: new values by name.
 
     Returns:
         The new vector (SIZE,), refreshed.
-
-    Raises:
-        KeyError: a name that is no parameter.
     """
     result = p.copy()
     for name, value in changes.items():

@@ -22,10 +22,6 @@ class Announcer:
     """A node that reports every half second what a command does, and its progress. Use it as a context manager.
 
     The node commands nothing and has no subscriptions.
-
-    Args:
-        name: of the command, and of the node.
-        namespace: of the joint.
     """
 
     def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
@@ -51,7 +47,6 @@ class Announcer:
         """Begin a step of the command.
 
         Args:
-            text: name of the step.
             seconds: its duration [s]; None: not known.
         """
         self._said = text, time.monotonic(), seconds

@@ -54,7 +54,6 @@ def main(argv: list[str] | None = None, device: Callable[[], Device] | None = No
     """Run the node; see ``bridge --help``.
 
     Args:
-        argv: arguments; default: those of the process.
         device: makes the device; default: a device at the serial port of the parameters.
     """
 

@@ -19,12 +19,7 @@ _TROUBLE = (
 
 
 class BridgeHealth:
-    """Parts ``device`` and ``clock``.
-
-    Args:
-        link: runs the device.
-        device: the hardware.
-    """
+    """Parts ``device`` and ``clock``."""
 
     def __init__(self, link: Link, device: Device) -> None:
         self._link = link

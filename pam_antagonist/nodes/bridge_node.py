@@ -46,7 +46,6 @@ class _SharedPort(ValvePort):
     """A valve port that two threads use: the device's and the executor's.
 
     Args:
-        lock: protects the port.
         others: as :class:`ValvePort`.
     """
 
@@ -89,11 +88,7 @@ class BridgeNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Make everything except the connection to the device.
-
-        Raises:
-            BadInput: simulated time, which no hardware follows, or a rig or calibration that cannot be used.
-        """
+        """Make everything except the connection to the device."""
         values = self.values
         if self.get_parameter("use_sim_time").value:
             raise BadInput(
@@ -228,9 +223,6 @@ class JointOutput:
     """Publishes ``measured/joint_states`` with the available channels, and ``angle_sensor`` if wanted.
 
     Args:
-        node: publishes.
-        name: of the joint.
-        frame_id: in every header.
         angle_sensor: ``encoder`` publishes the angle as ``angle_sensor`` as well.
     """
 

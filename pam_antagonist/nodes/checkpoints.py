@@ -14,12 +14,7 @@ PERIOD = 1.0
 
 
 class CheckpointPublisher:
-    """Publishes checkpoints; the last one is kept for late subscribers.
-
-    Args:
-        node: being configured; the publisher ends with the node's clean-up.
-        frame_id: in every header.
-    """
+    """Publishes checkpoints; the last one is kept for late subscribers."""
 
     def __init__(self, node: PamNode, frame_id: str) -> None:
         self._publisher = node.create_publisher(FilterCheckpoint, TOPICS["filter_checkpoint"].relative, qos.LAST_ONE)
@@ -27,11 +22,7 @@ class CheckpointPublisher:
         self._last: tuple[int, int] | None = None
 
     def publish(self, checkpoint: Checkpoint | None) -> None:
-        """Publish a checkpoint, unless it is the same as the last one.
-
-        Args:
-            checkpoint: of the filter; None if the filter is not started.
-        """
+        """Publish a checkpoint, unless it is the same as the last one."""
         if checkpoint is None or (checkpoint.started_ns, checkpoint.stamp_ns) == self._last:
             return
         self._last = checkpoint.started_ns, checkpoint.stamp_ns
@@ -39,12 +30,7 @@ class CheckpointPublisher:
 
 
 def message(checkpoint: Checkpoint, frame_id: str) -> FilterCheckpoint:
-    """A checkpoint as a message.
-
-    Args:
-        checkpoint: of a running filter.
-        frame_id: in the header.
-    """
+    """A checkpoint as a message."""
     out = FilterCheckpoint()
     set_stamp(out.header.stamp, checkpoint.stamp_ns)
     out.header.frame_id = frame_id

@@ -38,9 +38,6 @@ class PipelineClient:
     the end. Raised during a call into rclpy, it would be replaced by another exception.
 
     Args:
-        name: of the node.
-        namespace: of the pipeline.
-        subscribed: logical name of a topic -> message type.
         published: logical name, message type and quality of service of the published topic.
     """
 
@@ -110,13 +107,7 @@ class PipelineClient:
 
 
 class VoltageClient(PipelineClient):
-    """Commands valve voltages in a pipeline that has no controller.
-
-    Args:
-        namespace: of the pipeline.
-        name: of the node.
-        subscribed: logical name of a topic -> message type.
-    """
+    """Commands valve voltages in a pipeline that has no controller."""
 
     def __init__(
         self, namespace: str = DEFAULT_NAMESPACE, name: str = "drive", subscribed: Mapping[str, type] = _ESTIMATE
@@ -135,7 +126,6 @@ class VoltageClient(PipelineClient):
         Args:
             voltage: (N, 2) [V], one row for each period.
             period: [s].
-            check: called often; it raises to end the profile.
             progress: called with the time since the start [s].
         """
         start, reported = time.monotonic(), 0.0
@@ -152,7 +142,6 @@ class ReferenceClient(PipelineClient):
     """Reads estimate, measurement and commands, and publishes references.
 
     Args:
-        namespace: of the pipeline.
         listening: False: only publish, so that the pipeline does not deliver messages to this node.
         drive: of the joint's rig: ``valve`` or ``regulator``.
     """
@@ -172,7 +161,6 @@ class ReferenceClient(PipelineClient):
         """Publish a reference, stamped now.
 
         Args:
-            mode: of the reference.
             value: [rad] or [N m].
             stiffness: [N m/rad], for the modes that have one; NaN: not given.
             damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none.

@@ -15,12 +15,6 @@ _FLAGS = ("-p", "--param")
 def own_parameters(arguments: Sequence[str]) -> list[str]:
     """The arguments of a node (``cli_args``) that repeat the parameters of its command line.
 
-    Args:
-        arguments: all arguments of the process.
-
-    Returns:
-        ROS arguments; empty where no parameter is given.
-
     Example:
         >>> own_parameters(["--out", "bag", "--ros-args", "-p", "seed:=3", "--params-file", "a.yaml"])
         ['--ros-args', '-p', 'seed:=3']

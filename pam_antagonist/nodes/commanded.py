@@ -23,10 +23,7 @@ class Topics(NamedTuple):
     """Topics of the commands and of the outputs.
 
     Attributes:
-        message: message class of both topics.
-        command: topic of the commands, relative.
         state: topic of the voltages or pressures that valves or regulators got, relative.
-        frame_id: of the messages.
     """
 
     message: type
@@ -39,9 +36,6 @@ class Drive(NamedTuple):
     """Limits of the commands, in V for valves or Pa for regulators.
 
     Attributes:
-        topics: of the commands.
-        limits: of both valves or regulators.
-        action: the safe action.
         slew: largest change of each command [V/s] or [Pa/s].
         astray: largest normal difference between command and output [V] or [Pa].
     """
@@ -64,11 +58,7 @@ def drive_of(rig: Rig, values: Mapping[str, Any]) -> Drive:
     """Limits of the commands of a rig.
 
     Args:
-        rig: of the node.
         values: the node's parameters by name, including ``SAFETY``.
-
-    Raises:
-        BadInput: safe values beyond the limits.
     """
     topics = topics_of(rig)
     low, high = rig.command_limits

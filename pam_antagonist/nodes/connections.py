@@ -36,8 +36,6 @@ def overridable(topic: str, profile: Any, options: dict[str, Any]) -> tuple[Any,
 
     Args:
         topic: name of the topic; ``/diagnostics`` and the topics of ROS itself cannot be changed.
-        profile: the default.
-        options: the caller's options for rclpy.
     """
     if topic in _FIXED or not isinstance(profile, QoSProfile):
         return profile, options
@@ -66,14 +64,7 @@ class Connections:
         self._entities: dict[int, _Entity] = {}
 
     def add(self, topic: str, entity: Any, profile: Any, subscribes: bool) -> None:
-        """Watch a publisher or a subscription.
-
-        Args:
-            topic: full name of the topic.
-            entity: the publisher or subscription.
-            profile: quality of service.
-            subscribes: whether it is a subscription.
-        """
+        """Watch a publisher or a subscription."""
         if isinstance(profile, QoSProfile):
             self._entities[id(entity)] = _Entity(topic, entity, profile, subscribes)
 

@@ -42,7 +42,6 @@ class ControllerNode(PamNode):
         options: as :class:`PamNode`.
 
     Attributes:
-        stopped: reason of the stop; empty if the node is not stopped.
         deliver: called with each command: stamp [ns], voltages (2,) [V]; None: not called.
     """
 
@@ -165,11 +164,7 @@ class ControllerNode(PamNode):
         return response
 
     def stop(self, reason: str) -> None:
-        """Safe voltages until ``clear_stop``.
-
-        Args:
-            reason: in words; the first reason is kept.
-        """
+        """Safe voltages until ``clear_stop``."""
         if not self.stopped:
             self.stopped = reason
             self.get_logger().error(f"stopped: {reason}")

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 class DiagnosticsPublisher:
-    """Publishes the health of a node's parts.
-
-    Args:
-        node: the node.
-        hardware_id: name of the joint.
-    """
+    """Publishes the health of a node's parts."""
 
     def __init__(self, node: Node, hardware_id: str) -> None:
         self._node = node

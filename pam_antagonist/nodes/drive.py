@@ -22,11 +22,7 @@ _PRESSURES = ("pressure_1", "pressure_2")
 
 
 class DriveClient(VoltageClient):
-    """Commands valve voltages in a pipeline without a controller, and watches the sensors.
-
-    Args:
-        namespace: of the pipeline.
-    """
+    """Commands valve voltages in a pipeline without a controller, and watches the sensors."""
 
     def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
         subscribed = {**dict.fromkeys(_PRESSURES, FluidPressure), "measured_joint_states": JointState}
@@ -54,7 +50,6 @@ class DriveClient(VoltageClient):
         Args:
             rest: voltages (2,) [V].
             within: whether pressures (2,) [Pa] are in this range.
-            check: called often; it raises to end the experiment.
             longest: time after which the plan begins in any case [s].
         """
         end = time.monotonic() + longest
@@ -78,11 +73,7 @@ class DriveClient(VoltageClient):
             period: [s].
             rest: resting voltages (2,) [V].
             broken: returns which limit the pressures (2,) [Pa] or the angle [rad] exceed, in words; empty for none.
-            check: called often; it raises to end the experiment.
             progress: called with the time since the last call [s].
-
-        Returns:
-            Why the plan ended early, in words; empty if it did not.
         """
         begin, reported, lookout = time.monotonic(), 0.0, Lookout()
         while (elapsed := time.monotonic() - begin) < len(voltage) * period:
@@ -114,11 +105,7 @@ class DriveClient(VoltageClient):
             seconds: length at most [s].
             rest: resting voltages (2,) [V].
             broken: as for :meth:`drive`.
-            check: called often; it raises to end the experiment.
             progress: called with the time since the last call [s].
-
-        Returns:
-            Why it ended early, in words; empty if it did not.
         """
         begin, reported, lookout = time.monotonic(), 0.0, Lookout()
         while (elapsed := time.monotonic() - begin) < seconds:

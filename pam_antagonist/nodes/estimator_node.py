@@ -169,7 +169,6 @@ class EstimatorNode(PamNode):
         Args:
             stamp_ns: its stamp [ns].
             pressure_1: absolute, NaN where missing [Pa].
-            pressure_2: likewise.
             voltage_1: on valve 1 over the sample that ends at the stamp [V].
             voltage_2: on valve 2 [V].
             angle: as the encoder reads it, NaN where missing [rad].

@@ -9,11 +9,7 @@ _MOST_NUMBER = 2**63  # a larger number means that the middleware gives none
 
 
 def number_of(information: Mapping[str, Any]) -> int | None:
-    """Number of a message at its publisher, from 1; None where the middleware gives none.
-
-    Args:
-        information: of the middleware on the message.
-    """
+    """Number of a message at its publisher, from 1; None where the middleware gives none."""
     number: int | None = information.get("publication_sequence_number")
     return number if number is not None and 0 < number < _MOST_NUMBER else None
 
@@ -26,10 +22,6 @@ class Gaps:
 
     Args:
         publishers: returns the present number of publishers; called only at a gap.
-
-    Attributes:
-        missing: number of missing messages so far.
-        countable: False once a gap was found with several publishers.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:

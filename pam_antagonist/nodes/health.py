@@ -19,13 +19,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Health:
-    """The state of one part of a node.
-
-    Attributes:
-        level: severity.
-        message: one sentence.
-        values: name with unit -> value.
-    """
+    """The state of one part of a node."""
 
     level: Level
     message: str
@@ -37,10 +31,7 @@ class Spread:
     """Median, 99th percentile and maximum of some values; NaN without values.
 
     Attributes:
-        count: number of values.
-        median: of the values.
         p99: 99th percentile.
-        largest: maximum.
     """
 
     count: int
@@ -49,13 +40,7 @@ class Spread:
     largest: float
 
     def as_values(self, name: str, unit: str, scale: float = 1.0) -> dict[str, str]:
-        """Entries for ``Health.values``.
-
-        Args:
-            name: of the quantity.
-            unit: to be shown.
-            scale: divisor of each value.
-        """
+        """Entries for ``Health.values``."""
         return {
             f"{name} median [{unit}]": f"{self.median / scale:.3f}",
             f"{name} 99th percentile [{unit}]": f"{self.p99 / scale:.3f}",
@@ -96,7 +81,6 @@ class Rate:
         """Rate [1/s] since the last call; NaN at the first.
 
         Args:
-            count: number of events so far.
             now_ns: steady time [ns].
         """
         if self._since is None or now_ns <= self._since:

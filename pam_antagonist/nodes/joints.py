@@ -43,14 +43,7 @@ _RENAMES = re.compile(r"__(ns|node|name):=")
 
 
 def refuse_renames(arguments: Sequence[str]) -> None:
-    """Refuse a remapped namespace or name, which would apply to all nodes of the process.
-
-    Args:
-        arguments: of the command line.
-
-    Raises:
-        BadInput: the arguments contain one.
-    """
+    """Refuse a remapped namespace or name, which would apply to all nodes of the process."""
     for word in arguments:
         if _RENAMES.match(word):
             raise BadInput(

@@ -34,8 +34,6 @@ class Joint(NamedTuple):
     Attributes:
         namespace: absolute, such as ``/left/elbow``.
         source: the node that owns the valves; None if it runs elsewhere.
-        estimator: of the joint.
-        controller: of the joint.
     """
 
     namespace: str
@@ -56,12 +54,8 @@ def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
     Add all of them to one single-threaded executor: each node calls the next one in its own callback.
 
     Args:
-        namespace: of the joint.
         source: ``plant``, ``bridge`` or ``none``.
         options: as :class:`PamNode`, for each of the nodes.
-
-    Raises:
-        BadInput: a parameter that cannot be used.
     """
     # The service that describes message types takes 0.2 MB in each node, and the node ``joints`` has it already.
     overrides = [Parameter(_TYPES, value=False), *options.pop("parameter_overrides", ())]
@@ -87,12 +81,6 @@ class JointsNode(PamNode):
 
     Args:
         options: as :class:`PamNode`, for this node and for those of the joints.
-
-    Attributes:
-        joints: of the robot.
-
-    Raises:
-        BadInput: no joint, a joint twice, or a parameter that cannot be used.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -20,12 +20,7 @@ def refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> Non
     An included launch file is not checked, because the arguments belong to the including file.
 
     Args:
-        file: name of the launch file.
         given: arguments, such as ``rig:=my_rig``.
-        known: names of the file's arguments.
-
-    Raises:
-        ValueError: an unknown argument.
     """
     if file not in {Path(word).name for word in sys.argv[1:]}:
         return
@@ -38,15 +33,7 @@ def refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> Non
 
 
 def value_of(name: str, text: str) -> str | bool:
-    """Value of a parameter that was given as an argument: a bool for switches, otherwise the text.
-
-    Args:
-        name: of the parameter.
-        text: of the argument.
-
-    Raises:
-        ValueError: a switch is neither true nor false.
-    """
+    """Value of a parameter that was given as an argument: a bool for switches, otherwise the text."""
     if name not in _SWITCHES:
         return text
     if text.lower() not in ("true", "false"):

@@ -27,12 +27,7 @@ from pam_antagonist.rig import Rig
 
 
 def pi_gains(values: Mapping[str, Any], mode: Mode) -> Gains:
-    """Gains of the PI.
-
-    Args:
-        values: parameters by name.
-        mode: of the reference.
-    """
+    """Gains of the PI."""
     name = mode.name.lower()
     velocity = values["angle_velocity"] if mode is Mode.ANGLE else 0.0
     return Gains(values[f"{name}_proportional"], values[f"{name}_integral"], values["bias"], velocity)
@@ -47,13 +42,7 @@ def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_v
     """Both laws of a rig.
 
     Args:
-        values: parameters by name.
-        rig: of the joint.
-        limits: of both valves.
         safe_voltage: (2,) [V].
-
-    Raises:
-        BadInput: the chosen law is not possible for this rig.
     """
     period, resume, blend = rig.sample_period, values["resume_time"], values["blend_time"]
     pi = None
@@ -93,17 +82,7 @@ def _governor(values: Mapping[str, Any], p: np.ndarray, box: Box) -> Governor:
 
 
 def retune(laws: Laws, before: Mapping[str, Any], after: Mapping[str, Any], mode: Mode | None) -> None:
-    """Apply changed parameters without a bump, either all or none.
-
-    Args:
-        laws: to retune.
-        before: parameters by name.
-        after: the new ones.
-        mode: of the present reference; None without one.
-
-    Raises:
-        BadInput: an invalid parameter.
-    """
+    """Apply changed parameters without a bump, either all or none."""
     gains = {each: pi_gains(after, each) for each in PI_MODES}
     of_model = model_gains(after)
     laws.choose(after["law"], mode)

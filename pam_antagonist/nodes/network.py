@@ -18,12 +18,6 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
 
     By default ROS 2 discovers the whole subnet, where anybody could publish commands to the valves. If the user has set
     any of the variables of discovery, nothing is changed.
-
-    Args:
-        environment: of the process.
-
-    Returns:
-        Whether the limit was set.
     """
     if any(environment.get(name) for name in _ASKED):
         return False
@@ -39,14 +33,7 @@ def local_only(environment: MutableMapping[str, str] = os.environ) -> bool:
 def nothing_there(
     namespace: str, elsewhere: Sequence[str], busy: Sequence[int], environment: Mapping[str, str] = os.environ
 ) -> str:
-    """What to try where no node publishes a joint's topics, in words.
-
-    Args:
-        namespace: of the joint.
-        elsewhere: namespaces in which there is a joint.
-        busy: ROS domains in which nodes of this machine seem to be.
-        environment: of the process.
-    """
+    """What to try where no node publishes a joint's topics, in words."""
     domain = int(environment.get("ROS_DOMAIN_ID") or 0)
     others = [other for other in busy if other != domain]
     tries = [f"--namespace {other or '/'} (a joint is there)" for other in elsewhere]

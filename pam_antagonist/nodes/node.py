@@ -76,22 +76,15 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     check its state again for each of 4000 messages a second.
 
     Args:
-        name: of the node, unless it is remapped.
-        table: the node's parameters.
         timers: gets the node's steady timers; None: they belong to the executor.
         also_known: names of other nodes' parameters, which are accepted and ignored.
         options: of ``rclpy.node.Node``, such as ``namespace``, ``context``, ``cli_args`` or ``parameter_overrides``.
 
     Attributes:
-        given: the parameters.
         values: the same; what is left to the rig file is filled in by :meth:`with_rig`.
-        active: whether the node is in the state "active".
         about_rig: name and fingerprint of the rig for ``/diagnostics``.
         finished: set when the node has finished, or was shut down by its lifecycle service.
         members: nodes in the same executor that start and end with this one.
-
-    Raises:
-        BadInput: an invalid parameter.
     """
 
     finished = False
@@ -173,11 +166,6 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
         This costs less than a callback, and is the only way to get the middleware's information about a message: with a
         callback for it, the ``EventsExecutor`` of rclpy 7.1 fails with "SystemError: null argument".
-
-        Args:
-            kind: type of the messages.
-            topic: relative name.
-            profile: quality of service.
         """
         subscription = self.create_subscription(kind, topic, _never, profile, raw=True)
         self._collected[f"{self._reaching} {topic}"] = subscription
@@ -231,11 +219,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
             self._require(self.trigger_activate)
 
     def _require(self, transition: Callable[[], Any]) -> None:
-        """Make a transition, and raise its error if it fails.
-
-        Raises:
-            BadInput: the reason of the failure.
-        """
+        """Make a transition, and raise its error if it fails."""
         self._transition_error = None
         if transition() is not TransitionCallbackReturn.SUCCESS:
             raise self._transition_error or RuntimeError(f"{self.get_name()} could not be started")

@@ -46,15 +46,7 @@ class Sample(NamedTuple):
 
 @dataclass
 class PairingCounts:
-    """Counters of the pairing.
-
-    Attributes:
-        samples: final samples.
-        incomplete: final samples with a missing topic.
-        late: messages that came after their sample was final.
-        duplicates: second messages of one topic with the same stamp.
-        restarts: jumps backwards in time.
-    """
+    """Counters of the pairing."""
 
     samples: int = 0
     incomplete: int = 0
@@ -70,7 +62,6 @@ class SamplePairing:
         timeout: how long a sample waits for a topic [s].
         restart_after: a message that is older than the last final sample by more than this restarts the pairing [s].
         clock: current time [ns], for the waiting time.
-        topics: topics of a sample.
     """
 
     def __init__(
@@ -102,9 +93,6 @@ class SamplePairing:
             topic: PRESSURE_1, PRESSURE_2, VALVES or ANGLE.
             stamp_ns: stamp of the message [ns].
             values: one pressure [Pa], two voltages [V], or one angle [rad].
-
-        Returns:
-            The samples that are final now, in the order of their stamps.
         """
         if self._final is not None and stamp_ns <= self._final:
             if self._final - stamp_ns <= self._restart:
@@ -131,14 +119,7 @@ class SamplePairing:
         return self._pop_until(min(newest))  # type: ignore[type-var]
 
     def whole(self, sample: Sample) -> list[Sample]:
-        """Add a sample that was not split into messages; values may be NaN. Do not combine with :meth:`add`.
-
-        Args:
-            sample: of a plant in the same process.
-
-        Returns:
-            The sample; empty where its stamp is not after the last one.
-        """
+        """Add a sample that was not split into messages; values may be NaN. Do not combine with :meth:`add`."""
         if self._final is not None and sample.stamp_ns <= self._final:
             if self._final - sample.stamp_ns <= self._restart:
                 self.counts.late += 1

@@ -37,14 +37,7 @@ class Parameter:
 
     Attributes:
         name: as in ``-p name:=value``.
-        default: default value; gives the parameter's type.
-        description: one line with the unit in brackets.
         low: lowest value, also of each element of a list; None: no bound.
-        high: highest value, likewise.
-        length: number of elements of a list of numbers.
-        choices: allowed values of a text; empty: any.
-        solid: whether a text must not be empty or contain spaces.
-        read_only: whether the parameter is fixed while the node runs.
         left: value by which a parameter is left to the rig file (:func:`by_rig`), beside the range; None: none.
     """
 
@@ -232,12 +225,7 @@ PRESSURE_SENSORS = ("measured", "none")
 
 
 def by_rig(values: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
-    """Parameters, those filled in that are left to the rig file: -1 of a voltage, 0 of another quantity.
-
-    Args:
-        values: parameters by name.
-        rig: of the node.
-    """
+    """Parameters, those filled in that are left to the rig file: -1 of a voltage, 0 of another quantity."""
     out = dict(values)
     makers: dict[str, tuple[float, Callable[[], Sequence[float]]]] = {
         "safe_voltage": (-1.0, lambda: rest_voltage(rig)),
@@ -265,10 +253,6 @@ def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
 
     Args:
         pressure_sensors: one of ``PRESSURE_SENSORS``.
-        rig: of the joint.
-
-    Raises:
-        BadInput: a rig with valves, whose pressures do not follow from the voltages.
     """
     if pressure_sensors == "none" and rig.drive == "valve":
         raise BadInput(
@@ -287,12 +271,7 @@ def declare(node: Node, table: Sequence[Parameter], known_elsewhere: Sequence[st
     """Declare the parameters of a table and return their values.
 
     Args:
-        node: the node, before any declaration.
-        table: the node's parameters.
         known_elsewhere: names of other nodes' parameters, which a shared parameter file may set.
-
-    Raises:
-        BadInput: a value that is out of range or of the wrong type, or an unknown name.
     """
     # rclpy gives overrides only to declarations, so that a misspelled name would be silently ignored.
     given = dict(getattr(node, "_parameter_overrides", {}))

@@ -55,11 +55,7 @@ class PlantNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Make a joint at rest.
-
-        Raises:
-            BadInput: an encoder that is not in the rig file, or valves without measured pressures.
-        """
+        """Make a joint at rest."""
         values = self.values
         COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"], regulators=True)

@@ -32,13 +32,7 @@ class ProcessFailed(Exception):
 
 @dataclass
 class Process:
-    """A running executable.
-
-    Attributes:
-        name: of the executable.
-        popen: the process.
-        log: file with its output.
-    """
+    """A running executable."""
 
     name: str
     popen: subprocess.Popen[bytes]
@@ -89,7 +83,6 @@ def ros_arguments(parameters: Mapping[str, object], remappings: Mapping[str, str
     """Command line for a node.
 
     Args:
-        parameters: name -> bool, int, float, text or list of float.
         remappings: from -> to, such as ``__ns`` -> ``/pam``.
     """
     arguments = ["--ros-args"]
@@ -145,9 +138,6 @@ class Processes:
 
         Args:
             name: of the executable, such as ``plant``; the first argument of the module.
-            arguments: the rest of its command line.
-            environment: added to the caller's.
-            module: Python module that runs it.
         """
         log = self._logs / f"{name}.log"
         priority = _RECORDER_PRIORITY if name == "record" else _PRIORITY
@@ -182,14 +172,7 @@ class Processes:
         return min(found, default=(0.0, ""))[1]
 
     def wait(self, missing: Callable[[], str]) -> None:
-        """Wait until nothing is missing.
-
-        Args:
-            missing: returns what is missing, in words; empty for nothing.
-
-        Raises:
-            ProcessFailed: a process has ended, or something is still missing after the longest time to start.
-        """
+        """Wait until nothing is missing."""
         begin = time.monotonic()
         while what := missing():
             self.check()
@@ -202,9 +185,6 @@ class Processes:
 
         Args:
             names: processes to end, in this order; none: all, in the order of their start.
-
-        Returns:
-            Name -> exit status.
         """
         statuses = {}
         for name in names or tuple(self.running):

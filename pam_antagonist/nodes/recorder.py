@@ -51,10 +51,7 @@ class Options:
     """Options of ``record``.
 
     Attributes:
-        out: folder of the bag.
         duration: of the recording [s]; None: until it is stopped.
-        limits: when to begin a new file.
-        namespaces: of the joints, absolute; empty: the node's namespace.
     """
 
     out: Path
@@ -70,11 +67,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def read_options(arguments: list[str]) -> Options:
-    """Read the arguments other than those of ROS.
-
-    Raises:
-        BadInput: an argument is missing, unknown or invalid.
-    """
+    """Read the arguments other than those of ROS."""
     parser = _Parser(prog="record", add_help=False, allow_abbrev=False)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--duration", type=float)

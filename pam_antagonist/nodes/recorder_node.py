@@ -43,11 +43,7 @@ class RecorderNode(PamNode):
     take twice the processor time. The times of reception come from the middleware and stay exact.
 
     Args:
-        options: of the recording.
         node_options: as :class:`PamNode`.
-
-    Raises:
-        BadInput: the folder exists or cannot be made.
     """
 
     def __init__(self, options: Options, **node_options: Any) -> None:

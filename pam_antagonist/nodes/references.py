@@ -37,11 +37,7 @@ class ReferenceInput:
     estimate would add 10 to 20 µs to the round trip of each sample.
 
     Args:
-        node: the controller.
         nearest: gives the nearest reference that the active law can follow.
-
-    Attributes:
-        references: the references, limited and slewed.
     """
 
     def __init__(self, node: PamNode, nearest: Nearest | None = None) -> None:
@@ -230,11 +226,7 @@ class ReferenceInput:
 
 
 def _trajectory(points: Any, index: int, start_ns: int) -> Trajectory:
-    """The trajectory of one joint, from positions or, without them, from efforts.
-
-    Raises:
-        BadInput: inconsistent points, or a trajectory that cannot be followed.
-    """
+    """The trajectory of one joint, from positions or, without them, from efforts."""
     seconds = [point.time_from_start.sec + point.time_from_start.nanosec * 1e-9 for point in points]
 
     def column(name: str) -> list[float]:

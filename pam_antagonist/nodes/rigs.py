@@ -21,12 +21,7 @@ _SOURCES = ("plant", "bridge")
 
 
 def announce(node: PamNode, rig: Rig) -> RigIdentity:
-    """Publish a node's rig on the topic ``rig``, also for late subscribers.
-
-    Args:
-        node: being configured; the publisher ends with the node's clean-up.
-        rig: rig of the node.
-    """
+    """Publish a node's rig on the topic ``rig``, also for late subscribers."""
     identity = RigIdentity.of(rig, node.get_name())
     publisher = node.create_publisher(String, TOPICS["rig"].relative, qos.LATCHED)
     publisher.publish(String(data=identity.text()))
@@ -38,8 +33,6 @@ class RigWatch:
     """Compares the rigs of other nodes with the node's own.
 
     Args:
-        node: being configured; the subscription ends with the node's clean-up.
-        own: the node's own rig.
         disagree: called with the problem in words when a node publishes the rig of another joint.
     """
 

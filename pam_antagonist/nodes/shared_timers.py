@@ -19,7 +19,6 @@ class Entry:
 
     Attributes:
         period_ns: time between two calls [ns].
-        callback: function to call.
         next_ns: steady time of the next call [ns].
     """
 
@@ -53,7 +52,6 @@ class SharedTimers:
 
         Args:
             period: time between two calls [s].
-            callback: function without arguments.
         """
         period_ns = round(period * 1e9)
         entry = Entry(period_ns, callback, self._clock() + period_ns)

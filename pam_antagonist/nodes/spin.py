@@ -49,7 +49,6 @@ class _Stop:
     """Handler of signals, which stores the signal.
 
     Attributes:
-        signal: number of the signal; None before the first.
         waits: whether the attribute ``signal`` is checked soon. This is not so while a node is made, which may compile
             for a minute; then the first signal raises ``_Interrupted``.
     """
@@ -65,11 +64,7 @@ class _Stop:
 
 
 def no_options(arguments: list[str]) -> None:
-    """Refuse arguments other than those of ROS.
-
-    Raises:
-        BadInput: there is such an argument.
-    """
+    """Refuse arguments other than those of ROS."""
     if arguments:
         raise BadInput(f"unknown argument {arguments[0]!r}: expected --help, or ROS arguments after --ros-args")
 
@@ -89,11 +84,8 @@ def run_node(
     Args:
         create: makes the node from its options, and from keyword arguments for rclpy's node; all slow work (reading the
             rig, loading compiled code) is done here, before the first sample.
-        argv: arguments; None: those of the process.
-        name: of the executable.
         description: first part of ``--help``.
         table: the node's parameters, for ``--help``.
-        options: reads the arguments other than those of ROS.
         check: checks all arguments first; may raise ``BadInput``.
 
     Returns:
@@ -116,13 +108,7 @@ def run_node(
 
 
 def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
-    """Text of ``--help``.
-
-    Args:
-        name: of the executable.
-        description: what it does.
-        table: its parameters.
-    """
+    """Text of ``--help``."""
     parameters = help_text((*table, AUTOSTART, DIAGNOSTICS_PERIOD))
     return (
         f"usage: {typed(name)} [OPTIONS] [--ros-args [-p PARAMETER:=VALUE]... [--params-file FILE] "
@@ -192,15 +178,7 @@ def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], 
 
 
 def client_node(name: str, namespace: str) -> Node:
-    """A node of a command, in a context of its own; signals are left to the command.
-
-    Args:
-        name: of the node.
-        namespace: of the joint.
-
-    Raises:
-        BadInput: ROS 2 cannot be initialised, for example because of its environment variables.
-    """
+    """A node of a command, in a context of its own; signals are left to the command."""
     import rclpy
     from rclpy.node import Node
     from rclpy.signals import SignalHandlerOptions

@@ -44,17 +44,11 @@ class ValvePort:
 
     Args:
         node: owner of the valves, with the parameters ``VALVE_OWNER`` in ``values``.
-        rig: limits of the valves, supply pressure, noise of the sensors.
         noisy: whether the pressures have the rig's noise; without noise they may be constant.
         linked: whether the controller is in the same process and calls :meth:`command`; others are then ignored.
 
     Attributes:
         drive: limits of the commands: voltages of valves, or pressures of regulators.
-        guard: of the valves.
-        supervision: of the pressures.
-
-    Raises:
-        BadInput: a parameter that does not fit the rig.
     """
 
     def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True, linked: bool = False) -> None:
@@ -108,10 +102,8 @@ class ValvePort:
         """Take one command, serialised; see :meth:`ValveGuard.command`.
 
         Args:
-            data: the serialised message.
             now_ns: time of reception on the steady clock [ns].
             sequence: the message's number at its publisher, None where the middleware gives none.
-            publishers: number of publishers of commands.
         """
         stamp_ns, first, second = self._unpack(data)
         was_stopped, refused = self.guard.stopped, self.guard.authority.refused
@@ -148,7 +140,6 @@ class ValvePort:
         Args:
             stamp_ns: of the sample [ns].
             pressure_1: absolute, NaN where missing [Pa].
-            pressure_2: likewise.
         """
         reason = self.supervision.check(stamp_ns, pressure_1, pressure_2)
         if reason:

@@ -71,7 +71,6 @@ class PipelineWatch:
     """The newest state of a joint, for a page.
 
     Args:
-        namespace: of the joint's nodes.
         joint_name: name of the joint in ``measured/joint_states``; None: the first.
         commands: whether :meth:`command` may be called.
 
@@ -266,9 +265,6 @@ class PipelineWatch:
 
         Args:
             order: ``do`` is ``reference``, ``enable`` (with ``value``) or ``clear_stop``.
-
-        Raises:
-            BadInput: an unknown or invalid command, or a watch without commands.
         """
         if self._caller is None:
             raise BadInput("read-only: start watch with --allow-commands")

@@ -58,16 +58,7 @@ class Server:
     """Serves the page until it is stopped.
 
     Args:
-        source: of the data.
-        host: address to listen on.
         port: to listen on; 0: any free port.
-        commands: whether pages with the key may command.
-
-    Attributes:
-        address: of the page, with the key where commands are allowed.
-
-    Raises:
-        BadInput: the server cannot listen on this address.
     """
 
     def __init__(self, source: Source, host: str = "127.0.0.1", port: int = 8765, commands: bool = False) -> None:
@@ -210,11 +201,7 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
             self.send(json.dumps({"refused": str(error)}))
 
     def _order(self, message: str | bytes) -> dict[str, Any]:
-        """The command in a message of a page.
-
-        Raises:
-            BadInput: commands are not allowed, the message is invalid, or the key is wrong.
-        """
+        """The command in a message of a page."""
         if not self._server.key:
             raise BadInput("read-only: start watch with --allow-commands")
         try:
@@ -229,11 +216,7 @@ class _Live(_Handler, tornado.websocket.WebSocketHandler):
 
 
 def names_this_machine(host: str) -> bool:
-    """Whether the name in a request's ``Host`` is an IP address, ``localhost`` or this machine's name.
-
-    Args:
-        host: name without the port.
-    """
+    """Whether the name in a request's ``Host`` is an IP address, ``localhost`` or this machine's name."""
     name = host.strip("[]").lower()
     try:
         ipaddress.ip_address(name)

@@ -57,10 +57,6 @@ _SECOND = 1_000_000_000
 def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple[object, ...]]]:
     """Layout of a ``sensor_msgs/JointState`` of one joint.
 
-    Args:
-        name: of the joint.
-        velocity: whether the message has a velocity.
-
     Returns:
         The body, and a function that inserts (position, [velocity,] effort) between the constant parts.
     """
@@ -73,14 +69,7 @@ def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple
 
 
 def joint_position(name: str) -> tuple[Body, Callable[[float], tuple[object, ...]]]:
-    """Layout of a ``sensor_msgs/JointState`` of one joint with only a position.
-
-    Args:
-        name: of the joint.
-
-    Returns:
-        The body, and a function that inserts the position between the constant parts.
-    """
+    """Layout of a ``sensor_msgs/JointState`` of one joint with only a position."""
     text = name.encode() + b"\0"
     body = (("I", 4), (f"I{len(text)}s", 4), ("I", 4), ("d", 8), ("II", 4))
     return body, lambda position: (1, len(text), text, 1, position, 0, 0)
@@ -88,10 +77,6 @@ def joint_position(name: str) -> tuple[Body, Callable[[float], tuple[object, ...
 
 def position_in(data: bytes, joint: str) -> tuple[int, float]:
     """Stamp [ns] and position of one joint in a serialised ``sensor_msgs/JointState``.
-
-    Args:
-        data: the message.
-        joint: name of the joint; ignored for a message with a single position.
 
     Returns:
         The stamp [ns], and the position [rad]; NaN where the message has none for this joint.
@@ -123,8 +108,6 @@ def layout(body: Body, frame_bytes: int, order: str = "<") -> struct.Struct:
     """The whole message as one struct.
 
     Args:
-        body: layout after the header.
-        frame_bytes: length of the frame's name with its closing zero.
         order: of the bytes, ``<`` or ``>``.
     """
     text = f"{order}{_HEADER}{frame_bytes}s"
@@ -135,15 +118,7 @@ def layout(body: Body, frame_bytes: int, order: str = "<") -> struct.Struct:
 
 
 class Outgoing:
-    """A publisher that packs its messages.
-
-    Args:
-        node: of the publisher.
-        kind: class of the message.
-        topic: name of the topic.
-        frame_id: in every header.
-        body: layout after the header.
-    """
+    """A publisher that packs its messages."""
 
     def __init__(self, node: Node, kind: Any, topic: str, frame_id: str, body: Body) -> None:
         self.publisher = node.create_publisher(kind, topic, qos.STREAM)
@@ -162,11 +137,7 @@ class Outgoing:
 
 
 class Incoming:
-    """Unpacks serialised messages.
-
-    Args:
-        body: layout after the header.
-    """
+    """Unpacks serialised messages."""
 
     def __init__(self, body: Body) -> None:
         self._body = tuple(body)
@@ -184,7 +155,6 @@ def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:
 
     Args:
         numbers: memory of an ``ESTIMATE_DTYPE``.
-        flags: of the estimate.
     """
     first = struct.unpack_from(f"={_FOR_CONTROL}", numbers)
     return (*first, flags, *struct.unpack_from(f"={_EXTERNAL}", numbers, len(numbers) - 8 * EXTERNAL_VALUES))

@@ -51,16 +51,11 @@ def read_columns(path: Path, kind: str, columns: Mapping[str, int | str], most: 
     """Read some columns.
 
     Args:
-        path: the file.
         kind: of :func:`kind_of`.
         columns: quantity -> name of its column; a number where the file holds a single matrix or a table.
-        most: rows that are read at most.
 
     Returns:
         Quantity -> numbers (N,), NaN where a value is missing.
-
-    Raises:
-        BadInput: damaged, a column missing, no numbers, columns of different lengths, or too many rows.
     """
     what, reader = _READERS[kind]
     with _readable(path, what):
@@ -105,14 +100,7 @@ def _name(path: Path, quantity: str, column: int | str, there: Mapping[str, Any]
 
 
 def no_column(path: Path, quantity: str, name: str, there: Iterable[str]) -> BadInput:
-    """The error for a column that a file does not have.
-
-    Args:
-        path: the file.
-        quantity: what the column should hold.
-        name: the column's name in the map.
-        there: names of the file's columns.
-    """
+    """The error for a column that a file does not have."""
     known = list(there)
     lower = {other.lower(): other for other in known}
     close = difflib.get_close_matches(_MATRIX.sub(r"\1", name).lower(), lower, 1, cutoff=0.4)

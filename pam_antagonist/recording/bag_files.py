@@ -116,11 +116,7 @@ class _File(Writer):
         return information
 
     def rescue(self) -> dict[str, Any] | None:
-        """After a failed write, drop the incomplete chunk and close the file before it.
-
-        Returns:
-            The file's metadata; None where the index cannot be written either and the file ends with a complete chunk.
-        """
+        """After a failed write, drop the incomplete chunk and close the file before it."""
         storage = self.storage
         if storage is None or not hasattr(storage, "chunk"):
             with suppress(Exception):
@@ -152,14 +148,10 @@ class BagFiles:
     """All files of one bag; for one thread.
 
     Args:
-        path: folder to be made.
         storage: "mcap" or "sqlite3".
         compression: see ``MODES``.
-        limits: when to begin the next file (MCAP only).
-        durable: whether flushed data must survive a power cut.
 
     Attributes:
-        files: number of files that were begun.
         size: bytes in all files as of the last flush; may be read from any thread.
     """
 
@@ -175,11 +167,7 @@ class BagFiles:
         self.files = self.size = self._finished = 0
 
     def open(self) -> None:
-        """Make the folder and the first file.
-
-        Raises:
-            OSError: They cannot be made.
-        """
+        """Make the folder and the first file."""
         self._path.mkdir(mode=0o755, parents=True)
         self._begin()
         if self._durable:
@@ -212,11 +200,7 @@ class BagFiles:
         metadata.write_information(self._path, _together(self._done))
 
     def rescue(self) -> int:
-        """After a failed write, keep as many messages as possible.
-
-        Returns:
-            Number of messages in complete chunks.
-        """
+        """After a failed write, keep as many messages as possible."""
         kept = 0
         if self._open:
             last = self._file.rescue()

@@ -62,7 +62,6 @@ class Group:
 
     Attributes:
         matrix: their bytes (k, size).
-        order: byte order of the numbers.
         position: where decoding goes on, from the end of the encapsulation [bytes].
         pending: path and type of the fields that are still to be decoded, the next one last.
         rows: numbers of the messages (k,).
@@ -82,12 +81,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Decoded:
-    """Messages of one topic as arrays.
-
-    Attributes:
-        size: number of messages N.
-        groups: the messages, grouped by layout.
-    """
+    """Messages of one topic as arrays."""
 
     size: int
     groups: tuple[Group, ...]
@@ -105,11 +99,7 @@ class Decoded:
         return not self.groups or path in self.groups[0].columns
 
     def stamp_ns(self, path: str) -> NDArray[np.int64]:
-        """Times of a builtin_interfaces/Time field (N,) [ns].
-
-        Raises:
-            CdrError: A nanosec member of a second or more.
-        """
+        """Times of a builtin_interfaces/Time field (N,) [ns]."""
         nanosec = self.fixed(f"{path}.nanosec").astype(np.int64)
         if np.any(nanosec >= 1_000_000_000):
             index = int(np.argmax(nanosec >= 1_000_000_000))
@@ -121,12 +111,8 @@ def decode(payloads: Payloads, msgtype: str, stores: Sequence[Typestore] = ()) -
     """Decode all messages of one topic.
 
     Args:
-        payloads: N raw messages.
         msgtype: Message type known to :func:`~pam_antagonist.recording.messages.typestore`.
         stores: definitions to try in order; the first that fits all payloads is taken. Default: the present one.
-
-    Raises:
-        CdrError: A payload is too short, too long, or not plain CDR; the text is the error of the first definition.
     """
     first: CdrError | None = None
     for store in stores or (typestore(),):
@@ -310,18 +296,11 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
     """Encode ``size`` messages of one type and one layout.
 
     Args:
-        msgtype: Message type.
-        size: Number of messages N.
         columns: Field path -> values: a primitive (N,) or one number for all; an array or sequence (N, count); one
             string for all; a list of strings for a sequence of strings. Every field of the type is needed.
-        little_endian: Byte order to write.
 
     Returns:
         One message a row (N, L) uint8.
-
-    Raises:
-        KeyError: A field of the message is not in ``columns``, or a column is no field.
-        ValueError: A column has the wrong shape.
     """
     out = _Encoder(size, little_endian)
     pending = _members("", msgtype, typestore())

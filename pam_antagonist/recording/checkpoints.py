@@ -24,18 +24,12 @@ class RecordedCheckpoint:
     Attributes:
         stamp_ns: stamp of the last sample that the filter had used [ns].
         started_ns: stamp of the sample that started the filter [ns].
-        rig: name of the rig.
-        fingerprint: of the rig's physics.
-        tuning: name of its tuning.
         joint: ``free`` or ``locked``.
         lock_angle: of a locked joint [rad].
-        settings: hash of all numbers that configure the filter.
-        added: names of the states that effects add.
         state: (n,).
         covariance: row-major (n n,).
         cross: row-major (n m,).
         voltage: (2,) [V].
-        rejected: number of consecutive samples that the gate refused.
         distances: number of distances between stamps so far, then the last nine distances [ns], (10,).
         angle_sensor: the filter's memory of a measured angle; empty where none was read.
     """
@@ -62,7 +56,6 @@ def read(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[RecordedCheckpoint, 
     """Records of decoded messages.
 
     Args:
-        decoded: messages of the topic.
         keep: numbers of the messages to take, in the order of the result (K,).
     """
     if len(keep) == 0:
@@ -95,12 +88,7 @@ def _text(raw: bytes) -> str:
 
 
 def messages(checkpoints: Sequence[RecordedCheckpoint], frame_id: str) -> Iterator[tuple[int, bytes]]:
-    """Stamp [ns] and CDR of each checkpoint.
-
-    Args:
-        checkpoints: to write.
-        frame_id: in every header.
-    """
+    """Stamp [ns] and CDR of each checkpoint."""
     for item in checkpoints:
         columns: dict[str, Any] = {name: getattr(item, name) for name in _TEXTS}
         arrays = (*_ARRAYS, "distances", "angle_sensor")

@@ -42,11 +42,7 @@ class Room:
         self._left = most_unpacked(size)
 
     def take(self, size: int) -> None:
-        """Use up a number of bytes.
-
-        Raises:
-            CompressionError: Fewer are left.
-        """
+        """Use up a number of bytes."""
         self._left -= size
         if self._left < 0:
             raise CompressionError(f"{self._size} bytes unpack to more than {most_unpacked(self._size)}")
@@ -56,12 +52,8 @@ def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
     """Unpack a block whose unpacked size is known.
 
     Args:
-        data: Packed bytes.
         compression: "", "zstd" or "lz4" (frame format).
         size: Unpacked size [bytes]; no more is ever allocated.
-
-    Raises:
-        CompressionError: Damaged, of another size, or another compression.
     """
     if compression == "":
         result = bytes(data)
@@ -82,11 +74,7 @@ def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
 
 
 def inflate_message(data: bytes | memoryview, limit: int = MAX_MESSAGE) -> bytes:
-    """Unpack one zstd-compressed message of at most ``limit`` bytes.
-
-    Raises:
-        CompressionError: Damaged or larger.
-    """
+    """Unpack one zstd-compressed message of at most ``limit`` bytes."""
     decompressor = zstd.ZstdDecompressor()
     try:
         result = decompressor.decompress(data, max_length=limit)
@@ -101,15 +89,10 @@ def inflate_file(source: Path, target: Path, limit: int) -> str | None:
     """Unpack a zstd file piece by piece.
 
     Args:
-        source: the packed file.
-        target: the unpacked file.
         limit: largest size of ``target`` [bytes].
 
     Returns:
         None, or how the file is damaged; ``target`` then holds the data before the damage.
-
-    Raises:
-        CompressionError: The file unpacks to more than ``limit`` bytes.
     """
     written = 0
     decompressor = zstd.ZstdDecompressor()

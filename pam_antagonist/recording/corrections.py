@@ -30,15 +30,10 @@ class Corrections:
     """Changes to a recording before it is used.
 
     Attributes:
-        pressure_unit: unit of both pressures; they are read as Pa.
         gauge: the pressures are gauge pressures; the standard atmosphere is added.
         swap_pressures: ``pressure_1`` belongs to muscle 2, and the other way round.
         swap_valves: the first voltage belongs to muscle 2's valve, and the other way round.
-        angle_unit: unit of the measured angle; it is read as rad.
-        flip_angle: the encoder counts in the other direction.
         unwrap_angle: the encoder is absolute and begins again after a turn; its jumps are removed.
-        torque_unit: unit of the measured torque; it is read as N m.
-        flip_torque: the torque meter counts in the other direction.
         encoder_zero: by how much the encoder reads too high [rad].
         torque_zero: by how much the torque meter reads too high [N m].
         torque_scale: reading of the torque meter over the torque, after its zero is subtracted.
@@ -99,9 +94,6 @@ class Corrections:
         """A recording with its columns exchanged and its channels delayed as asked; values keep their units.
 
         Angle and torque are NaN where a delay leaves them without a value; voltages and pressures keep their first one.
-
-        Args:
-            recording: as read.
         """
         pressure, voltage = recording.pressure, recording.voltage
         if self.swap_pressures:
@@ -124,11 +116,7 @@ class Corrections:
         return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
 
     def applied(self, recording: Recording) -> Recording:
-        """All corrections of a recording that was read without any.
-
-        Args:
-            recording: read without corrections.
-        """
+        """All corrections of a recording that was read without any."""
         return self.arranged(
             replace(
                 recording,
@@ -203,7 +191,6 @@ def _later(recording: Recording, values: Floats, delay: float, hold: bool = Fals
     """Values (N,) that are delayed by linear interpolation.
 
     Args:
-        recording: gives the stamps.
         values: to be delayed (N,).
         delay: [s].
         hold: whether the first and the last value are used outside the recording; else NaN.
@@ -239,11 +226,7 @@ _HELP = {
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of all corrections as one group.
-
-    Args:
-        parser: gets the options.
-    """
+    """Add the options of all corrections as one group."""
     group = parser.add_argument_group(
         "corrections of a recording (`check` and `close_loop` say which ones it needs)",
         "Zeros, scale and delays that are not given are those of the rig file (calibration).",
@@ -265,9 +248,6 @@ def from_options(arguments: argparse.Namespace, known: Mapping[str, float] = Map
     Args:
         arguments: of a parser with :func:`add_options`.
         known: zeros, scale and delays of the rig file, by name; default: none.
-
-    Raises:
-        BadInput: a unit that does not exist, or a number out of its range.
     """
     values = {item.name: getattr(arguments, item.name) for item in fields(Corrections)}
     for name, typed in _TYPED.items():

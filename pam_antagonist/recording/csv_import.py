@@ -35,15 +35,6 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
 
     Values are converted to SI units and absolute pressures. A sealed chamber has the constant voltage of the map in
     every sample; :func:`notes` names the sealed muscles, the recording does not.
-
-    Args:
-        path: The file.
-        mapping: What its columns are.
-        progress: Called with the bytes that were read since the last call.
-
-    Raises:
-        BadInput: The file cannot be read as the map says, its times are no sample times, or values are implausible in
-            their unit; with a hint where possible.
     """
     path = Path(path)
     where = str(path)
@@ -116,10 +107,6 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
 
 def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
     """Notes for a bag that is made of this file: its source, the sealed muscles, a missing regulator command.
-
-    Args:
-        path: The CSV file.
-        mapping: What its columns are.
 
     Returns:
         Name -> text, for :func:`~pam_antagonist.recording.notes.write_notes`.

@@ -213,9 +213,6 @@ def load_map(name_or_path: str | Path) -> CsvMap:
 
     Args:
         name_or_path: the path of a YAML file, or the name of one in ``config/maps`` (``sealed_joint``).
-
-    Raises:
-        BadInput: not there, not readable, an unknown key or unit, entries that contradict each other.
     """
     path = _locate(str(name_or_path))
     content = read_mapping(path, "map", typed("import_csv --example"))

@@ -32,8 +32,6 @@ class Table:
     Attributes:
         values: Quantity -> cells (N,), NaN where a cell holds no value.
         line: Line number of each row in the file (N,), counted from 1.
-        labels: Quantity -> "quantity (column 'name')", for messages.
-        issues: Sentences about what was left out.
     """
 
     values: Mapping[str, Floats]
@@ -51,14 +49,7 @@ def read_table(
     """Read some columns of a CSV file.
 
     Args:
-        path: The file.
-        layout: How it is written.
         columns: Quantity -> name or number (from 1) of its column.
-        progress: Called with the bytes that were read since the last call.
-
-    Raises:
-        BadInput: Not a text file, empty, a column missing, a row of another length, a cell that is no number, or more
-            than ``MAX_ROWS`` rows.
     """
     kind = array_files.kind_of(path)
     if kind:

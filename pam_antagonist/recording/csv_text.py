@@ -22,11 +22,7 @@ _BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it
 
 
 def check_file(path: Path) -> int:
-    """Size of a file that looks like text [bytes].
-
-    Raises:
-        BadInput: not there, not readable, empty, or a file of another kind.
-    """
+    """Size of a file that looks like text [bytes]."""
     try:
         if not path.exists():
             raise BadInput(f"{path}: no such file")
@@ -51,11 +47,7 @@ def check_file(path: Path) -> int:
 
 @contextmanager
 def opened(path: Path, layout: Layout) -> Iterator[TextIO]:
-    """The file as text; a byte order mark overrides the declared encoding.
-
-    Raises:
-        BadInput: not readable.
-    """
+    """The file as text; a byte order mark overrides the declared encoding."""
     try:
         with path.open("rb") as raw:
             start = raw.read(4)
@@ -76,11 +68,7 @@ def labview(path: Path, layout: Layout) -> Layout:
     """The layout that a LabVIEW measurement file declares in its header; that of the map for any other file.
 
     Args:
-        path: the file.
         layout: of the map; kept where it skips lines, since it then knows the header.
-
-    Raises:
-        BadInput: the header has no end, or the file cannot be read.
     """
     if layout.skip_lines:
         return layout
@@ -106,7 +94,6 @@ class Line(NamedTuple):
 
     Attributes:
         number: counted from 1, as editors do.
-        text: with the line break.
     """
 
     number: int
@@ -114,19 +101,7 @@ class Line(NamedTuple):
 
 
 class Lines:
-    """The lines of a file without blank lines and comments.
-
-    Args:
-        path: named in messages.
-        layout: how the file is written.
-        stream: the open file.
-
-    Attributes:
-        unterminated: whether the last line that was read had no line break.
-
-    Raises:
-        BadInput: while iterating, at a line that is too long or not valid in the declared encoding.
-    """
+    """The lines of a file without blank lines and comments."""
 
     def __init__(self, path: Path, layout: Layout, stream: TextIO) -> None:
         self._path, self._stream, self._layout = path, stream, layout
@@ -180,16 +155,7 @@ def _delimiter(layout: Layout) -> str:
 
 
 def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
-    """Cells of each line.
-
-    Args:
-        path: named in messages.
-        layout: how the file is written.
-        lines: its lines.
-
-    Raises:
-        BadInput: a quotation mark that is not closed in its line, or a cell that is too long.
-    """
+    """Cells of each line."""
     if layout.delimiter == "space":
         return [line.text.split() for line in lines]
     try:

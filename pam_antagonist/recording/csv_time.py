@@ -43,7 +43,6 @@ class Timing:
     Attributes:
         stamp_ns: Stamps of the kept rows (M,) [ns], strictly increasing.
         keep: Indices of the kept rows in the file (M,).
-        issues: Sentences about dropped rows and uneven times.
         episode_ns: Stamps at which episodes begin (E,) [ns]; None for a file in one piece.
     """
 
@@ -57,14 +56,8 @@ def timing(where: str, time: Time, table: Table, sampled: NDArray[np.bool_]) -> 
     """Stamps of the rows.
 
     Args:
-        where: The file, for messages.
-        time: What the map says about time.
         table: The file's numbers; those of "time" are used where the map names a column.
         sampled: Which rows are samples (N,); the intervals between them are judged.
-
-    Raises:
-        BadInput: Fewer than two rows, times that are missing, repeat, run backwards or are uneven, or a unit that
-            makes the sample period unbelievable.
     """
     if len(table) < 2:
         raise BadInput(f"{where}: {len(table)} row of numbers, expected at least two")

@@ -46,13 +46,9 @@ def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float
     recorded. Otherwise the joint is assumed free.
 
     Args:
-        recording: the recording.
         joint: ``free`` or ``locked`` where it is known, ``auto`` to detect it.
         lock_angle: angle of a locked joint [rad]; default: that of the recorded estimate, else the median of the
             measured angle to 0.1°, else 0.
-
-    Raises:
-        BadInput: a condition that does not exist, or a lock angle although ``joint`` is not ``locked``.
     """
     if joint not in ("free", "locked", "auto"):
         raise BadInput(f"joint {joint!r}: expected free, locked or auto")
@@ -74,13 +70,7 @@ def refuse_other_condition(recording: Recording, condition: str, name: str) -> N
     """Refuse a recording whose measured angle contradicts what is said of the joint.
 
     Args:
-        recording: the recording.
         condition: ``free`` or ``locked``.
-        name: of the recording, for the message.
-
-    Raises:
-        BadInput: a locked joint moves by more than a lock can give way, or a free one stands still while its pressures
-            change.
     """
     moved = _range(_finite(recording.angle))
     said = f"its measured angle moves by {math.degrees(moved):.1f}°"

@@ -54,7 +54,6 @@ class McapContents:
         topics: One entry for each channel, with payloads only of the requested message types.
         damage: Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before
             it, and those in whole chunks behind it.
-        lost: Damaged parts behind which the scan went on.
     """
 
     topics: list[RawTopic]
@@ -67,8 +66,6 @@ class Lost:
     """A part of a file that could not be read.
 
     Attributes:
-        begin: its first byte.
-        end: the first byte behind it.
         since: when the last message before it was received, from the first message that was read on [s]; NaN for none.
         until: when the first message behind it was received [s]; NaN for none.
     """
@@ -83,7 +80,6 @@ def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> M
     """Read all messages of the given types.
 
     Args:
-        path: The file.
         types: Message types whose payloads are wanted; messages of other types are only counted.
         room: Limit on unpacked bytes; None for the limit of this file alone.
     """

@@ -27,12 +27,7 @@ def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray
 
     Args:
         data: bytes of the file or chunk (B,).
-        position: where a record begins.
-        end: where the records end.
         run: result (M, 4): channel, log time [ns], first byte and size of the payload of each.
-
-    Returns:
-        Number of messages taken, and the position after them.
     """
     count = 0
     while count < run.shape[0] and position + 9 + MESSAGE_HEAD <= end and data[position] == MESSAGE:

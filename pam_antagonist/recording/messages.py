@@ -135,11 +135,6 @@ def stores_of(msgtype: str, digest: str, definition: str) -> tuple[Typestore, ..
     Args:
         msgtype: Message type, known to :func:`typestore`.
         digest: RIHS01 hash that the bag states, or "".
-        definition: Definition in the bag as .msg or IDL text, or "".
-
-    Returns:
-        The store of the present definition, then that of the former one. A store is left out if its definition differs
-        from the bag's in the hash or, without a hash, in the fields. Empty where the bag has another definition.
     """
     stores = (typestore(), typestore(former=True)) if msgtype in FORMER else (typestore(),)
     return tuple(store for store in stores if not _differs(store, msgtype, digest, definition))

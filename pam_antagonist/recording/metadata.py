@@ -21,18 +21,7 @@ _MOST_VALUES = 500_000
 
 
 def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
-    """Content of a bag's metadata.yaml.
-
-    Args:
-        folder: of the bag.
-        name: of the file.
-
-    Returns:
-        The content; None where the file is missing or empty, because the recording was not closed.
-
-    Raises:
-        BadInput: Not readable, or not the metadata of a rosbag2.
-    """
+    """Content of a bag's metadata.yaml."""
     file = folder / name
     content = _read(file)
     if content is None:
@@ -49,11 +38,7 @@ def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
 
 
 def read_custom_data(folder: Path) -> dict[str, str]:
-    """Notes in the metadata, by name; none where the metadata is missing or of another kind.
-
-    Raises:
-        BadInput: Not readable.
-    """
+    """Notes in the metadata, by name; none where the metadata is missing or of another kind."""
     content = _read(folder / NAME)
     return custom_data(content.get(INFORMATION) if isinstance(content, dict) else None)
 
@@ -78,11 +63,7 @@ def _read(file: Path) -> Any:
 
 
 def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
-    """Names of the message files; only files directly in the folder are accepted.
-
-    Raises:
-        BadInput: No file is named, a name is invalid or repeated, or a file is missing.
-    """
+    """Names of the message files; only files directly in the folder are accepted."""
     where = folder / NAME
     if "relative_file_paths" not in information:
         raise BadInput(f"{where}: not the metadata of a rosbag2, entry 'relative_file_paths' is missing")
@@ -102,11 +83,7 @@ def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
 
 
 def type_digests(folder: Path, information: Mapping[str, Any]) -> dict[tuple[str, str], str]:
-    """(topic, message type) -> RIHS01 hash of the type, "" where the metadata has none.
-
-    Raises:
-        BadInput: The list of topics is malformed.
-    """
+    """(topic, message type) -> RIHS01 hash of the type, "" where the metadata has none."""
     try:
         return dict(_digests(information))
     except KeyError as error:
@@ -136,11 +113,7 @@ def custom_data(information: Any) -> dict[str, str]:
 
 
 def write_information(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write metadata.yaml; after a power cut either the old or the new file is there.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """Write metadata.yaml; after a power cut either the old or the new file is there."""
     part = folder / f".{NAME}.part"
     text = yaml.safe_dump({INFORMATION: dict(information)}, sort_keys=False, allow_unicode=True)
     try:

@@ -40,17 +40,11 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
     """Find the package's topics in a bag.
 
     Args:
-        bag: The bag.
         topics: Logical (or relative) name -> topic in the bag, for topics that have another name there.
         namespace: Namespace of all other topics; None to find it in the bag.
 
     Returns:
         Logical name -> messages; all sample topics are there and not empty. ``bag.issues`` names the topics that were
-        left out.
-
-    Raises:
-        SeveralJoints: Several namespaces hold such topics, and ``namespace`` is None.
-        BadInput: A sample topic, or one named in ``topics``, is missing, empty or of the wrong type.
     """
     if not any(len(raw.log_ns) for raw in bag.topics.values()):
         raise BadInput(f"{bag.path}: no samples, the bag holds no messages ({_list(bag)})")
@@ -112,14 +106,7 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
 
 
 def joints_in(bag: RawBag) -> list[str]:
-    """The namespaces with messages of every sample topic; each is a joint.
-
-    Args:
-        bag: The bag; payloads are not needed.
-
-    Returns:
-        Namespaces such as "/left/elbow", sorted; "" is the root.
-    """
+    """The namespaces with messages of every sample topic; each is a joint."""
 
     def there(namespace: str, name: str) -> bool:
         raw = bag.topics.get(TOPICS[name].resolve(namespace))
@@ -140,8 +127,6 @@ def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:
     """Drive of a joint: ``regulator`` where pressure commands but no voltages were recorded, else ``valve``.
 
     Args:
-        bag: The bag.
-        namespace: Of the joint.
         renamed: Logical name -> topic in the bag, for topics that have another name there.
     """
 
@@ -208,16 +193,10 @@ def values_of_joint(
 
     Args:
         bag: The bag; its issues tell which of several joints was taken.
-        topic: Name of the topic in the bag.
-        decoded: Its messages.
-        joint: Name of the joint; None for the only one, or for that of the estimator.
         live: Messages of the estimator's ``joint_states``, or None.
 
     Returns:
         Position [rad] and effort [N m] of all messages, NaN where a message has none, and which messages name it.
-
-    Raises:
-        BadInput: No such joint, or several, of which none was chosen or some have no name of their own.
     """
     names = _joint_names(decoded)
     listed = ", ".join(names) or "no names"

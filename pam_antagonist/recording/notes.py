@@ -24,7 +24,6 @@ class Issue(str):
     """A sentence about repaired, dropped or doubtful data, with what a program needs of it.
 
     Args:
-        text: the sentence.
         kind: one of ``KINDS``.
         size: number of messages, rows, samples or bytes that it concerns; 0 where nothing is counted.
         start_s: where it begins, from the first sample that was read [s]; NaN where it has no place.
@@ -46,11 +45,7 @@ class Issue(str):
 
     @staticmethod
     def sorted(texts: Iterable[str]) -> tuple[Issue, ...]:
-        """Issues in the order of ``KINDS``; a text of no kind is a remark.
-
-        Args:
-            texts: issues, or plain sentences.
-        """
+        """Issues in the order of ``KINDS``; a text of no kind is a remark."""
         issues = [text if isinstance(text, Issue) else Issue(text) for text in texts]
         return tuple(sorted(issues, key=lambda issue: KINDS.index(issue.kind)))
 
@@ -71,24 +66,13 @@ _IN_THE_BAG = ("hole", "missing")  # found again when the bag is read
 
 
 def issues_note(issues: Iterable[Issue]) -> dict[str, str]:
-    """The note of what the import found and a bag does not show; none where there is nothing.
-
-    Args:
-        issues: of the imported recording.
-    """
+    """The note of what the import found and a bag does not show; none where there is nothing."""
     lines = [f"{issue.kind} {issue.size} {issue}" for issue in issues if issue.kind not in _IN_THE_BAG]
     return {ISSUES: "\n".join(lines)} if lines else {}
 
 
 def noted_issues(path: Path) -> list[Issue]:
-    """What the import of a bag found, according to its note.
-
-    Args:
-        path: folder of the bag.
-
-    Raises:
-        BadInput: The metadata cannot be read.
-    """
+    """What the import of a bag found, according to its note."""
     lines = [line.split(" ", 2) for line in read_notes(path).get(ISSUES, "").splitlines()]
     return [
         Issue(f"import: {line[2]}", line[0], int(line[1]))
@@ -98,16 +82,7 @@ def noted_issues(path: Path) -> list[Issue]:
 
 
 def write_notes(path: Path, notes: Mapping[str, str]) -> None:
-    """Add notes to a bag.
-
-    Args:
-        path: Folder of a finished bag.
-        notes: Name -> text.
-
-    Raises:
-        BadInput: The metadata cannot be read.
-        OSError: The notes cannot be written.
-    """
+    """Add notes to a bag."""
     information = metadata.read_information(path)
     if information is None:
         raise BadInput(f"{path}: has no metadata.yaml, expected a finished bag")
@@ -116,24 +91,13 @@ def write_notes(path: Path, notes: Mapping[str, str]) -> None:
 
 
 def read_notes(path: str | Path) -> dict[str, str]:
-    """Notes of a bag, by name; empty without metadata or notes.
-
-    Args:
-        path: Bag folder, or one of the files in it.
-
-    Raises:
-        BadInput: The metadata cannot be read.
-    """
+    """Notes of a bag, by name; empty without metadata or notes."""
     path = Path(path)
     return metadata.read_custom_data(path if path.is_dir() else path.parent)
 
 
 def sealed_muscles(path: str | Path) -> tuple[int, ...]:
-    """Numbers of the muscles that are sealed according to a bag's note; their valves pass no air at any voltage.
-
-    Raises:
-        BadInput: The metadata cannot be read, or the note is no list of muscles.
-    """
+    """Numbers of the muscles that are sealed according to a bag's note; their valves pass no air at any voltage."""
     text = read_notes(path).get(SEALED, "")
     if not all(part in ("1", "2") for part in text.split()):
         raise BadInput(f"{path}: {SEALED} in metadata.yaml is {text[:40]!r}, expected '1', '2' or '1 2'")

@@ -34,10 +34,7 @@ def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Flo
     """Values with NaN for everything that is not finite.
 
     Args:
-        topic: of the values, for messages.
-        what: the quantity.
         values: any numbers (N,) or (N, 2).
-        issues: gets a sentence where values were left out.
     """
     bad = ~(np.abs(values) < NO_VALUE)
     if not np.any(bad):
@@ -47,12 +44,7 @@ def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Flo
 
 
 def few(count: int, size: int) -> bool:
-    """Whether odd values are so rare that they say nothing of the rest.
-
-    Args:
-        count: of the odd values.
-        size: number of all values.
-    """
+    """Whether odd values are so rare that they say nothing of the rest."""
     return count <= max(5, 0.001 * size) and 2 * count <= size
 
 
@@ -70,13 +62,7 @@ def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) 
     """Refuse values that are no absolute pressures in Pa.
 
     Args:
-        where: file, for messages.
-        topic: topic or column, for messages.
         pressure: (N, 2) [Pa].
-        issues: gets a sentence about single odd values.
-
-    Raises:
-        BadInput: Gauge pressure, another unit, or no value at all.
     """
     values = _finite(where, topic, "pressure", pressure)
     expected = "expected absolute pressure in Pa"
@@ -101,13 +87,7 @@ def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) ->
     """Refuse voltages outside the valves' range.
 
     Args:
-        where: file, for messages.
-        topic: topic or column, for messages.
         voltage: (N, 2) [V].
-        issues: gets a sentence about single odd values.
-
-    Raises:
-        BadInput: Too many values outside 0 to 10 V, or no value at all.
     """
     values = _finite(where, topic, "voltage", voltage)
     odd = (values < MIN_VOLTAGE) | (values > MAX_VOLTAGE)
@@ -150,13 +130,7 @@ def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> Non
     """Refuse an angle in degrees, and one that jumps by a turn.
 
     Args:
-        where: file, for messages.
-        topic: topic or column, for messages.
         angle: (N,) [rad].
-        issues: gets a sentence about single odd values.
-
-    Raises:
-        BadInput: Too many values beyond half a turn in rad, or jumps by a turn.
     """
     values = angle[np.isfinite(angle)]
     if turns(values, 2.0 * np.pi):
@@ -175,13 +149,7 @@ def check_torque(where: str, topic: str, torque: Floats, issues: list[str]) -> N
     """Refuse a torque in N mm.
 
     Args:
-        where: file, for messages.
-        topic: topic or column, for messages.
         torque: (N,) [N m].
-        issues: gets a sentence about single odd values.
-
-    Raises:
-        BadInput: Too many values beyond ``MAX_TORQUE``.
     """
     values = torque[np.isfinite(torque)]
     if _implausible(topic, values, np.abs(values) > MAX_TORQUE, f"lie beyond {MAX_TORQUE:g} N m", issues):

@@ -15,10 +15,8 @@ class Channel:
     """A bag's description of one of its topics.
 
     Attributes:
-        topic: Absolute topic name.
         msgtype: Message type, such as "sensor_msgs/msg/FluidPressure"; "" where the bag does not say.
         encoding: Serialization, "cdr" for ROS 2.
-        definition: Definition in .msg or IDL syntax, or "".
         digest: RIHS01 hash of the type, or "".
     """
 
@@ -34,7 +32,6 @@ class RawTopic:
     """Messages of one channel in the order of the file.
 
     Attributes:
-        channel: Name and type.
         log_ns: Time of reception of each message (N,) [ns].
         payloads: The messages, or None where this type was not requested.
     """
@@ -59,7 +56,6 @@ class Collector:
     """Gathers messages of one channel, block by block.
 
     Attributes:
-        channel: of the messages.
         wanted: whether the messages are kept; otherwise only their times are.
     """
 
@@ -72,7 +68,6 @@ class Collector:
 
         Args:
             log_ns: times of reception (N,) [ns].
-            payloads: the messages; None where they are not wanted.
         """
         self._blocks.append(RawTopic(self.channel, log_ns, payloads))
 
@@ -80,11 +75,7 @@ class Collector:
         return sum(len(block.log_ns) for block in self._blocks)
 
     def cut(self, size: int) -> None:
-        """Forget all messages but the first ones.
-
-        Args:
-            size: number of messages to keep.
-        """
+        """Forget all messages but the first ones."""
         whole = self.finish()
         payloads = whole.payloads
         if payloads is not None:

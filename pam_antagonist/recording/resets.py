@@ -39,7 +39,6 @@ class Resets:
     """Resets of a recording.
 
     Attributes:
-        signal: the signal that jumps, in words.
         rows: first rows after the jumps (K,).
         times: times of these rows from the start of the recording (K,) [s].
     """
@@ -61,11 +60,7 @@ class Resets:
 
 
 def resets(recording: Recording) -> Resets | None:
-    """Unmarked resets of a recording; None where there are none.
-
-    Args:
-        recording: in one piece or of episodes; jumps at marked episodes are no resets.
-    """
+    """Unmarked resets of a recording; None where there are none."""
     if len(recording) < 4 * _ROWS:
         return None
     apart = np.diff(recording.stamp_ns) * 1e-9
@@ -94,7 +89,6 @@ def _jumps(values: Floats, joined: NDArray[np.bool_], least: float) -> NDArray[n
     Args:
         values: a signal (N,), NaN where missing.
         joined: whether no time is missing between a row and the next (N - 1,).
-        least: smallest jump that counts, in the signal's unit.
     """
     moved = np.where(joined, np.diff(values), np.nan)
     sizes = np.abs(moved)

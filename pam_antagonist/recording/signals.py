@@ -47,7 +47,6 @@ class FurtherSignal(NamedTuple):
 
     Attributes:
         values: at the samples (N,), NaN where missing.
-        unit: Pa, rad or degC.
     """
 
     values: Floats
@@ -58,12 +57,6 @@ def blocks(
     recording: Recording, header: Mapping[str, Any], stamp: Mapping[str, Any], frame_id: str
 ) -> dict[Topic, tuple[Stamps, NDArray[np.uint8]]]:
     """Messages of the further signals and of the episodes' beginnings.
-
-    Args:
-        recording: to be written.
-        header: fields of a message's header for the samples.
-        stamp: fields of a std_msgs/Header for the episodes.
-        frame_id: of all messages.
 
     Returns:
         Topic -> stamps (K,) and messages (K, L).
@@ -90,16 +83,11 @@ def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[
     """Further signals of a bag at the samples.
 
     Args:
-        bag: the bag.
-        namespace: of the joint.
         samples: stamps (N,) [ns].
         wanted: names of further topics in the bag, in addition to those below ``also/``.
 
     Returns:
         Name -> signal; the name is the part after ``also/``, or the entry of ``wanted``.
-
-    Raises:
-        BadInput: a wanted topic is missing, or has a type that holds no signal.
     """
     prefix = f"{namespace}/{ALSO}"
     topics = {topic[len(prefix) :]: topic for topic in sorted(bag.topics) if topic.startswith(prefix)}
@@ -155,12 +143,7 @@ def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None
     """Stamps of the first samples of episodes (E,) [ns]; None where the bag marks none.
 
     Args:
-        bag: the bag.
-        namespace: of the joint.
         samples: stamps (N,) [ns].
-
-    Raises:
-        BadInput: the messages cannot be read.
     """
     topic = EPISODE.resolve(namespace)
     raw = bag.topics.get(topic)
@@ -175,12 +158,7 @@ def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None
 
 
 def rig_texts(bag: RawBag, namespace: str) -> tuple[str, ...]:
-    """Texts of the topic ``rig``, in the order of reception; none where the topic is missing or not readable.
-
-    Args:
-        bag: the bag.
-        namespace: of the joint.
-    """
+    """Texts of the topic ``rig``, in the order of reception; none where the topic is missing or not readable."""
     topic = TOPICS["rig"]
     raw = bag.topics.get(f"{namespace}/{topic.relative}")
     if raw is None or raw.channel.msgtype != topic.type or raw.channel.encoding != "cdr":

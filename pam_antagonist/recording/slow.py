@@ -57,7 +57,6 @@ def reading_times(time: NDArray[np.float64], period_s: float) -> NDArray[np.floa
 
     Args:
         time: of the rows that show a new reading first (K,) [s].
-        period_s: of the log's rows.
     """
     if len(time) < _FEWEST_READINGS:
         return time

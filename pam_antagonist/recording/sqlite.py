@@ -53,12 +53,8 @@ def read_sqlite(file: Path, types: Collection[str], *, whole: bool = True) -> tu
     """Read all messages of the given types.
 
     Args:
-        file: The file.
         types: Message types whose payloads are wanted; messages of other types are only counted.
         whole: Whether a damaged file is not read at all; otherwise the rows on whole pages are.
-
-    Returns:
-        One entry for each topic, and what is damaged, or None.
     """
     damage = _cut_off(file)
     if damage is not None and whole:

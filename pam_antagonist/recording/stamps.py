@@ -48,18 +48,9 @@ def order(
     """Sort the messages of one topic by their stamps.
 
     Args:
-        where: The bag, for messages.
-        topic: The topic, for messages.
         stamp_ns: Header stamps in the order of reception (K,) [ns].
         issues: Gets a sentence about messages without a stamp, late ones and duplicates.
         values: What the messages say (K, m), NaN where nothing; None: messages with one stamp are not compared.
-
-    Returns:
-        Indices of the messages to keep; their stamps increase strictly.
-
-    Raises:
-        BadInput: No message is stamped, time runs backwards by more than 0.5 s, or messages with one stamp contradict
-            each other.
     """
     keep = np.flatnonzero(stamp_ns != 0)
     if len(keep) == 0:
@@ -136,15 +127,9 @@ def judge_publishers(
     """Refuse a topic whose messages come from two publishers with stamps of their own that contradict each other.
 
     Args:
-        where: The bag, for messages.
-        topic: The topic, for messages.
         stamp_ns: Its stamps (K,) [ns], strictly increasing.
         values: Its values (K,).
         paired: Whether the stamp of each message is one of another topic's (K,).
-
-    Raises:
-        BadInput: The values of the messages that are paired and of those that are not, or of every second message,
-            follow two different curves.
     """
     known = np.isfinite(values)
     stamp_ns, values, paired = stamp_ns[known], values[known], paired[known]
@@ -173,13 +158,8 @@ def clock_shifts(
     beginning and at the end.
 
     Args:
-        where: The bag, for messages.
         times: Topic -> times of reception and stamps of its messages (K,) [ns]; the first topic's clock counts.
-        issues: Gets a sentence about each topic with another clock.
         align: Whether stamps of another clock are shifted; otherwise no topic is.
-
-    Raises:
-        BadInput: Stamps of another clock that would pair the wrong messages, unless they are shifted.
     """
     (first, (log_ns, stamp_ns)), *others = times.items()
     shifts = {}
@@ -305,14 +285,9 @@ def judge_pairing(
     """Report how many samples miss a topic, and holes in the samples.
 
     Args:
-        where: The bag, for messages.
         samples: Sample stamps (N,) [ns].
         present: Topic -> which samples have its message (N,); the two pressures come first.
-        issues: Gets the sentences.
         episode_ns: Stamps at which episodes begin (E,) [ns]; a hole before one is not reported. None for one piece.
-
-    Raises:
-        BadInput: The two pressures rarely share a stamp.
     """
     first, second = list(present)[0], list(present)[min(1, len(present) - 1)]
     for other, there in present.items():

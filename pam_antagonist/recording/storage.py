@@ -38,10 +38,8 @@ class RawBag:
     """A bag as raw messages.
 
     Attributes:
-        path: The folder or file that was opened.
         topics: Topic name -> messages; of several message types the one with most messages.
         conflicts: Topic name -> its message types, for topics with more than one.
-        issues: Problems that did not prevent reading.
     """
 
     path: Path
@@ -67,9 +65,6 @@ def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> Ra
         path: Bag folder, or one .mcap or .db3 file, plain or packed with zstd.
         types: Message types whose payloads are wanted; other topics are listed and counted.
         recover: Read what is left of a damaged or cut off bag instead of refusing it.
-
-    Raises:
-        BadInput: Not a bag, damaged, or not readable.
     """
     try:
         files = _locate(path)
@@ -250,11 +245,7 @@ def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str],
 
 
 def unpack_messages(raw: RawTopic) -> RawTopic:
-    """Undo rosbag2's message compression; a plain CDR message never starts with the magic number of zstd.
-
-    Raises:
-        CompressionError: A packed message is damaged.
-    """
+    """Undo rosbag2's message compression; a plain CDR message never starts with the magic number of zstd."""
     payloads = raw.payloads
     if payloads is None or not len(payloads) or payloads.data[:4].tobytes() != ZSTD_MAGIC:
         return raw

@@ -43,12 +43,7 @@ def canonical(where: str, quantity: str, unit: str) -> str:
     Upper and lower case matter: MPa is not mPa.
 
     Args:
-        where: where the unit was given, for the message.
         quantity: a key of ``UNITS``.
-        unit: as written by the user, such as "Nm", "N·m" or "kPa".
-
-    Raises:
-        BadInput: no such unit of this quantity.
     """
     known = UNITS[quantity]
     bare = {_bare(name): name for name in known}

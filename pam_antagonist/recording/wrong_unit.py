@@ -32,10 +32,7 @@ class Signal:
     """Numbers of a CSV column.
 
     Attributes:
-        label: Quantity and column, for messages.
         values: (N,) in the unit, NaN where missing.
-        unit: Declared unit.
-        reference: Of a pressure: "gauge" or "absolute".
     """
 
     label: str
@@ -57,7 +54,6 @@ def pascal(values: Floats, unit: str, reference: str, atmosphere: float) -> Floa
 
     Args:
         values: (N,) in the unit.
-        unit: name of a unit of pressure.
         reference: ``absolute`` or ``gauge``.
         atmosphere: absolute pressure of the surroundings [Pa].
     """
@@ -68,14 +64,10 @@ def check_pressures(where: str, first: Signal, second: Signal, atmosphere: float
     """Refuse pressures that no muscle can have, or that leave both muscles slack.
 
     Args:
-        where: The file.
         first: Pressure of muscle 1 as declared.
         second: Pressure of muscle 2.
         atmosphere: Absolute pressure of the surroundings [Pa].
         issues: Gets sentences about single odd values and a muscle that is never pressurised.
-
-    Raises:
-        BadInput: With the unit or reference that the numbers look like.
     """
     slack = []
     for signal in (first, second):
@@ -131,16 +123,7 @@ def _other_pressure(signal: Signal, atmosphere: float) -> str:
 
 
 def check_angle(where: str, signal: Signal, issues: list[str]) -> None:
-    """Refuse an angle beyond half a turn, and one that jumps by a turn.
-
-    Args:
-        where: the file.
-        signal: as declared.
-        issues: gets a sentence about single odd values.
-
-    Raises:
-        BadInput: With the unit that the numbers look like.
-    """
+    """Refuse an angle beyond half a turn, and one that jumps by a turn."""
     factor = UNITS["angle"][signal.unit]
     try:
         plausible.check_angle(where, signal.label, signal.values * factor, issues)
@@ -179,16 +162,7 @@ def _absolute_encoder(signal: Signal) -> str:
 
 
 def check_torque(where: str, signal: Signal, issues: list[str]) -> None:
-    """Refuse a torque beyond ``plausible.MAX_TORQUE``.
-
-    Args:
-        where: the file.
-        signal: as declared.
-        issues: gets a sentence about single odd values.
-
-    Raises:
-        BadInput: With the unit that the numbers look like.
-    """
+    """Refuse a torque beyond ``plausible.MAX_TORQUE``."""
     try:
         plausible.check_torque(where, signal.label, signal.values * UNITS["torque"][signal.unit], issues)
     except BadInput:
@@ -199,16 +173,7 @@ def check_torque(where: str, signal: Signal, issues: list[str]) -> None:
 
 
 def check_voltage(where: str, signal: Signal, issues: list[str]) -> None:
-    """Refuse voltages outside 0 to 10 V, and millivolts that are too small to move a valve.
-
-    Args:
-        where: the file.
-        signal: as declared.
-        issues: gets a sentence about single odd values.
-
-    Raises:
-        BadInput: With the unit that the numbers look like.
-    """
+    """Refuse voltages outside 0 to 10 V, and millivolts that are too small to move a valve."""
     volt = signal.values * UNITS["voltage"][signal.unit]
     finite = volt[np.isfinite(volt)]
     if not len(finite):

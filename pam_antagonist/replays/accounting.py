@@ -26,7 +26,6 @@ class Latency:
     """Times from the recorder's reception of a sample's first message to its reception of the command [ms].
 
     Attributes:
-        samples: number of samples with both messages.
         median: median time [ms].
         p99: 99 % quantile [ms].
         largest: largest time [ms].
@@ -46,11 +45,7 @@ class Accounting:
     In between, one sample a period is expected.
 
     Attributes:
-        expected: samples in that time, at one a period.
-        lost: stage -> number of expected samples without a message.
         out_of_order: stage -> messages that were received before one with an earlier stamp.
-        late: estimates with the flag LATE.
-        latency: from pressure to command.
     """
 
     expected: int
@@ -64,11 +59,7 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
     """Account for the samples of a recording.
 
     Args:
-        recording: of the whole pipeline.
         sample_period: [s].
-
-    Returns:
-        The account; None where a stage has no messages.
     """
     found = _between(recording)
     if found is None:
@@ -113,12 +104,8 @@ def over_time(recording: Recording, sample_period: float, block: float) -> OverT
     """Account for the samples block by block; the losses of all blocks are those of :func:`account`.
 
     Args:
-        recording: of the whole pipeline.
         sample_period: [s].
         block: length of a block [s].
-
-    Returns:
-        The account; None where a stage has no messages.
     """
     found = _between(recording)
     if found is None or found[1] > found[2]:
@@ -190,7 +177,6 @@ def round_trips(recording: Recording, first: int, last: int) -> tuple[Stamps, ND
     """Time from pressure to command of each sample with both, as in :class:`Latency`.
 
     Args:
-        recording: of the whole pipeline.
         first: stamp of the first sample that counts [ns].
         last: stamp of the last sample that counts [ns].
 

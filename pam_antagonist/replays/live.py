@@ -46,7 +46,6 @@ def as_live(recording: Recording, impossible: NDArray[np.bool_]) -> LiveInput:
     repeats are left out.
 
     Args:
-        recording: the recording.
         impossible: which pressures and voltages the filter itself takes for missing (N, 4).
     """
     pressure, voltage = recording.pressure.copy(), recording.voltage.copy()
@@ -87,14 +86,10 @@ class LiveComparison:
     """Comparison of recorded estimates with replayed ones.
 
     Attributes:
-        compared: number of samples with both estimates.
         equal: compared samples that agree in every field except the ``LATE`` flag.
-        only_live: samples with a recorded but no replayed estimate.
         only_replay: samples between the first and the last recorded estimate that have only a replayed one.
         first_difference_ns: stamp of the first sample that differs [ns], or None.
-        differing: field -> number of samples in which it differs.
         not_compared: samples with a live estimate for which the replay had a filter of its own.
-        why_not: reasons for that, each once.
         apart_deg: largest difference of the angle in the samples not compared, and the last one [deg].
     """
 
@@ -119,7 +114,6 @@ class Apart(NamedTuple):
     Attributes:
         first_ns: stamp of the first sample [ns].
         end_ns: end of the range, after the stamp of the last sample [ns].
-        why: the reason.
     """
 
     first_ns: int
@@ -128,13 +122,7 @@ class Apart(NamedTuple):
 
 
 def compare_with_live(live: RecordedEstimate, run: EstimateRun, apart: Sequence[Apart] = ()) -> LiveComparison:
-    """Compare recorded estimates with replayed ones, sample by sample.
-
-    Args:
-        live: what the live node published.
-        run: the replay.
-        apart: samples not to compare bit by bit.
-    """
+    """Compare recorded estimates with replayed ones, sample by sample."""
     own_live, own_run = _within(live.stamp_ns, apart), _within(run.stamp_ns, apart)
     compared = _compare(live.take(~own_live), taken(run, ~own_run))
     if not own_live.any():
@@ -153,9 +141,6 @@ def ended(recording: Recording) -> Apart | None:
     """The last samples, where the live filter had values that the recording lacks.
 
     A recorder that ends while the pipeline runs unsubscribes from the topics one after the other.
-
-    Args:
-        recording: with a live estimate.
     """
     live, stamps = recording.estimate, recording.stamp_ns
     if live is None or len(live) == 0:
@@ -183,7 +168,6 @@ def taken(run: EstimateRun, keep: NDArray[np.bool_]) -> EstimateRun:
     """Some of the estimates of a run.
 
     Args:
-        run: M estimates.
         keep: whether to keep each estimate (M,).
     """
     arrays = {name: getattr(run, name)[keep] for name in ("rows", "stamp_ns", "index", "started_ns")}

@@ -33,9 +33,6 @@ class Innovation:
     Attributes:
         nis_mean: mean normalised innovation squared; 2 is right for two pressures.
         nis_in_95: share of the samples with a NIS within the 95 % interval of its chi-square distribution.
-        whiteness_p: p-value of a test for whiteness.
-        largest_correlation: largest autocorrelation at any tested lag.
-        samples: number of samples with an innovation.
         nees_angle: mean normalised error squared of the angle [-]; 1 is right, None: not measured.
         nees_torque: mean normalised error squared of the torque [-], likewise.
     """
@@ -51,13 +48,7 @@ class Innovation:
 
 @dataclass(frozen=True)
 class RecordedRig:
-    """The rig that a node reported.
-
-    Attributes:
-        name: of the rig.
-        fingerprint: of its values.
-        same: whether it has the values of the replay's rig.
-    """
+    """The rig that a node reported."""
 
     name: str
     fingerprint: str
@@ -69,12 +60,8 @@ class RecordingFacts:
     """The recording that was replayed.
 
     Attributes:
-        name: of the bag.
-        sha256: of the bag's files.
         topics: logical name of each of the package's topics -> name in the bag.
         first_stamp_ns: stamp of the first sample [ns].
-        issues: problems of the recording, in sentences.
-        rigs: node -> its rig, where the bag names them.
     """
 
     name: str
@@ -111,9 +98,7 @@ class FilterFacts:
 
     Attributes:
         started_ns: stamps at which the filter was started [ns].
-        counts: numbers of used, missing and refused samples.
         resumed_ns: stamps of the live filter's checkpoints from which the filter went on [ns].
-        refused: reasons why other checkpoints could not be used.
     """
 
     started_ns: tuple[int, ...]

@@ -47,8 +47,6 @@ class Plan:
     """How a recording is replayed.
 
     Attributes:
-        segments: in order.
-        refused: reasons why checkpoints could not be used, each once.
         skipped: index of the first sample that the filter runs for; earlier ones are not needed.
         model_first: index of the first sample of the model alone, which also runs over skipped samples.
     """
@@ -63,8 +61,6 @@ def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None
     """Plan the starts of the filter.
 
     Args:
-        recording: to be replayed.
-        estimator: of the replay; it is reset.
         begin_ns: stamp from which estimates are wanted [ns]; None: for the whole recording.
     """
     out = Plan([], {})
@@ -138,11 +134,7 @@ def _usable(
 
 
 def of_recorded(recorded: RecordedCheckpoint) -> Checkpoint:
-    """A checkpoint from a bag; arrays of a wrong size keep their shape, and the filter refuses them.
-
-    Args:
-        recorded: checkpoint of a bag.
-    """
+    """A checkpoint from a bag; arrays of a wrong size keep their shape, and the filter refuses them."""
     names = {item.name for item in fields(FilterIdentity)}
     n = max(1, len(recorded.state))
 

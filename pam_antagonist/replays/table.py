@@ -20,12 +20,6 @@ def columns(replay: Replay) -> dict[str, NDArray[np.generic]]:
     """Columns of M estimates, by name; the unit stands at the end of each name.
 
     Standard deviations and three covariances give the covariance. Quantities that were not measured have no column.
-
-    Args:
-        replay: of a recording.
-
-    Returns:
-        Name -> values (M,).
     """
     rows = replay.run.rows
     time = (replay.run.stamp_ns - replay.recording.stamp_ns[0]) * 1e-9
@@ -53,15 +47,7 @@ def columns(replay: Replay) -> dict[str, NDArray[np.generic]]:
 
 
 def check_estimate(path: Path, overwrite: bool = False) -> None:
-    """Refuse a file name that :func:`write_estimate` would refuse, before the replay runs.
-
-    Args:
-        path: of the file.
-        overwrite: whether a file may be there.
-
-    Raises:
-        BadInput: it exists, or ends with neither ``.csv`` nor ``.mcap``.
-    """
+    """Refuse a file name that :func:`write_estimate` would refuse, before the replay runs."""
     if path.suffix not in (".csv", ".mcap"):
         raise BadInput(f"{path}: expected a name that ends with .csv or .mcap")
     if path.exists() and not (overwrite and path.is_file()):
@@ -76,11 +62,6 @@ def write_estimate(path: Path, replay: Replay, overwrite: bool = False) -> None:
 
     Args:
         path: of a new file, ``*.csv`` or ``*.mcap``.
-        replay: of a recording.
-        overwrite: True replaces a file that is there.
-
-    Raises:
-        BadInput: the file exists, has another ending, or cannot be written.
     """
     check_estimate(path, overwrite)
     try:

@@ -11,8 +11,6 @@ def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> s
     """Sentence about the uncertainty that a rig file claims without proof; None for an identified rig.
 
     Args:
-        rig: as configured.
-        tuning: name of the filter's tuning.
         identified: whether the report also has a rig that was identified from this one.
     """
     if rig.identified:

@@ -12,12 +12,7 @@ from pam_antagonist.report.table import number
 
 
 class Channel(NamedTuple):
-    """The angle or the torque.
-
-    Attributes:
-        name: of the channel.
-        unit: of its values.
-    """
+    """The angle or the torque."""
 
     name: str
     unit: str
@@ -46,13 +41,7 @@ WIDE = 2.0 * 1.96
 
 
 class Judged(NamedTuple):
-    """A channel with its errors in one recording.
-
-    Attributes:
-        channel: the channel.
-        ukf: errors of the estimator.
-        model: errors of the model alone.
-    """
+    """A channel with its errors in one recording."""
 
     channel: Channel
     ukf: ChannelErrors

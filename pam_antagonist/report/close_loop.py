@@ -42,11 +42,6 @@ class Calibration:
     Attributes:
         name: ``encoder_zero``, ``torque_zero``, ``torque_scale``, or ``delay_`` and the signal that is stamped early.
         value: in ``unit``; positive where a sensor reads too high, or stamps are early.
-        std: standard deviation of the value.
-        unit: of value and std.
-        sentence: the calibration in words.
-        delta_bic: evidence for the calibration.
-        recordings: name of each recording that shows it -> its own value.
         ambiguous_with: effects and calibrations that the recordings cannot distinguish from this one.
     """
 
@@ -72,12 +67,8 @@ class Candidate:
     """A candidate in one round.
 
     Attributes:
-        name: of the effect.
         round: from 1.
-        score: evidence to first order.
-        delta_bic: evidence; None where the score was too low for a fit.
         holdout_gain: share of the held-out excess that the candidate explains; None likewise.
-        taken: whether the candidate became part of the model.
         score_by_muscle: score on each muscle alone; None where this was not tried.
     """
 
@@ -95,14 +86,8 @@ class Settings:
     """Settings of the diagnosis, and the thresholds of its decisions.
 
     Attributes:
-        rig: name of the rig.
-        rig_source: source of its values.
-        seed: of the search.
         holdout: share of each recording that was held out, or names of recordings.
-        strong_evidence: least ΔBIC of an effect.
         first_share: least share of the held-out excess that a first effect explains.
-        further_share: least share of a further effect.
-        explained_share: least share at which the excess counts as explained.
     """
 
     rig: str
@@ -121,32 +106,18 @@ class CloseLoopReport(Shown):
 
     Attributes:
         verdict: ``effect``, ``none`` or ``unexplained``.
-        sentence: the verdict with its evidence.
-        effects: detected effects.
         ambiguous_with: effects and calibrations that the recordings cannot distinguish from the detected ones.
-        experiments: effect or calibration -> experiment that would distinguish it.
         ambiguities: effects that were compared with a detected one under equal conditions.
         share_explained: share of the held-out excess over noise that the effects explain; None if that is a disturbance
             torque in recordings of which nothing is held out.
         parts: verdict on each part of the joint with a test of its own.
         reference: errors of straight-line maps without physics [N m]; None where there is none.
         base_friction_removed: whether the rig file's friction was removed before the tests.
-        errors: on held-out data, of all recordings.
-        recordings: errors and further numbers of each recording.
-        ranking: all candidates.
-        profiles: of the detected sizes.
-        remaining: sentences on the remaining residual.
-        left: the remaining residual as numbers.
-        unseen: sentences on what these recordings cannot show.
-        warnings: for the user.
-        settings: of the diagnosis.
         timing: durations of the steps [s].
-        software: versions.
         splits: of the effect with the fewest supporting splits; None without splits.
         calibration: zeros, scales and late stamps that the recordings need; these are no effects.
         corrections: command line options for this calibration, including those that were already given.
         assumption: the uncertainty that the configured rig claims; None for an identified one.
-        next_steps: recommended next steps, in sentences.
         next_rig: name of the rig file to use; None: keep the one that there is.
     """
 
@@ -209,13 +180,8 @@ def report(
     """The numbers of a diagnosis.
 
     Args:
-        found: the diagnosis.
-        rig: as configured.
         hashes: SHA-256 of each bag, whole held-out recordings last.
-        seed: of the search.
         holdout: share of each recording that was held out, or names of held-out recordings.
-        typed: corrections with which the recordings were read.
-        choice: the rig files that are written with the report.
     """
     return CloseLoopReport(
         verdict=found.verdict,
@@ -269,13 +235,7 @@ def report(
 
 
 def next_steps(found: Diagnosis, rig: Rig, choice: RigChoice) -> tuple[str, ...]:
-    """Recommended next steps after a diagnosis, in sentences.
-
-    Args:
-        found: the diagnosis.
-        rig: as configured.
-        choice: the rig files that are written with the report.
-    """
+    """Recommended next steps after a diagnosis, in sentences."""
     out, files = [], [file.name for file in choice.files]
     if choice.no_common:
         own = [file.name for file in choice.files if file.number is not None]

@@ -45,10 +45,7 @@ def write_report(folder: Path, report: CloseLoopReport, found: Diagnosis, with_f
     """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: existing folder.
         report: of :func:`pam_antagonist.report.close_loop.report`.
-        found: the diagnosis.
-        with_figures: False leaves the figures out of the page.
     """
     html.write(folder, document(report, found, with_figures), report)
 
@@ -76,8 +73,6 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
 
     Args:
         report: of :func:`pam_antagonist.report.close_loop.report`.
-        found: the diagnosis.
-        with_figures: False leaves the figures out.
     """
     lede = (
         "This report compares the model of the joint with measurements. It traces what the model lacks to a physical "

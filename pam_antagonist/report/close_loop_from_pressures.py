@@ -20,11 +20,7 @@ _SHOWN = 10
 
 
 def sentence(found: FoundFromPressures) -> str:
-    """The verdict in words.
-
-    Args:
-        found: the diagnosis.
-    """
+    """The verdict in words."""
     now = found.proposed
     before = found.recalibrated.pooled("as_configured")
     if found.taken:
@@ -51,11 +47,7 @@ def _why_not(found: FoundFromPressures) -> str:
 
 
 def summary(found: FoundFromPressures) -> tuple[Block, ...]:
-    """Blocks for the terminal.
-
-    Args:
-        found: the diagnosis.
-    """
+    """Blocks for the terminal."""
     items = [Finding("note", text) for text in (found.extended or found.recalibrated).notes]
     if found.ambiguous_with:
         items.append(Finding("warn", f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
@@ -107,9 +99,7 @@ def document(found: FoundFromPressures, hashes: Sequence[str], with_figures: boo
     """The page.
 
     Args:
-        found: the diagnosis.
         hashes: SHA-256 of the recordings.
-        with_figures: whether to draw the held-out recordings.
     """
     rig = found.recalibrated.start.name
     best = found.proposed
@@ -142,7 +132,6 @@ def numbers(found: FoundFromPressures, hashes: Sequence[str], next_rig: str | No
     """Content of ``report.json``.
 
     Args:
-        found: the diagnosis.
         hashes: SHA-256 of the recordings.
         next_rig: name of the rig file to use; None: keep the one that there is.
     """

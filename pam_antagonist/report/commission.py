@@ -25,9 +25,6 @@ class Step:
     """A step of a commissioning.
 
     Attributes:
-        name: of the step.
-        done: whether the step is done.
-        said: its result, or what to do.
         seconds: its duration [s].
         rig_seconds: part of the duration in which the joint was driven [s].
     """
@@ -44,10 +41,7 @@ class CommissionReport:
     """Content of ``report.json``.
 
     Attributes:
-        rig: name of the rig.
-        steps: in order.
         rig_seconds: total time in which the joint was driven [s].
-        left: steps that were not begun.
     """
 
     rig: str
@@ -57,15 +51,7 @@ class CommissionReport:
 
 
 def write_report(folder: Path, rig: Rig, steps: Sequence[Step], command: str, left: Sequence[str] = ()) -> None:
-    """Write ``report.json`` and ``report.html``.
-
-    Args:
-        folder: existing folder.
-        rig: of the rig file.
-        steps: in order.
-        command: to continue the commissioning, or that was given.
-        left: steps that were not begun.
-    """
+    """Write ``report.json`` and ``report.html``."""
     report = CommissionReport(rig.name, tuple(steps), sum(step.rig_seconds for step in steps), tuple(left))
     findings = Findings(tuple(Finding("good" if step.done else "warn", f"{step.name}: {step.said}") for step in steps))
     rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in steps)

@@ -37,10 +37,6 @@ def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
 
     Args:
         values: (N,), NaN where missing.
-        limit: largest number of points.
-
-    Returns:
-        Increasing indices, at most `limit`; all N if they fit. A bucket with only NaN keeps one sample, as a gap.
     """
     width = bucket_width(len(values), limit)
     if width == 1:
@@ -57,11 +53,6 @@ def envelope(lower: FloatArray, upper: FloatArray, limit: int = LIMIT) -> tuple[
     Args:
         lower: (N,) lower edge.
         upper: (N,) upper edge.
-        limit: largest number of points of each edge.
-
-    Returns:
-        Index of each bucket's middle sample, minimum of its lower and maximum of its upper edge. Buckets without
-        finite values are NaN.
     """
     width = bucket_width(len(lower), limit)
     low = _buckets(lower, width, np.inf).min(axis=1)
@@ -78,8 +69,6 @@ def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[
 
     Args:
         category: (N,) values 0..categories - 1.
-        categories: number of categories.
-        columns: largest number of stretches.
 
     Returns:
         Index of each stretch's middle sample (C,), and the shares (categories, C), each column adding up to 1.
@@ -113,9 +102,6 @@ def curve(x: FloatArray, y: FloatArray, with_pauses: bool) -> tuple[FloatArray, 
         x: (N,).
         y: (N,), NaN where missing.
         with_pauses: whether `x` is the time of a recording, whose pauses become gaps.
-
-    Returns:
-        The points to draw; a gap is NaN in both.
     """
     index = min_max_indices(y)
     if not with_pauses:

@@ -43,7 +43,6 @@ class Simulated:
 
     Attributes:
         mismatch: relative standard deviation of its parameters from the rig's [-].
-        seed: of this mismatch and of the sensor noise.
     """
 
     mismatch: float
@@ -55,11 +54,7 @@ class Demo:
     """A finished demo: the key ``demo`` of ``report.json``; angles in degrees, torques in N m, times in ms.
 
     Attributes:
-        replay: of the demo's recording.
-        mode: of control.
-        simulated: the simulated joint.
         gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model.
-        tracking: tracking of the reference, in degrees or N m.
         stiffness: tracking of the estimated stiffness [N m/rad]; None without a reference for it.
         yielding: motion under pushes; None in other modes than IMPEDANCE.
         accounting: account of the samples; None where a stage is missing in the recording.
@@ -81,14 +76,8 @@ class Demo:
         """Evaluate the recording of a demo.
 
         Args:
-            replay: of the demo's recording.
-            mode: of control.
-            simulated: the simulated joint.
             gains: of the controller, ``fast``, ``published`` or ``model``.
             stopped: why the joint was stopped for safety, in words; empty where it was not.
-
-        Raises:
-            BadInput: the recording has no reference or no measurement.
         """
         yielding = Yielding.of(replay) if mode is Mode.IMPEDANCE else None
         followed = follow(replay.recording, mode)
@@ -128,23 +117,12 @@ class Demo:
 
 
 def write_report(folder: Path, demo: Demo, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder.
-
-    Args:
-        folder: existing folder.
-        demo: the finished demo.
-        with_figures: False leaves the figures out of the page.
-    """
+    """Write ``report.json`` and ``report.html`` into an existing folder."""
     html.write(folder, document(demo, with_figures), replay_numbers([demo.replay], demo=demo))
 
 
 def document(demo: Demo, with_figures: bool = True) -> Document:
-    """An overview figure, the numbers of the loop, and the replay's report below.
-
-    Args:
-        demo: the finished demo.
-        with_figures: False leaves the figures out.
-    """
+    """An overview figure, the numbers of the loop, and the replay's report below."""
     replayed = replay_document([demo.replay], with_figures=with_figures)
     what = demo.mode.quantity.name.lower()
     task = "yielded to pushes" if demo.yielding is not None else f"followed steps of its {what}"
@@ -231,11 +209,7 @@ def summary(demo: Demo) -> tuple[Block, ...]:
 
 
 def follow(recording: Recording, mode: Mode) -> Tracking:
-    """Tracking of the reference, in ° or N m.
-
-    Raises:
-        BadInput: the recording has no reference or no measurement.
-    """
+    """Tracking of the reference, in ° or N m."""
     reference, measured = recording.reference, recording.angle if mode.quantity is Mode.ANGLE else recording.torque
     if reference is None or measured is None:
         raise BadInput(f"{recording.path}: no reference or no measured {mode.quantity.name.lower()} was recorded")

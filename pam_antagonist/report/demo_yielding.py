@@ -18,15 +18,7 @@ from pam_antagonist.report.table import number, percent
 
 
 def spring_and_damper(recording: Recording, damped: bool = True) -> FloatArray:
-    """Angle of the commanded spring and damper at each sample, under the applied torque (N,) [rad].
-
-    Args:
-        recording: with references of mode IMPEDANCE.
-        damped: False: the angle at which the spring comes to rest.
-
-    Raises:
-        BadInput: the recording lacks the references or the torque.
-    """
+    """Angle of the commanded spring and damper at each sample, under the applied torque (N,) [rad]."""
     reference, applied = recording.reference, recording.external_torque
     if reference is None or applied is None:
         raise BadInput(f"{recording.path}: no reference or no measured/external_torque was recorded")
@@ -56,14 +48,7 @@ class Yielding:
 
     @classmethod
     def of(cls, replay: Replay) -> Yielding:
-        """Compare a replay with spring and damper.
-
-        Args:
-            replay: of a recording with references of mode IMPEDANCE.
-
-        Raises:
-            BadInput: the recording lacks the references, the applied torque, or the measured angle.
-        """
+        """Compare a replay with spring and damper."""
         recording, rows = replay.recording, replay.run.rows
         if recording.angle is None:
             raise BadInput(f"{recording.path}: no measured angle was recorded")

@@ -19,7 +19,6 @@ class Text:
     """A paragraph of plain text.
 
     Attributes:
-        text: the paragraph.
         kind: ``lede`` and ``verdict`` are the first two paragraphs of a document.
     """
 
@@ -33,7 +32,6 @@ class Finding:
 
     Attributes:
         status: ``good`` (as expected), ``warn`` (a problem) or ``note`` (information).
-        text: the sentence.
     """
 
     status: Literal["good", "warn", "note"]
@@ -49,13 +47,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Tile:
-    """One important number in large letters.
-
-    Attributes:
-        label: name of the number.
-        value: with its unit.
-        note: a few words below.
-    """
+    """One important number in large letters."""
 
     label: str
     value: str
@@ -78,12 +70,7 @@ class Definitions:
 
 @dataclass(frozen=True)
 class Columns:
-    """Two blocks side by side on a wide page, otherwise one after the other.
-
-    Attributes:
-        left: the first block.
-        right: the second one.
-    """
+    """Two blocks side by side on a wide page, otherwise one after the other."""
 
     left: Block
     right: Block
@@ -94,11 +81,7 @@ class Section:
     """A titled group of blocks.
 
     Attributes:
-        title: heading.
-        blocks: content.
-        level: of the heading.
         anchor: target of the navigation; without one the section is not in the navigation.
-        folded: whether the section is closed until a reader opens it.
     """
 
     title: str
@@ -117,14 +100,7 @@ def _software() -> str:
 
 @dataclass(frozen=True)
 class Document:
-    """A report.
-
-    Attributes:
-        kicker: kind of report.
-        title: subject of the report.
-        blocks: content.
-        footer: software that made the report.
-    """
+    """A report."""
 
     kicker: str
     title: str
@@ -133,12 +109,7 @@ class Document:
 
 
 def background(definitions: Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]) -> tuple[Section, ...]:
-    """The two folded sections at the end of every report.
-
-    Args:
-        definitions: terms and their meanings.
-        provenance: names and values of the inputs.
-    """
+    """The two folded sections at the end of every report."""
     return (
         Section("What the words mean", (Definitions(tuple(definitions)),), folded=True),
         Section("How this report was made", (Table(("What", "Which"), tuple(provenance), prose=True),), folded=True),

@@ -35,11 +35,7 @@ _DRIFT = 0.8
 
 
 def in_words(effect: str) -> str:
-    """An effect in words.
-
-    Args:
-        effect: name of the effect, with its signal if there is one.
-    """
+    """An effect in words."""
     name, _, signal = effect.partition(": ")
     return f"{_BY_SIGNAL[name]} {signal}" if signal else _WORDS.get(name, name)
 
@@ -57,12 +53,7 @@ def times(factor: float, value: Interval) -> Interval:
 
 
 def unit(rig: Rig, name: str) -> tuple[str, float]:
-    """Unit in which a value is shown, and factor from the rig file's unit; torques may be per inertia.
-
-    Args:
-        rig: defines the units.
-        name: dotted path of the value.
-    """
+    """Unit in which a value is shown, and factor from the rig file's unit; torques may be per inertia."""
     per_inertia = rig.units.force == "per_inertia"
     lever, inertia = rig.geometry.radius, rig.joint.inertia
     if name.endswith("at the middle length"):
@@ -171,11 +162,7 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
 
 
 def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
-    """Findings about unknown units, and about episodes that were left out.
-
-    Args:
-        joint: the episodes.
-    """
+    """Findings about unknown units, and about episodes that were left out."""
     out = []
     units = joint.rig.units
     if units.force == "per_inertia":
@@ -247,12 +234,7 @@ def errors_table(found: EpisodeDiagnosis) -> Table:
 
 
 def value_name(rig: Rig, name: str) -> str:
-    """Name of a value in a report.
-
-    Args:
-        rig: with its further signals.
-        name: dotted path of the value.
-    """
+    """Name of a value in a report."""
     title = name.removeprefix("effects.")
     effect = title.partition(".")[0]
     return f"{effect}, {list(rig.signals)[int(title[-1]) - 1]}" if effect in _BY_SIGNAL else title
@@ -341,10 +323,7 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
     """The report.
 
     Args:
-        found: the result.
-        joint: the episodes.
         hashes: SHA-256 of the recordings.
-        with_figures: False leaves the figure out.
     """
     given, after = found.rows[0], found.rows[-1]
     tiles = Tiles((
@@ -376,8 +355,6 @@ def numbers(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, .
     """Content of ``report.json``; intervals are value, lower and upper end.
 
     Args:
-        found: the result.
-        joint: the episodes.
         hashes: SHA-256 of the recordings.
     """
     return {

@@ -24,8 +24,6 @@ class Axis:
     """A horizontal or vertical axis.
 
     Attributes:
-        title: with the unit in brackets.
-        log: whether the axis is logarithmic.
         bounds: values at the two ends, left or lower one first; None: from the series.
         labels: names at 0, 1, 2, ... instead of numbers.
         is_time: whether values are seconds of a recording. Figures of one link zoom together; a pause is a gap in a
@@ -53,10 +51,6 @@ class Line:
         name: in the legend; series of one name are switched together.
         x: (N,).
         y: (N,), NaN where missing.
-        color: CSS colour.
-        dash: empty for a solid line.
-        width: in pixels.
-        quiet: not in the legend.
         opacity: 0 to 1; a translucent line is in the background and has no hover text.
     """
 
@@ -75,12 +69,9 @@ class Band:
     """The area between two curves, an interval for example.
 
     Attributes:
-        name: in the legend.
         x: (N,).
         lower: (N,), NaN where missing.
         upper: (N,).
-        color: CSS colour, translucent.
-        quiet: not in the legend.
     """
 
     name: str
@@ -99,13 +90,8 @@ class Points:
         name: in the legend; series of one name are switched together.
         x: (N,).
         y: (N,).
-        color: CSS colour.
-        size: diameter in pixels.
         opacity: 0 to 1.
-        hollow: circles instead of discs.
         half_width: half width of an interval around `x` (N,), drawn as a bar; None: no bars.
-        bar_width: thickness of the bars in pixels.
-        quiet: not in the legend.
     """
 
     name: str
@@ -125,11 +111,8 @@ class Bars:
     """Bars from 0; bars of several series are side by side.
 
     Attributes:
-        name: in the legend.
         x: (N,) positions.
         y: (N,) heights.
-        color: CSS colour.
-        quiet: not in the legend.
     """
 
     name: str
@@ -148,10 +131,8 @@ class Heatmap:
         values: (R, C), rows at 0, 1, ...; NaN leaves a cell empty.
         rows: (R,) names of the rows for the hover text.
         colors: colours at equal steps from the least to the largest value.
-        bounds: least and largest value.
         hover: hover text, a format of ``row``, ``column`` and ``value``.
         cell: text in each cell, a format of ``value``; empty: none.
-        scale: whether to show a colour bar.
     """
 
     x: FloatArray
@@ -169,9 +150,6 @@ class Reference:
     """A dashed line at one value of the vertical (or horizontal) axis, with a label at its end.
 
     Attributes:
-        value: in the unit of the axis.
-        label: at the line's end.
-        color: of the line.
         vertical: whether the line is vertical, at a value of the horizontal axis.
     """
 
@@ -183,13 +161,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Region:
-    """A shaded range of the horizontal axis in the background, the held-out part for example.
-
-    Attributes:
-        first: begin, in the unit of the axis.
-        last: end, likewise.
-        color: of the shade.
-    """
+    """A shaded range of the horizontal axis in the background, the held-out part for example."""
 
     first: float
     last: float
@@ -204,15 +176,7 @@ _BESIDE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One pair of axes.
-
-    Attributes:
-        x: horizontal axis.
-        y: vertical axis.
-        series: from back to front.
-        height: of the area between the axes, in pixels.
-        title: above the panel.
-    """
+    """One pair of axes."""
 
     x: Axis
     y: Axis
@@ -226,11 +190,7 @@ class Figure:
     """A figure.
 
     Attributes:
-        title: of the figure.
-        about: how to read it, one or two sentences.
         panels: one above the other with the same horizontal axis, or side by side with separate axes.
-        link: figures of the same link share their time axis.
-        beside: whether the panels are side by side.
     """
 
     title: str

@@ -55,11 +55,8 @@ def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: 
     """Single samples as a faint line, and in front their moving mean, which reduces the sensor's noise.
 
     Args:
-        name: of the line.
         x: horizontal axis (N,).
         values: samples (N,).
-        color: of both lines.
-        window: number of samples in a mean.
     """
     faint = Line(name, x, values, color, width=0.8, quiet=True, opacity=0.3)
     return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
@@ -71,8 +68,6 @@ def lines(x: FloatArray, values: Mapping[str, FloatArray], quiet: bool = False, 
     Args:
         x: horizontal axis (N,).
         values: name -> samples (N,).
-        quiet: not in the legend.
-        width: of the lines, in pixels.
     """
     named = zip(values.items(), PALETTE, strict=False)
     return tuple(Line(name, x, line, color, quiet=quiet, width=width) for (name, line), color in named)
@@ -92,13 +87,9 @@ def residual_figure(
     """Residuals over time, a panel for each channel.
 
     Args:
-        title: of the figure.
-        about: how to read it.
         x: time (N,) [s].
         models: name, residuals (N, C) and colour of each model.
-        channels: title of the axis and scale of each channel.
         noise: standard deviation of each channel's noise (C,); dashed lines are drawn at twice this. None: no lines.
-        link: figures of the same link share their time axis.
         edges: times [s] at which an effect begins or ends; a line is drawn at each.
         held: begin and end [s] of the held-out parts, which are shaded.
     """
@@ -125,12 +116,8 @@ def tracking_figure(
     """A control loop: measurement, estimate and reference over time, the tracking error below.
 
     Args:
-        title: of the figure.
-        about: how to read it.
-        quantity: name and unit of the quantity.
         x: time (N,) [s].
         signals: measured, estimated and reference values, (N,) each, in this unit.
-        link: figures of the same link share their time axis.
     """
     (name, unit), (measured, estimated, wanted) = quantity, signals
     shown = (
@@ -153,8 +140,6 @@ def nis_figure(x: FloatArray, nis: FloatArray, bounds: tuple[float, float], wind
         x: time (N,) [s].
         nis: (N,).
         bounds: interval with 95 % of a consistent filter's values.
-        window: number of samples in the mean.
-        link: figures of the same link share their time axis.
     """
     parts = (
         Line("each sample", x, np.maximum(nis, 1e-3), FAINT, width=0.8),
@@ -183,12 +168,8 @@ def profile_panel(
     """Profile likelihoods with the parabola of the standard error and the limit of the 95 % interval.
 
     Args:
-        x_title: of the parameter, with its unit.
-        y_title: of the loss.
-        tried: the profiles.
         parabola: name, x (N,), losses (N,) and colour.
         limit: loss at the end of a 95 % interval.
-        height: in pixels.
     """
     name, x, loss, color = parabola
     expected = Line(name, x, loss, color, dash="dot", width=1.6)
@@ -203,7 +184,6 @@ def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, colu
         names: of the categories, with a short name before a colon; a category that never occurs has no row.
         category: (N,) indices into `names`.
         x: time (N,) [s].
-        columns: largest number of stretches of time.
     """
     middle, share = decimate.shares(category, len(names), columns)
     seen = [int(number) for number in np.flatnonzero(share.sum(axis=1) > 0.0)]
@@ -228,10 +208,7 @@ def matrix(
 
     Args:
         grids: title and values (rows, columns) of each matrix.
-        rows: names of the rows.
-        columns: names of the columns.
         colors: of a :class:`Heatmap`.
-        bounds: values at the ends of the colour scale.
         cell: format of ``value``.
     """
     x, y = Axis(labels=tuple(columns)), Axis(labels=tuple(rows))
@@ -249,7 +226,6 @@ def autocorrelation(lag: FloatArray, groups: Sequence[tuple[str, FloatArray, str
     Args:
         lag: (K,) [ms].
         groups: name, values (K,) and colour of each series.
-        bound: half width of the bounds.
     """
     bars = [Bars(name, lag, values, color) for name, values, color in groups]
     bounds = [Reference(sign * bound) for sign in (-1.0, 1.0)]
@@ -261,8 +237,6 @@ def spreads(rows: Sequence[tuple[str, FloatArray, str]], title: str, log: bool =
 
     Args:
         rows: name, values (K,) and colour, from top to bottom.
-        title: of the axis, with the unit in brackets.
-        log: a logarithmic axis.
     """
     parts: list[Series] = []
     for number, (name, values, color) in enumerate(rows):

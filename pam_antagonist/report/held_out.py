@@ -28,11 +28,9 @@ class Judged:
     """One recording, replayed with two or three rigs.
 
     Attributes:
-        name: of the recording.
         from_s: begin of the held-out part [s].
         whole: name of the rig -> replay of the whole recording; ``own`` only with several recordings. To save memory,
             only the identified rig's replay is complete; the others keep only angle and torque.
-        reports: name of the rig -> report of the held-out part.
         errors_deg: of a free joint's angle, by what gives it, RMS [deg].
     """
 
@@ -52,10 +50,7 @@ def judge(
     """Replay every recording from its start, and compute errors on the held-out parts.
 
     Args:
-        recordings: as identified.
-        rigs: for each recording, the rigs to compare.
         held_from: for each recording, the begin of its held-out part [s].
-        progress: called with a text about each recording.
     """
     out = []
     for (recording, state, name), compared, begin in zip(recordings, rigs, held_from, strict=True):
@@ -82,11 +77,7 @@ class HeldOutFigures:
     """Numbers of the held-out part with one rig.
 
     Attributes:
-        samples: of the part.
         duration_s: of the part [s].
-        ukf: errors of the estimator.
-        model_alone: errors of the model alone.
-        innovation: of the estimator.
     """
 
     samples: int
@@ -106,11 +97,7 @@ class HeldOut:
     """Numbers of one recording's held-out part, for all compared rigs.
 
     Attributes:
-        name: of the recording.
         from_s: begin of the part [s].
-        joint: condition of the joint.
-        as_configured: with the rig file.
-        identified: with the identified rig.
         own: with the recording's own values; None for a single recording.
         errors_deg: of a free joint's angle, by what gives it, RMS [deg].
     """
@@ -165,11 +152,7 @@ def pooled_coverage(judged: Sequence[Judged], rig: str = "identified") -> float:
 
 
 def held_out_table(entry: HeldOut) -> Table:
-    """Errors on one recording's held-out part, for all compared rigs.
-
-    Args:
-        entry: of the recording.
-    """
+    """Errors on one recording's held-out part, for all compared rigs."""
     out = Comparison(f"{entry.name}, from {entry.from_s:.4g} s on", *(title for title, _ in entry.rigs))
     figures = [item for _, item in entry.rigs]
     out.heading("Model alone")

@@ -27,14 +27,7 @@ _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 
 
 def render(document: Document) -> str:
-    """The whole page.
-
-    Args:
-        document: the report.
-
-    Raises:
-        BadInput: the document has figures and plotly is not installed.
-    """
+    """The whole page."""
     library = plotly_renderer.library() if any(_has_figure(block) for block in document.blocks) else ""
     sections = [block for block in document.blocks if isinstance(block, Section) and block.anchor]
     page = _environment().get_template("page.html.j2")
@@ -45,8 +38,6 @@ def write(folder: Path, document: Document, numbers: Any) -> None:
     """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: existing folder.
-        document: the page.
         numbers: content of ``report.json``, see :func:`pam_antagonist.strict_json.plain`.
     """
     strict_json.write_json(folder / "report.json", numbers)

@@ -74,8 +74,6 @@ def report(recordings: Sequence[Given], found: FromPressures, refused: str = "")
     """The numbers of an identification.
 
     Args:
-        recordings: as identified.
-        found: the identification.
         refused: why the file of the identified rig would be refused; empty if it would not.
     """
     judged, asked = judged_of(found), found.options
@@ -112,12 +110,7 @@ def _ends(recordings: Sequence[Given], found: FromPressures) -> list[tuple[str, 
 
 
 def unit_of_unknown(rig: Rig, item: Unknown) -> str:
-    """SI unit of an unknown.
-
-    Args:
-        rig: whose parameters it may be.
-        item: the unknown.
-    """
+    """SI unit of an unknown."""
     path = next(iter((*item.paths, *item.adds)), "")
     return unit_of(rig, path) if path else _UNITS.get(item.name, "N m")
 
@@ -141,11 +134,7 @@ def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
 
 
 def recording_that_shows(name: str) -> str:
-    """What to record so that a value shows.
-
-    Args:
-        name: of the value.
-    """
+    """What to record so that a value shows."""
     return next((text for part, text in _WHAT_SHOWS if part in name), "a longer recording with larger steps")
 
 

@@ -34,11 +34,7 @@ def write_report(
     """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: existing folder.
         report: of :func:`pam_antagonist.report.identify.report`.
-        judged: recordings, replayed with the compared rigs.
-        rig: the identified one.
-        with_figures: False leaves the figures out of the page.
     """
     html.write(folder, document(report, judged, rig, with_figures), report)
 
@@ -60,9 +56,6 @@ def document(report: IdentifyReport, judged: Sequence[Judged], rig: Rig, with_fi
 
     Args:
         report: of :func:`pam_antagonist.report.identify.report`.
-        judged: recordings, replayed with the compared rigs.
-        rig: the identified one.
-        with_figures: False leaves the figures out.
     """
     what = f"{len(judged)} recordings" if len(judged) > 1 else "one recording"
     lede = (

@@ -15,17 +15,7 @@ class ParameterEntry:
     """A free parameter before and after the fit, in SI units.
 
     Attributes:
-        name: of the parameter.
-        start: value of the rig file.
-        value: identified value.
-        std: standard deviation of the value.
-        relative_change: of the value.
-        prior_std: standard deviation of the prior.
-        bound: bound of the search that the value met; None for none.
-        determined: whether the recordings determine the parameter.
-        reason: why they do not; empty where they do.
         record: recording that would determine it; None where it is determined.
-        unit: SI unit of these numbers.
     """
 
     name: str
@@ -43,12 +33,7 @@ class ParameterEntry:
 
 @dataclass(frozen=True)
 class Change:
-    """A number before and after.
-
-    Attributes:
-        before: number before.
-        after: number after.
-    """
+    """A number before and after."""
 
     before: float
     after: float
@@ -56,16 +41,7 @@ class Change:
 
 @dataclass(frozen=True)
 class StageEntry:
-    """A step of the identification. RMS errors are by channel, in SI units.
-
-    Attributes:
-        name: of the step.
-        source: data that the step used.
-        values: parameters that changed, in SI units.
-        before: RMS errors before the step.
-        after: RMS errors after the step.
-        note: for the user.
-    """
+    """A step of the identification. RMS errors are by channel, in SI units."""
 
     name: str
     source: str
@@ -83,13 +59,7 @@ class StageEntry:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two strongly correlated parameters.
-
-    Attributes:
-        first: a parameter.
-        second: another one.
-        correlation: of their errors.
-    """
+    """Two strongly correlated parameters."""
 
     first: str
     second: str
@@ -98,15 +68,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class DifferenceEntry:
-    """Relative differences between the recordings in one parameter.
-
-    Attributes:
-        name: of the parameter.
-        deviations: of each recording from the common value.
-        largest: largest difference of two recordings.
-        std: standard deviation of this difference.
-        certain: whether the difference is significant.
-    """
+    """Relative differences between the recordings in one parameter."""
 
     name: str
     deviations: tuple[float, ...]
@@ -117,11 +79,7 @@ class DifferenceEntry:
 
 @dataclass(frozen=True)
 class Between:
-    """Differences between the recordings.
-
-    Attributes:
-        differences: for each parameter.
-    """
+    """Differences between the recordings."""
 
     differences: tuple[DifferenceEntry, ...]
 
@@ -153,12 +111,7 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class Noise:
-    """The sensors' noise.
-
-    Attributes:
-        declared: by the rig file.
-        found: in the recordings.
-    """
+    """The sensors' noise."""
 
     declared: SensorNoise
     found: SensorNoise
@@ -169,10 +122,6 @@ class TuningEntry:
     """The filter's tuning; variances in squared SI units of the states and readings.
 
     Attributes:
-        process: diagonal of Q.
-        process_before: diagonal of Q in the rig file.
-        measurement: diagonal of R.
-        measurement_before: diagonal of R in the rig file.
         unknown_torque_nm: standard deviation of a constant torque that the filter considers [N m].
         directions: of the uncertain parameters in the filter: change of each by one standard deviation.
     """
@@ -190,14 +139,8 @@ class RecordingEntry:
     """A recording that was used.
 
     Attributes:
-        sha256: of the bag's files.
-        topics: logical name -> name in the bag.
-        issues: found while reading.
-        name: of the recording.
         condition: ``free`` or ``locked``.
         lock_angle_rad: angle of a locked joint [rad]; None for a free one.
-        source: origin of the condition.
-        samples: number of samples.
         duration_s: length [s].
         fitted_until_s: end of the fitted part [s].
     """
@@ -216,16 +159,7 @@ class RecordingEntry:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the identification.
-
-    Attributes:
-        rig: name of the rig.
-        free: additional free parameters.
-        frozen: parameters that were held.
-        holdout: share of each recording that was held out.
-        starts: number of starts of the fit of joint and muscles.
-        seed: of the starts.
-    """
+    """Settings of the identification."""
 
     rig: str
     free: tuple[str, ...]
@@ -245,16 +179,7 @@ class IdentifyReport:
             recordings; NaN where nothing was measured.
         coverage95_own: mean coverage with each recording's own values; NaN for a single recording.
         errors_deg: of the angle, over all held-out data of free joints, by what gives it, RMS [deg].
-        parameters: the free parameters.
-        stages: steps.
-        correlations: strongly correlated parameters.
         between: differences between the recordings; None for a single one.
-        noise: of the sensors.
-        tuning: of the filter.
-        recordings: used recordings.
-        warnings: for the user.
-        settings: of the identification.
-        software: versions.
         assumption: the uncertainty that the rig file claims; None for an identified rig.
         rejected: why the identified rig should not be used; empty if it may.
     """

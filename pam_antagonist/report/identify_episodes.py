@@ -20,11 +20,7 @@ _OTHER_SCALE = 0.03
 
 
 def rejection(found: EpisodesIdentified) -> str:
-    """Why the identified rig should not be used, in a sentence; empty if it may.
-
-    Args:
-        found: the identification.
-    """
+    """Why the identified rig should not be used, in a sentence; empty if it may."""
     before, now = (found.errors[name][0] for name in ("as configured", "identified"))
     if complaint := refusal(found.rig):
         return f"the values that fit best are impossible ({complaint})."
@@ -93,12 +89,7 @@ def _values(found: EpisodesIdentified) -> Table:
 
 
 def regulators_table(found: RegulatorsFound, rig: Rig) -> Table:
-    """Identified values of both regulators.
-
-    Args:
-        found: the regulators.
-        rig: of the joint.
-    """
+    """Identified values of both regulators."""
     rows = []
     for name, value in found.values.items():
         shown, factor = unit(rig, name)
@@ -137,13 +128,7 @@ def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
 
 
 def document(found: EpisodesIdentified, joint: PressureDriven, sha256: str) -> Document:
-    """The report.
-
-    Args:
-        found: the result.
-        joint: the episodes.
-        sha256: of the recording.
-    """
+    """The report."""
     definitions = (
         ("Later", "Episodes at the end of the recording; no fit sees them."),
         ("Interleaved", "Every fifth episode of what comes before; no fit sees them either."),
@@ -157,12 +142,7 @@ def document(found: EpisodesIdentified, joint: PressureDriven, sha256: str) -> D
 
 
 def numbers(found: EpisodesIdentified, sha256: str) -> dict[str, Any]:
-    """Content of ``report.json``; intervals are value, lower and upper end.
-
-    Args:
-        found: the result.
-        sha256: of the recording.
-    """
+    """Content of ``report.json``; intervals are value, lower and upper end."""
     return {
         "values": found.values,
         "errors_deg": {name: {"later": a, "interleaved": b} for name, (a, b) in found.errors.items()},

@@ -29,12 +29,7 @@ from pam_antagonist.rig import Reading, Rig
 
 
 def held_out_figures(judged: Judged, rig: Rig) -> list[Figure]:
-    """Measurement, estimates and errors of one recording with two rigs; the held-out part is shaded.
-
-    Args:
-        judged: the recording, replayed with the compared rigs.
-        rig: the identified one.
-    """
+    """Measurement, estimates and errors of one recording with two rigs; the held-out part is shaded."""
     replay, out, reading = judged.whole["identified"], [], rig.sensors.reading
     if judged.reports["identified"].joint.condition == "free" and _known(replay.measured_angle):
         out.append(_held_out(judged, "angle", "Joint angle", "°", float(np.degrees(1.0)), 0, reading("angle")))

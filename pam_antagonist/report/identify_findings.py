@@ -77,14 +77,7 @@ def rejection(
     parameters: Sequence[ParameterEntry] = (),
     declared: Collection[str] = (),
 ) -> str:
-    """Why the identified rig should not be used, in a sentence; empty if it may.
-
-    Args:
-        held_out: errors on held-out data.
-        refused: why its file would be refused; empty if it would not.
-        parameters: that were fitted within bounds.
-        declared: names of parameters whose bounds are in the rig file.
-    """
+    """Why the identified rig should not be used, in a sentence; empty if it may."""
     if lost := [entry.name for entry in held_out if _diverged(entry)]:
         return f"the model with the identified values diverges on the held-out part of {', '.join(lost)}."
     if refused:
@@ -127,9 +120,6 @@ def _became_worse(held_out: Sequence[HeldOut]) -> str:
 
     The filter's error counts twice as much as that of the model alone. A worse torque counts if the angle did not
     become better by as much.
-
-    Args:
-        held_out: of all recordings.
     """
     overall, judged = 1.0, False
     for channel in CHANNELS:

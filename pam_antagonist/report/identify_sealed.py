@@ -34,12 +34,7 @@ ASSUMED = (
 
 @dataclass(frozen=True)
 class ValueChange(Change):
-    """A parameter before and after.
-
-    Attributes:
-        std: standard error of the value; None where not known.
-        unit: SI unit of these numbers.
-    """
+    """A parameter before and after."""
 
     std: float | None
     unit: str
@@ -47,15 +42,7 @@ class ValueChange(Change):
 
 @dataclass(frozen=True)
 class StepEntry:
-    """A step of the identification.
-
-    Attributes:
-        name: of the step.
-        values: identified parameters, in SI units.
-        residual: remaining RMS, in `unit`.
-        unit: of the residual.
-        note: for the user.
-    """
+    """A step of the identification."""
 
     name: str
     values: Mapping[str, ValueChange]
@@ -66,12 +53,7 @@ class StepEntry:
 
 @dataclass(frozen=True)
 class VectorChange:
-    """Diagonal of a covariance, in squared SI units.
-
-    Attributes:
-        before: of the rig file.
-        after: identified.
-    """
+    """Diagonal of a covariance, in squared SI units."""
 
     before: tuple[float, ...]
     after: tuple[float, ...]
@@ -82,13 +64,10 @@ class SealedTuning:
     """The filter's tuning.
 
     Attributes:
-        measurement: R.
-        process: Q.
         drift_std_pa: standard deviation of the readings' drift [Pa].
         drift_time_s: time constant of the drift [s].
         random_walk: noise of the external torque [N m/√s].
         log_likelihood: log likelihood of the angle's errors, minus the square of ln(NIS/2).
-        evaluations: number of tunings that were tried.
     """
 
     measurement: VectorChange
@@ -105,8 +84,6 @@ class SealedRecording:
     """A recording that was used.
 
     Attributes:
-        name: of the recording.
-        sha256: of the bag's files.
         duration_s: length [s].
         fitted_until_s: end of the fitted part [s].
     """
@@ -123,11 +100,6 @@ class SealedReport:
 
     Attributes:
         held_out: errors on the part of each recording that was not fitted.
-        stages: steps.
-        tuning: of the filter.
-        assumed: sentences on what the recordings do not determine.
-        recordings: used recordings.
-        software: versions.
         assumption: the uncertainty that the rig file claims; None for an identified rig.
         rejected: why the identified rig should not be used; empty if it may.
     """
@@ -146,7 +118,6 @@ def report(found: SealedIdentified, judged: Sequence[Judged]) -> SealedReport:
     """The numbers of an identification.
 
     Args:
-        found: the identification.
         judged: of :func:`pam_antagonist.report.held_out.judge`.
     """
     before, now = found.start.tuning("default"), found.rig.tuning("default")
@@ -200,10 +171,8 @@ def write_report(folder: Path, numbers: SealedReport, judged: Sequence[Judged], 
     """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: existing folder.
         numbers: of :func:`report`.
         judged: of :func:`pam_antagonist.report.held_out.judge`.
-        with_figures: False leaves the figures out of the page.
     """
     html.write(folder, document(numbers, judged, with_figures), numbers)
 
@@ -220,7 +189,6 @@ def document(numbers: SealedReport, judged: Sequence[Judged], with_figures: bool
     Args:
         numbers: of :func:`report`.
         judged: of :func:`pam_antagonist.report.held_out.judge`.
-        with_figures: False leaves the figures out.
     """
     ukf = numbers.held_out[0].identified.ukf
     parts: list[Block] = [Text("A joint whose muscles are sealed: no air flows, an external torque moves it.", "lede")]

@@ -37,11 +37,7 @@ _DENSE = 26.0
 
 
 def library() -> str:
-    """Plotly's library, read from the installed package.
-
-    Raises:
-        BadInput: plotly is not installed.
-    """
+    """Plotly's library, read from the installed package."""
     with needs("reports", "figures of report.html (leave them out by --no-figures)"):
         from plotly.offline import get_plotlyjs
     return str(get_plotlyjs())

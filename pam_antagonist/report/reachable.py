@@ -41,7 +41,6 @@ class ReachableReport:
     """Content of ``report.json``.
 
     Attributes:
-        rig: name of the rig.
         lowest_pressure: of the bounds, absolute [Pa].
         highest_pressure: of the bounds, absolute [Pa].
         least_force: of a muscle [N].
@@ -84,14 +83,7 @@ class ReachableReport:
 
 
 def write_report(folder: Path, rig: Rig, report: ReachableReport, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder.
-
-    Args:
-        folder: existing folder.
-        rig: of the set.
-        report: the reachable set.
-        with_figures: whether the page shows figures.
-    """
+    """Write ``report.json`` and ``report.html`` into an existing folder."""
     html.write(folder, document(rig, report, with_figures), report)
 
 
@@ -133,13 +125,7 @@ def _yielding(rig: Rig, report: ReachableReport) -> tuple[Table, ...]:
 
 
 def document(rig: Rig, report: ReachableReport, with_figures: bool = True) -> Document:
-    """The report as a document.
-
-    Args:
-        rig: of the set.
-        report: the reachable set.
-        with_figures: whether the document has figures.
-    """
+    """The report as a document."""
     low, high = (f"{math.degrees(angle):.1f}" for angle in report.angles)
     tiles = (
         Tile("Angles of rest", f"{low} to {high}°"),

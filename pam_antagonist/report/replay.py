@@ -36,11 +36,7 @@ class TuningSettings:
     """The filter's tuning; variances in squared SI units.
 
     Attributes:
-        name: of the tuning.
         initial: diagonal of P(0).
-        process: diagonal of Q.
-        measurement: diagonal of R.
-        kappa: spread of the sigma points.
         consider: consider parameters -> standard deviations in SI units.
         gate: largest Mahalanobis distance of a reading that is used.
     """
@@ -59,10 +55,7 @@ class ReplaySettings:
     """Settings of a replay.
 
     Attributes:
-        rig: name of the rig.
-        rig_source: source of its values.
         sample_period_s: of the rig [s].
-        tuning: of the filter.
         assumption: the uncertainty that the rig claims; None for an identified one.
     """
 
@@ -98,10 +91,6 @@ def numbers(replays: Sequence[Replay], **more: Any) -> dict[str, Any]:
 
     One recording gives its :class:`ReplayReport` with ``settings`` and ``software`` added; several give
     ``{"recordings": [...], "settings": ..., "software": ...}``.
-
-    Args:
-        replays: at least one, all of one rig and tuning.
-        more: further keys.
     """
     shared = {"settings": ReplaySettings.of(replays[0]), "software": versions(), **more}
     reports = [replay.report for replay in replays]
@@ -115,8 +104,6 @@ def document(
     """The report as a document.
 
     Args:
-        replays: at least one, all of one rig and tuning.
-        title: default: the recording's name.
         with_figures: False leaves the figures (and plotly's 2 MB) out.
         first: blocks of another command that uses a replay, put before the recordings.
     """
@@ -159,13 +146,7 @@ def summary(replay: Replay) -> tuple[Block, ...]:
 
 
 def write_report(folder: Path, replays: Sequence[Replay], with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder.
-
-    Args:
-        folder: existing folder.
-        replays: at least one, all of one rig and tuning.
-        with_figures: False leaves the figures out of the page.
-    """
+    """Write ``report.json`` and ``report.html`` into an existing folder."""
     html.write(folder, document(replays, with_figures=with_figures), numbers(replays))
 
 
@@ -230,12 +211,7 @@ def tiles(report: ReplayReport) -> tuple[Tile, ...]:
 
 
 def errors_table(report: ReplayReport, caption: str = "") -> Table:
-    """Errors of the filter and of the model alone, for one recording.
-
-    Args:
-        report: the recording's numbers.
-        caption: of the table.
-    """
+    """Errors of the filter and of the model alone, for one recording."""
     out = Comparison("", "UKF", "model alone")
     known = {item.channel: item for item in judged(report)}
     for channel in CHANNELS:
@@ -269,11 +245,7 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
 
 
 def overview(reports: Sequence[ReplayReport]) -> Table:
-    """Errors of all recordings, one row for each.
-
-    Args:
-        reports: the recordings' numbers.
-    """
+    """Errors of all recordings, one row for each."""
     header = ["Recording", "joint"]
     for channel in CHANNELS:
         header += [f"{channel.name} RMSE [{channel.unit}]", "model alone", "in 95 %"]

@@ -35,7 +35,6 @@ def replay_figures(replay: Replay, held_from: float | None = None) -> tuple[Figu
     """Figures of a recording and its estimate, the most important one first.
 
     Args:
-        replay: of one recording.
         held_from: begin of the held-out part [s], which is shaded; None: nothing was fitted.
     """
     x = time(replay)

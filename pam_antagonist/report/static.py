@@ -43,9 +43,7 @@ def write_report(folder: Path, result: StaticResult, with_figures: bool = True) 
     """Write ``report.json`` and ``report.html`` into an existing folder.
 
     Args:
-        folder: existing folder.
         result: of ``static``.
-        with_figures: whether the page shows figures.
     """
     html.write(folder, document(result, with_figures), result)
 

@@ -76,8 +76,6 @@ def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> F
     """Volume over length with the fitted parabola and its 95 % interval.
 
     Args:
-        table: measured volumes.
-        fit: the parabola.
         result: with the rig; the range of its muscle lengths is marked if a rig was fitted.
     """
     low, high = float(table.length.min()), float(table.length.max())

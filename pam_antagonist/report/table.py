@@ -36,9 +36,7 @@ class Table:
     """A table of text: the first column names the row, the others hold its values.
 
     Attributes:
-        header: column titles.
         rows: cells, each row as long as the header; a row with only its first cell is a heading.
-        caption: description of the table, in one sentence.
         best: for each row, the columns with the best value (bold in HTML).
         prose: whether the cells are left-aligned text instead of numbers.
         widths: widths of the columns in a page [%]; empty: from the cells.
@@ -94,9 +92,6 @@ class Comparison:
         """Add a row of numbers.
 
         Args:
-            name: of the row.
-            values: one for each column.
-            write: formats a number.
             best: picks the best of the finite values; None: no value is marked. Equal cells are not marked.
         """
         cells = [write(value) for value in values]
@@ -111,7 +106,6 @@ class Comparison:
         """Add a row of pressures, all in kPa or all in Pa; the unit is added to the name.
 
         Args:
-            name: of the row.
             values: one for each column [Pa].
         """
         unit = readable("Pa", min((abs(value) for value in values if value), default=math.inf))
@@ -124,11 +118,7 @@ class Comparison:
 
 
 def markdown(table: Table) -> list[str]:
-    """A table as lines of Markdown.
-
-    Args:
-        table: the table; its caption is left out.
-    """
+    """A table as lines of Markdown."""
 
     def row(cells: Sequence[str]) -> str:
         return "| " + " | ".join(cell.strip().replace("\\", "\\\\") for cell in cells) + " |"

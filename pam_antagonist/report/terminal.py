@@ -56,12 +56,7 @@ def warnings(texts: Sequence[str]) -> str:
 
 
 def table(content: Table, indent: str = "  ") -> str:
-    """A table: first column left, the others right (text left), two spaces between; empty without rows.
-
-    Args:
-        content: the table.
-        indent: at the begin of each line.
-    """
+    """A table: first column left, the others right (text left), two spaces between; empty without rows."""
     if not content.rows:
         return ""
     lines = [content.header, *content.rows]

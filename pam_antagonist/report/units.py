@@ -11,12 +11,7 @@ from pam_antagonist.rig import Rig
 
 
 class Unit(NamedTuple):
-    """A readable unit.
-
-    Attributes:
-        name: of the unit.
-        scale: factor from the SI unit.
-    """
+    """A readable unit."""
 
     name: str
     scale: float
@@ -65,7 +60,6 @@ def unit_of(rig: Rig, name: str) -> str:
     """The SI unit of a parameter of a rig file, ``-`` for a pure number.
 
     Args:
-        rig: any rig.
         name: dotted path, such as ``valve_1.inflow_area`` or ``effects.leak.area_1``.
     """
     if name in _EFFECTS:
@@ -82,9 +76,5 @@ def unit_of(rig: Rig, name: str) -> str:
 
 
 def with_unit(text: str) -> str:
-    """Text without line breaks between a number and its unit, or within a unit.
-
-    Args:
-        text: plain text; these spaces become no-break spaces.
-    """
+    """Text without line breaks between a number and its unit, or within a unit."""
     return _AFTER_NUMBER.sub("\u00a0", text.replace("N m", "N\u00a0m"))

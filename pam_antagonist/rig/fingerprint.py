@@ -51,10 +51,7 @@ class Fact:
 
     Attributes:
         name: a dotted path of the rig file, or words for a computed value.
-        unit: of the value; empty where it is no number.
         tolerance: largest difference relative to the larger of both magnitudes; 0: none.
-        value: function that gives the value of a rig.
-        absolute: whether the tolerance is in the value's unit instead.
     """
 
     name: str

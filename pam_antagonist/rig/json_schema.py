@@ -13,9 +13,6 @@ def rig_json_schema() -> dict[str, Any]:
 
     A file that is ``based_on`` another one gives only what differs. So nothing is required below the top level, and
     nothing at all beside ``based_on``; :func:`pam_antagonist.rig.load_rig` checks that the result is complete.
-
-    Returns:
-        The schema, with the parameters and bounds of every effect that is registered.
     """
     schema: dict[str, Any] = Rig.model_json_schema()
     required = schema.pop("required")

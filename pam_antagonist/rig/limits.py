@@ -18,29 +18,17 @@ _REST_SHARE = (450.0 - 101.3) / (710.0 - 101.3)
 
 
 def angle_range(rig: Rig) -> float:
-    """Largest angle to either side [rad]: the mechanical stop; without one, the range that the rig file is checked for.
-
-    Args:
-        rig: the joint.
-    """
+    """Largest angle to either side [rad]: the mechanical stop; without one, the range that is checked."""
     return RANGE_WITHOUT_STOP if rig.joint.stop is None else rig.joint.stop
 
 
 def stop_angle(rig: Rig) -> float:
-    """Estimated angle to either side beyond which a controller stops the joint [rad].
-
-    Args:
-        rig: the joint.
-    """
+    """Estimated angle to either side beyond which a controller stops the joint [rad]."""
     return angle_range(rig) + _BEYOND
 
 
 def largest_torque(rig: Rig) -> float:
-    """Torque at angle 0 with the supply's pressure in one muscle and none in the other, the larger of both ways [N m].
-
-    Args:
-        rig: the joint.
-    """
+    """Torque at angle 0 with the supply's pressure in one muscle and none in the other, the larger of both [N m]."""
     p, (low, high) = rig.parameters("locked", 0.0), _pressures(rig)
     at_rest = np.array([*(flow.voltage_for(i, 0.5, p) for i in (0, 1)), 0.0])
     ways = [equilibrium.initial_state(0.0, *pair, at_rest, p) for pair in ((high, low), (low, high))]
@@ -48,21 +36,13 @@ def largest_torque(rig: Rig) -> float:
 
 
 def rest_pressure(rig: Rig) -> float:
-    """Absolute pressure of both muscles at rest [Pa].
-
-    Args:
-        rig: the joint.
-    """
+    """Absolute pressure of both muscles at rest [Pa]."""
     low, high = _pressures(rig)
     return float(round(low + _REST_SHARE * (high - low))) if rig.drive == "valve" else 0.5 * (low + high)
 
 
 def rest_voltage(rig: Rig) -> tuple[float, float]:
-    """Voltages (2,) at which the valves keep the pressure at rest [V], to a hundredth of a volt.
-
-    Args:
-        rig: the joint; the valves of one with regulators are not used.
-    """
+    """Voltages (2,) at which the valves keep the pressure at rest [V], to a hundredth of a volt."""
     low, high = rig.valves.voltage_min, rig.valves.voltage_max
     first, second = (round(min(max(u, low), high), 2) for u in steady_voltage(rig, rest_pressure(rig)))
     return first, second
@@ -75,7 +55,6 @@ def steady_voltage(rig: Rig, pressure: float) -> tuple[float, float]:
     keeps any pressure there.
 
     Args:
-        rig: the joint.
         pressure: wanted one [Pa].
     """
     p = rig.parameters()

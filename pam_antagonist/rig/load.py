@@ -73,15 +73,7 @@ def as_rig(rig: Rig | str | Path, regulators: bool = False) -> Rig:
 
 
 def checked(content: dict[str, Any], where: str) -> Rig:
-    """The rig with a content, which is checked.
-
-    Args:
-        content: of a rig file.
-        where: the file, for messages.
-
-    Raises:
-        BadInput: unknown or missing key, a value that is not physical.
-    """
+    """The rig with a content, which is checked."""
     rig = validated(Rig, content, where, _SWITCHES)
     complaint = _half_linear(content, rig) or unphysical(rig)
     if complaint:
@@ -90,16 +82,7 @@ def checked(content: dict[str, Any], where: str) -> Rig:
 
 
 def with_value(rig: Rig, name: str, value: Any) -> Rig:
-    """A rig with another value, see :meth:`Rig.with_value`.
-
-    Args:
-        rig: the rig.
-        name: dotted, as the file has it.
-        value: new value.
-
-    Raises:
-        BadInput: no such value, or one that the file could not have.
-    """
+    """A rig with another value, see :meth:`Rig.with_value`."""
     content, (head, *rest) = rig.plain(), name.split(".")
     known = [*names(content), *map(str, par.INDEX)]
     if name not in known and head not in _OPEN:

@@ -101,7 +101,6 @@ class Contradiction(BadInput):
     """Facts that are possible one by one, but not together.
 
     Args:
-        text: what is wrong.
         answers: that may have to change, as options of ``new_rig``; empty: any.
     """
 
@@ -111,12 +110,7 @@ class Contradiction(BadInput):
 
     @classmethod
     def of(cls, complaint: str, name: str) -> Contradiction:
-        """A complaint about the rig file, which names the path of a value.
-
-        Args:
-            complaint: in words.
-            name: of the rig.
-        """
+        """A complaint about the rig file, which names the path of a value."""
         text = complaint.removeprefix(f"{name}: ")
         places = [(text.index(path), -len(path), answers) for path, answers in _BEHIND.items() if path in text]
         return cls(f"these answers together make an impossible rig: {text}", min(places)[2] if places else ())
@@ -127,23 +121,17 @@ class Facts:
     """Known values of a rig.
 
     Attributes:
-        name: of the rig.
         kind: ``lever`` or ``pulley``.
         radius: lever arm r [m].
         length: of a muscle at angle 0 [m].
         nominal_length: of a muscle without pressure and load [m].
-        muscle: of both sides.
-        muscle_name: name of the muscle.
         supply: gauge pressure of the supply [Pa].
-        valve: of both sides.
-        valve_name: name of the valve.
         voltage: least and largest voltage of a valve [V].
         shaft_radius: [m].
         mass: carried by the shaft [kg].
         inertia: of the moving parts [kg m²].
         stop: magnitude of the angle at which the joint stops [rad], None for none.
         pressure_range: of a pressure sensor [Pa].
-        pressure_bits: of its converter.
         period: from sample to sample [s].
         regulator: of both sides of a joint with pressure regulators; None: it has valves.
         regulator_time: rise time of the regulator from 10 to 90 % of a small step [s].
@@ -186,14 +174,7 @@ class Facts:
 
 
 def starting_point(facts: Facts) -> Rig:
-    """A rig from the facts, with assumed values and wide priors for the rest.
-
-    Args:
-        facts: known values of the rig.
-
-    Raises:
-        Contradiction: facts that contradict each other, or are not physical.
-    """
+    """A rig from the facts, with assumed values and wide priors for the rest."""
     try:
         return _starting_point(facts)
     except Contradiction:

@@ -89,11 +89,6 @@ def named(what: str, name: str, parts: dict[str, Part]) -> Part:
 
     Args:
         what: ``muscle``, ``valve`` or ``regulator``, for the message.
-        name: as it was typed.
-        parts: by name.
-
-    Raises:
-        BadInput: no such part.
     """
     bare = {known.lower(): part for known, part in parts.items()}
     if name.lower() in bare:

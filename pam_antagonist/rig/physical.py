@@ -35,11 +35,6 @@ def varied(name: str, value: float, change: float) -> float:
 
     What cannot be negative stays above 0, however uncertain it is: v + c down to a quarter of v, and below it the
     curve v/(16 (−c/v − ½)), which continues it without a corner.
-
-    Args:
-        name: dotted path of the parameter.
-        value: v.
-        change: c.
     """
     if value < 0.0 or value + change >= (1.0 - _LINEAR) * value or limits(name)[0] < 0.0:
         return value + change

@@ -423,9 +423,6 @@ def limits(name: str) -> tuple[float, float]:
 
     Args:
         name: such as ``friction.shaft``, or of an effect.
-
-    Raises:
-        KeyError: no such number.
     """
     if name.startswith("effects."):
         _, effect, item = name.split(".")

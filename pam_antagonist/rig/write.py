@@ -26,15 +26,6 @@ def write_rig(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
     """Write a rig file, and read it again: what stands there is what every command accepts.
 
     All rig files that this package makes are written here.
-
-    Args:
-        rig: the rig.
-        path: new file.
-        remarks: lines of comment at its head.
-
-    Raises:
-        FileExistsError: the file exists.
-        RefusedRig: its reader refuses the rig, or reads another one; no file is left.
     """
     write_unread(rig, path, remarks)
     try:
@@ -58,16 +49,7 @@ def refusal(rig: Rig) -> str:
 
 
 def write_unread(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
-    """Write a rig file that nobody is asked to use, such as a rejected result.
-
-    Args:
-        rig: the rig.
-        path: new file.
-        remarks: lines of comment at its head.
-
-    Raises:
-        FileExistsError: the file exists.
-    """
+    """Write a rig file that nobody is asked to use, such as a rejected result."""
     lines = [f"# {remark}" if remark else "#" for remark in remarks]
     lines += ["# SI units; every pressure is absolute; angles in rad."]
     lines += _model(rig, 0)

@@ -69,10 +69,6 @@ def paper(time: FloatArray, seed: int) -> FloatArray:
 
     Args:
         time: (N,) [s].
-        seed: not used.
-
-    Returns:
-        Drive (N, 2).
     """
     ends = np.cumsum(_PAPER[:, 0])
     return np.asarray(_PAPER[np.searchsorted(ends, time % PAPER_DURATION, side="right"), 1:])
@@ -83,7 +79,6 @@ def steps(time: FloatArray, seed: int) -> FloatArray:
 
     Args:
         time: (N,) [s].
-        seed: of the levels and the times.
 
     Returns:
         Drive (N, 2); it begins with 1 s at rest.
@@ -106,7 +101,6 @@ def multisine(time: FloatArray, seed: int) -> FloatArray:
 
     Args:
         time: (N,) [s].
-        seed: of the phases.
 
     Returns:
         Drive (N, 2); it fades in over the first second.
@@ -132,14 +126,10 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
         name: one of ``PROFILES``.
         duration: [s].
         period: sample period [s].
-        seed: of its random part.
         span: voltages; default: 4.15, 5.5, 7.5 V.
 
     Returns:
         (N, 2) [V], N = duration / period; row k is held over sample period k.
-
-    Raises:
-        BadInput: no such profile.
     """
     if name not in PROFILES:
         raise BadInput(f"profile {name!r}: expected one of {', '.join(PROFILES)}, or a CSV file")
@@ -151,16 +141,11 @@ def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
     """Commands of a built-in profile within the limits of a rig's valves or regulators.
 
     Args:
-        rig: gives the limits and the sample period.
         name: one of ``PROFILES``.
         duration: [s].
-        seed: of its random part.
 
     Returns:
         (N, 2) [V] of valves, or [Pa] of pressure regulators: from a sixth of their range to its end.
-
-    Raises:
-        BadInput: no such profile.
     """
     low, high = rig.command_limits
     lapped = rig.drive == "valve" and max(rig.valve_1.overlap, rig.valve_2.overlap) > 0.0
@@ -201,14 +186,8 @@ def _of_valves(rig: Rig) -> Span:
 def read_table(path: Path) -> tuple[FloatArray, FloatArray]:
     """Read voltages from a CSV file with the header ``t_s,u1,u2``: time [s], then both voltages [V].
 
-    Args:
-        path: the file.
-
     Returns:
         Times (K,) [s] and voltages (K, 2) [V].
-
-    Raises:
-        BadInput: another file format, or times that do not increase.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:

@@ -66,10 +66,6 @@ def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndar
     Args:
         p: parameter vector (parameters.SIZE,).
         spread: relative standard deviation of each independent factor [-].
-        rng: source of the scatter.
-
-    Returns:
-        New vector. Volume and force map of a muscle are each scaled as a whole, since their terms nearly cancel.
     """
     groups = SCATTER_GROUPS
     if p[par.INDEX[REGULATORS[0][0]]] > 0.0:
@@ -89,18 +85,11 @@ class Plant:
     It is a simulator of this project: agreement with it says nothing about a real joint.
 
     Args:
-        rig: the rig as declared.
         joint: ``free`` or ``locked``.
         lock_angle: angle [rad] at which a locked joint is held.
-        seed: of the scatter and the sensor noise.
-        substeps: integration steps a sample period.
         mismatch: relative standard deviation of the parameters [-].
-        noise: False for exact sensors.
         initial_pressure: of both muscles [Pa]; default: their pressure at rest.
         initial_angle: [rad]; default: at rest under the initial pressures.
-
-    Raises:
-        BadInput: fewer than one substep, a negative mismatch or seed, or initial values that are not physical.
     """
 
     def __init__(
@@ -157,11 +146,7 @@ class Plant:
         return {name: float(self._p[par.INDEX[name]]) for name in names}
 
     def change(self, values: Mapping[str, float]) -> None:
-        """Change true parameters from now on; not those that add a state.
-
-        Args:
-            values: by dotted path.
-        """
+        """Change true parameters from now on; not those that add a state."""
         self._p = par.changed(self._p, values)
 
     def _measured(self, value: float, std: float, step: float, rng: np.random.Generator) -> float:
@@ -183,12 +168,6 @@ class Plant:
         Args:
             voltage: on the valves over the period (2,) [V], or commanded to the regulators [Pa].
             external_torque: torque from outside over the period [N m].
-
-        Returns:
-            Readings of the sensors at the end of the period.
-
-        Raises:
-            BadInput: a voltage or torque that is not finite.
         """
         self._u[:2] = voltage
         self._u[2] = external_torque

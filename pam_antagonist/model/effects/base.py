@@ -143,10 +143,8 @@ class Loop:
     """How an effect reverses its torque when the joint reverses, to compare it with other effects that do so.
 
     Attributes:
-        sizes: names of the parameters that share one value.
         torque: start of a search [N m]; for a size in N, times the lever arm.
         width: name of the parameter that holds the width of the reversal [m]; empty for a reversal at once.
-        widths_a_turn: number of widths until the torque has reversed.
         widths: further starts of a search for the width [m].
         about: note on the comparison; ``{step}`` becomes the encoder's step.
     """
@@ -308,9 +306,7 @@ def played(width, held, command, quickest_lag):
     """Rate of an added state that follows a command through play: the play operator.
 
     Args:
-        width: of the play, in the unit of the command.
         held: value of the state, which stays while the command moves within the play; likewise.
-        command: the command, likewise.
         quickest_lag: shortest time constant that a step of the integration follows [s].
     """
     taken_along = min(max(held, command - 0.5 * width), command + 0.5 * width)
@@ -320,17 +316,7 @@ def played(width, held, command, quickest_lag):
 def per_signal(
     name: str, unit: str, low: float, high: float, scale: float, meaning: str, symbol: str = ""
 ) -> tuple[EffectParameter, ...]:
-    """A size that each further signal has.
-
-    Args:
-        name: without the signal's number.
-        unit: SI.
-        low: smallest value, in that unit.
-        high: largest value, in that unit.
-        scale: a typical size, in that unit.
-        meaning: without the signal.
-        symbol: without the signal's number, which becomes an index.
-    """
+    """A size that each further signal has."""
     items = [(f"{name}{k}", f"{meaning} {k}", _numbered(symbol, k)) for k in range(1, SIGNALS + 1)]
     return _sizes(items, unit, low, high, scale)
 

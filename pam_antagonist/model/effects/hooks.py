@@ -56,11 +56,6 @@ class Hook:
 
     Attributes:
         name: as in ``Effect.hooks``.
-        meaning: what the function of an effect returns.
-        unit: of the returned value.
-        way: how the returned value changes the model's value.
-        value: name of the model's value, as a quantity.
-        quantities: other quantities that the function may ask for.
         of_muscle: whether the hook is at each muscle (valve, sensor) in turn.
         states: whether functions may ask for states, must do so, or cannot.
         floor: whether the value is kept at 0 at least.

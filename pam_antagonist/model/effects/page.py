@@ -49,15 +49,7 @@ def sections(effects: Iterable[Effect]) -> str:
 
 
 def page(text: str, catalogue: Mapping[str, Effect]) -> str:
-    """A page with its marked parts generated anew.
-
-    Args:
-        text: of the page.
-        catalogue: effects by name; the built-in ones get a section.
-
-    Raises:
-        BadInput: a mark without its counterpart.
-    """
+    """A page with its marked parts generated anew."""
     own = [effect for effect in catalogue.values() if effect.module.startswith(f"{_OWN}.")]
     titles = ("hook", "at each", "the function returns", "unit", "which the model", "states of the effect")
     hooks = _table(titles, map(_hook, HOOKS.values()))

@@ -53,15 +53,7 @@ def parameter_path(effect: str, name: str) -> str:
 
 
 def effect_in(module: str, name: str = "EFFECT") -> Effect:
-    """The effect that a module holds.
-
-    Args:
-        module: its dotted name.
-        name: of the variable.
-
-    Raises:
-        BadInput: no such module or variable, or none that is an :class:`Effect`; a module without a docstring.
-    """
+    """The effect that a module holds."""
     try:
         written = import_module(module)
         found = getattr(written, name)
@@ -76,11 +68,7 @@ def effect_in(module: str, name: str = "EFFECT") -> Effect:
 
 
 def catalogue(effects: Iterable[Effect]) -> dict[str, Effect]:
-    """Effects by name.
-
-    Raises:
-        BadInput: an effect that is not complete, or a name that is taken.
-    """
+    """Effects by name."""
     result: dict[str, Effect] = {}
     states: dict[str, str] = {}
     for effect in effects:
