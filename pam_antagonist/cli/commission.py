@@ -106,5 +106,5 @@ def _main(arguments: argparse.Namespace) -> int:
     finally:
         work.report()
     print(f"report: {arguments.out / 'report.html'} and report.json")
-    print(common.next_command("demo", [], f"--rig {arguments.out / 'rig.yaml'}"))
+    print(f"next:\n{work.next_line()}")
     return common.DONE

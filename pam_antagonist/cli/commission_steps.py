@@ -27,6 +27,7 @@ from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
+from pam_antagonist.report.commission import Driven as DrivenStep
 from pam_antagonist.report.commission import Step, write_report
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import steady_voltage
@@ -198,6 +199,7 @@ class Commission:
         return {
             "said": f"{len(result.rig.directions)} uncertain directions are left",
             "warnings": list(result.warnings),
+            "folder": "identified",
         }
 
     def _diagnosed(self, name: str) -> dict[str, Any]:
@@ -285,13 +287,22 @@ class Commission:
 
     def report(self) -> None:
         """Write ``report.html`` and ``report.json`` on what was done so far."""
-        steps = [
-            Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
-            for name, one in self._record.steps.items()
-        ]
+        steps, driven = [], []
+        for name, one in self._record.steps.items():
+            folder = one.get("folder", "")
+            steps.append(
+                Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0), folder)
+            )
+            if "bag" in one:
+                recording = read_bag(self._out / one["bag"], judge=False)
+                driven.append(DrivenStep(name, recording, self._limits.pressure, self._limits.angle))
         left = [name for name in self.STEPS if name not in self._record.steps and not self.left_out(name)]
         command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
-        write_report(self._out, self._rig, steps, command, left)
+        write_report(self._out, self._rig, steps, command, left, driven, self.next_line())
+
+    def next_line(self) -> str:
+        """The command that shows the joint under control."""
+        return typed(f"demo --rig {self._out / 'rig.yaml'} --gains {self._out / 'parameters.yaml'}")
 
     def left_out(self, name: str) -> bool:
         """Whether a step is left out, by the arguments."""

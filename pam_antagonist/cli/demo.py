@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.demo_steps import GAINS, MODEL, Task, law_of, task
+from pam_antagonist.cli.demo_steps import FOUND, GAINS, MODEL, Task, found_gains, law_of, task
 from pam_antagonist.cli.driving import how_to_watch, stay_apart
 from pam_antagonist.cli.numbers import SEED, real
 from pam_antagonist.cli.progress import counted
@@ -52,6 +52,7 @@ examples:
   {run} demo --mode stiffness
   {run} demo --mode impedance
   {run} demo --rig shin2022_regulators --no-pressures
+  {run} demo --rig commissioned/rig.yaml --gains commissioned/parameters.yaml
 """
 
 _MODES = {
@@ -79,9 +80,10 @@ def parser() -> common.Parser:
     add("--mode", choices=tuple(_MODES), default="angle", help="what is controlled (default: angle)")
     gains_help = (
         "gains of the PI for shin2022: fast, or published, with which a step of the angle takes 9 s; or model, the law "
-        "through the model (default: fast for shin2022; model for other joints and in modes stiffness and impedance)"
+        "through the model; or a YAML file with the controller's parameters, such as parameters.yaml of commission "
+        "(default: fast for shin2022; model for other joints and in modes stiffness and impedance)"
     )
-    add("--gains", choices=(*GAINS, MODEL), help=gains_help)
+    add("--gains", metavar="{fast,published,model,FILE}", help=gains_help)
     rig_help = (
         "a YAML file, or the name of a rig that comes with the package (default: shin2022; for impedance "
         "shin2022_external_torque)"
@@ -129,7 +131,8 @@ def _main(arguments: argparse.Namespace) -> int:
     common.check_output(out)
     if arguments.duration is None:
         arguments.duration = 30.0 if mode.has_stiffness else 12.0
-    law = law_of(rig, mode, arguments.gains)
+    found = found_gains(arguments.gains)
+    law = law_of(rig, mode, arguments.gains) if not found else MODEL if found.get("law") == MODEL else FOUND
     asked = task(rig, mode, law, arguments.duration)
     try:
         (out / "logs").mkdir(parents=True, exist_ok=True)
@@ -184,7 +187,9 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, law: str, a
     )
     with Processes(out / "logs") as processes:
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
-        processes.start("controller", ros_arguments({**shared, **_gains(law, mode, rig)}, {}))
+        processes.start(
+            "controller", ros_arguments({**shared, **_gains(law, mode, rig), **found_gains(arguments.gains)}, {})
+        )
         simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
         if arguments.no_pressures:
             # The controller listens to what is left as well.
@@ -206,6 +211,8 @@ def _gains(law: str, mode: Mode, rig: Rig) -> dict[str, object]:
     if law == MODEL:
         # A new rig's estimate is very uncertain: with a margin for that, its joint would hardly move.
         return {"law": "model", "governor_level": 0.5, "max_angle_rate": angle_range(rig) / _SWEEP}
+    if law == FOUND:
+        return {}
     gains, of = GAINS[law][mode], mode.name.lower()
     return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
 
 from pam_antagonist.control import FAST_GAINS, PUBLISHED_GAINS, Box, Mode, Reachable
 from pam_antagonist.errors import BadInput
@@ -14,6 +17,8 @@ GAINS = {"fast": FAST_GAINS, "published": PUBLISHED_GAINS}
 """Gains of the PI for the joint of the paper, by name."""
 MODEL = "model"
 """The law through the model, whose gains do not depend on the joint."""
+FOUND = "found"
+"""The PI with gains that were found for the joint."""
 
 _SHARES = (1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0)  # of the largest reference, one a step; a short demo takes the extremes
 _STIFFNESS = (0.4, 0.5, 0.45, 0.3, 0.7, 0.2, 0.6)  # by turns, from the softest to the stiffest joint at that angle
@@ -40,6 +45,29 @@ class Task(NamedTuple):
     references: list[tuple[float, float, float]]
     pushes: list[tuple[float, float]]
     damping: float
+
+
+def found_gains(gains: str | None) -> dict[str, Any]:
+    """Parameters of the controller in the file that ``--gains`` names; none for the name of a law.
+
+    Raises:
+        BadInput: neither a law nor a file with parameters of the controller.
+    """
+    if gains in (None, MODEL, *GAINS):
+        return {}
+    path = Path(str(gains))
+    if path.suffix not in (".yaml", ".yml"):
+        raise BadInput(f"--gains {gains}: expected {', '.join(GAINS)}, {MODEL}, or a YAML file as commission writes it")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise BadInput(f"--gains {path}: cannot be read: {error}") from None
+    blocks = content.items() if isinstance(content, dict) else ()
+    for node, block in blocks:
+        given = block.get("ros__parameters") if isinstance(block, dict) else None
+        if str(node).split("/")[-1] == "controller" and isinstance(given, dict) and given:
+            return given
+    raise BadInput(f"--gains {path}: holds no parameters of the controller; expected what commission writes")
 
 
 def law_of(rig: Rig, mode: Mode, gains: str | None) -> str:

@@ -34,7 +34,12 @@ _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
 _SIGN = {Mode.ANGLE: "°", Mode.TORQUE: " N m"}
 _MOST_HELD = 0.3
 """[-] Share of samples with safe commands from which on a demo was not controlled: its first second counts little."""
-_LAWS = {"fast": "fast gains", "published": "published gains", "model": "law through the model"}
+_LAWS = {
+    "fast": "fast gains",
+    "published": "published gains",
+    "model": "law through the model",
+    "found": "gains found for it",
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,8 @@ class Demo:
     """A finished demo: the key ``demo`` of ``report.json``; angles in degrees, torques in N m, times in ms.
 
     Attributes:
-        gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model.
+        gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model; ``found`` for
+            gains of a file.
         stiffness: tracking of the estimated stiffness [N m/rad]; None without a reference for it.
         yielding: motion under pushes; None in other modes than IMPEDANCE.
         accounting: account of the samples; None where a stage is missing in the recording.

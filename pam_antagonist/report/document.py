@@ -62,6 +62,17 @@ class Tiles:
 
 
 @dataclass(frozen=True)
+class Links:
+    """Other files beside the page.
+
+    Attributes:
+        items: what is there, and its path relative to the page.
+    """
+
+    items: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
 class Definitions:
     """Terms and their meanings."""
 
@@ -91,7 +102,7 @@ class Section:
     folded: bool = False
 
 
-Block: TypeAlias = Text | Findings | Tiles | Definitions | Table | Figure | Columns | Section
+Block: TypeAlias = Text | Findings | Tiles | Links | Definitions | Table | Figure | Columns | Section
 
 
 def _software() -> str:

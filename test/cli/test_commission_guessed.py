@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from pam_antagonist.cli import commission, new_rig
 from pam_antagonist.cli.commission_guessed import gains_for
+from pam_antagonist.cli.demo_steps import found_gains
 from pam_antagonist.cli.rehearsal import explore
 from pam_antagonist.design import Limits
 from pam_antagonist.design.exploration import FirstAir
@@ -65,6 +67,11 @@ def test_a_guess_becomes_a_controlled_joint(drive: str, tmp_path: Path) -> None:
     assert report["rejected"] is None
     found = load_rig(out / "rig.yaml", regulators=True)
     assert found.identified and "pressure_bandwidth" in (out / "parameters.yaml").read_text()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert all(name in page for name in ('href="identified/report.html"', "Step slow", "Step quick", "figure-2"))
+    next_line = f"demo --rig {out / 'rig.yaml'} --gains {out / 'parameters.yaml'}"
+    assert next_line in re.sub(r"<[^>]*>|&nbsp;|\xa0", lambda found: "" if found[0][0] == "<" else " ", page)
+    assert found_gains(str(out / "parameters.yaml"))["law"] == "model"
     angle = read_bag(out / steps["quick"]["bag"]).angle
     assert angle is not None
     inside = np.flatnonzero(np.abs(angle) < 0.1)[0]

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from pam_antagonist.cli import demo, new_rig
 from pam_antagonist.cli.demo_steps import task
@@ -162,6 +163,8 @@ def _parent(pid: int) -> int:
         (["--mode", "position"], "--mode"),
         (["--mode", "impedance", "--rig", "shin2022"], "does not have the state external_torque"),
         (["--mismatch", "1"], "--mismatch"),
+        (["--gains", "quick"], "--gains quick: expected fast, published, model, or a YAML file"),
+        (["--gains", "no_such.yaml"], "no_such.yaml: cannot be read"),
         (["--seed", "-1"], "--seed"),
         (["bag"], "bag"),
     ],
@@ -236,7 +239,12 @@ def test_a_new_rig_moves_beyond_the_paper_s_limit_and_says_where_to_watch_it(tmp
         "supply": "6bar", "valve": "MPYE-5-M5", "inertia": "0.001", "mass": "0.3kg", "stop": "40deg", "rate": "500",
     }  # fmt: skip
     assert new_rig.main(["--out", str(rig), *(word for k, v in answers.items() for word in (f"--{k}", v))]) == 0
-    process = start("--rig", str(rig), "--duration", "5", "--no-figures", "--out", str(out))
+    gains = tmp_path / "parameters.yaml"
+    given = {"law": "model", "pressure_bandwidth": 19.0, "model_integral": 1.5}
+    gains.write_text(yaml.safe_dump({"/**/controller": {"ros__parameters": given}}))
+    process = start(
+        "--rig", str(rig), "--gains", str(gains), "--duration", "5", "--no-figures", "--out", str(out)
+    )  # fmt: skip
     said, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
     assert f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} " in said.splitlines()[0] and "watch" in said.splitlines()[0]
