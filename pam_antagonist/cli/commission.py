@@ -59,7 +59,12 @@ def parser() -> common.Parser:
     )
     out.add_argument("--no-lock", action="store_true", help="the joint cannot be locked: leave that step out")
     out.add_argument("--unattended", action="store_true", help="do not wait for a person; for a simulated joint only")
-    out.add_argument("--plant", metavar="RIG", help="rig file of the simulated joint (default: that of --rig)")
+    out.add_argument(
+        "--plant",
+        metavar="RIG",
+        help="rig file of the simulated joint (default: that of --rig; for a rig that was never identified, a joint "
+        "drawn from the priors of its file)",
+    )
     out.add_argument(
         "--seed", type=SEED, default=0, metavar="N", help="seed of the searches and of the simulated joint (default: 0)"
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +15,26 @@ from typing_extensions import override
 
 from pam_antagonist.checks.wiring import guessed
 from pam_antagonist.cli.commission_steps import Commission, StepFailed
-from pam_antagonist.cli.driving import explored
+from pam_antagonist.cli.driving import SIMULATED, explored
 from pam_antagonist.control.model_law import ModelGains, voltage_towards
 from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
 from pam_antagonist.design.first_fill import pulse_faults
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.physical import unphysical
+from pam_antagonist.rig.write import write_rig
 
 _FASTEST = 20.0
 """[1/s] Rate at which a pressure's error is corrected; a slow log has a lower one."""
 _SAMPLES = 0.4
 """The same, in a sample."""
+_WIDEST = 1.5
+"""Standard deviations of the priors at most: beyond, a ruler was read wrongly."""
+_TRIES = 200
 
 
 def is_for(rig: Rig) -> bool:
@@ -44,10 +55,59 @@ def gains_for(rig: Rig) -> ModelGains:
     return ModelGains(min(usual.bandwidth, _SAMPLES / rig.sample_period), integral, approach)
 
 
+def drawn(rig: Rig, seed: int) -> Rig:
+    """A joint that a guessed rig file may be of.
+
+    What could not be driven at all is drawn again: a joint that no pressures bring to its middle and to a third of its
+    range either way.
+
+    Raises:
+        BadInput: in 200 draws no such joint.
+    """
+    rng = np.random.default_rng(seed)
+    sought = [*joint_stage.unknowns(rig, []), *air_stage.unknowns(rig)]
+    for _ in range(_TRIES):
+        values = {
+            path: item.value(float(np.clip(rng.standard_normal(), -_WIDEST, _WIDEST)))
+            for item in sought
+            for path in item.paths
+        }
+        if "effects.limb_weight.torque" in rig.priors:
+            weight, told = rig.priors["effects.limb_weight.torque"], rig.value("effects.limb_weight.torque")
+            values["effects.limb_weight.torque"] = abs(told + weight * float(np.clip(rng.standard_normal(), -1.0, 1.0)))
+            if not told:
+                values["effects.limb_weight.hanging"] = float(rng.uniform(-np.pi, np.pi))
+        joint = moved(rig, values)
+        if not unphysical(joint) and _drivable(joint):
+            return joint
+    raise BadInput(f"{rig.name}: no joint of its priors can be driven")
+
+
+def _drivable(joint: Rig) -> bool:
+    """Whether pressures hold the joint in the middle, and a third of its range either way."""
+    p = joint.parameters()
+    air, supply = joint.atmosphere.pressure, joint.supply.pressure
+    low, high = air + 0.15 * (supply - air), air + 0.85 * (supply - air)
+    if joint.drive == "regulator":
+        low, high = max(low, joint.command_limits[0]), min(high, joint.command_limits[1])
+    third = (np.radians(20.0) if joint.joint.stop is None else joint.joint.stop) / 3.0
+    return bool(equilibrium.rest_angle(high, low, p) > third and equilibrium.rest_angle(low, high, p) < -third)
+
+
 class GuessedCommission(Commission):
     """A commissioning of a joint whose rig file is a guess."""
 
     STEPS = ("wiring", "slow", "quick", "identify", "gains")
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        super().__init__(arguments)
+        if arguments.source in SIMULATED and arguments.plant is None:
+            # The file itself would be too easy: its numbers are a guess.
+            joint = self._out / "simulated_joint.yaml"
+            if not joint.exists():
+                about = f"The simulated joint of a rehearsal, drawn from the priors of {self._rig.name}."
+                write_rig(drawn(self._rig, arguments.seed), joint, [about])
+            self._owner = replace(self._owner, rig=str(joint.resolve()), mismatch=0.0)
 
     def _explored(self, name: str, program: Program) -> dict[str, Any]:
         """Drive the joint by a program."""

@@ -85,10 +85,12 @@ def _main(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from None
     print(f"rig: {path}\n")
-    print("Look at its head: it says what was measured and what is assumed. Then record and identify:")
-    for words in ("record --out free_bag", f"check free_bag --rig {path}"):
+    print("Look at its head: it says what was measured and what is assumed. With recordings of the joint:")
+    for words in (f"check BAG --rig {path}", f"identify BAG... --rig {path} --out identified"):
         print(typed(words))
-    print(common.next_command("identify", (), f"free_bag locked_bag --rig {path} --out identified"))
+    print("without, rehearse how the joint is driven and identified, then do it on the joint:")
+    rehearsal = f"--rig {path} --out rehearsed --source rehearsal --unattended"
+    print(common.next_command("commission", (), rehearsal))
     return common.DONE
 
 

@@ -33,7 +33,8 @@ def sentence(found: FoundFromPressures) -> str:
     if now is None:
         return f"{out} Keep the rig file that you have: {_why_not(found)}"
     after = now.pooled("identified")
-    return f"{out} The filter's angle error on held-out data falls from {number(before)}° to {number(after)}°."
+    change = "falls" if after < before else "changes"
+    return f"{out} The filter's angle error on held-out data {change} from {number(before)}° to {number(after)}°."
 
 
 def _in_words(item: Tried) -> str:

@@ -96,11 +96,11 @@ def write_report(
         blocks.append(Text(f"Next, type: {next_line}"))
     if pages:
         blocks.append(Links(tuple(pages)))
-    blocks += [table, *map(_figure, driven), *background(_DEFINITIONS, [("Rig", rig.name), ("Command", command)])]
+    blocks += [table, *map(figure_of, driven), *background(_DEFINITIONS, [("Rig", rig.name), ("Command", command)])]
     html.write(folder, Document("Commissioning", rig.name, tuple(blocks)), report)
 
 
-def _figure(driven: Driven) -> Figure:
+def figure_of(driven: Driven) -> Figure:
     """What a step asked of the joint, and what it did."""
     recording = driven.recording
     x = figures.seconds(recording.stamp_ns, int(recording.stamp_ns[0]))

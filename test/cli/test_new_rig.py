@@ -38,7 +38,7 @@ def written(answers: dict[str, str], path: Path):
 def test_a_recording_of_the_joint_passes_the_check_with_the_new_file(tmp_path, capsys) -> None:
     rig = written(MEASURED, tmp_path / "rig.yaml")
     shown = capsys.readouterr().out
-    assert "identify free_bag locked_bag --rig" in shown
+    assert "identify BAG... --rig" in shown and "commission --rig" in shown
     findings = check(simulate("shin2022", duration=20.0, seed=5, mismatch=0.01), rig).findings
     assert {item.status for item in findings} <= {"good", "untested", "doubtful"}
     assert all("never identified" in item.text for item in findings if item.status == "doubtful")

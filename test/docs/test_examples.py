@@ -106,6 +106,29 @@ def test_commands_of_the_first_hour(tmp_path: Path) -> None:
         assert any(_numbers(line) == pytest.approx(_numbers(row), rel=0.3, abs=0.01) for line in rivals), row
 
 
+@pytest.mark.slow(60)
+def test_commands_of_your_own_rig(tmp_path: Path) -> None:
+    """A guessed rig is commissioned in a rehearsal, and what the page shows of the output is what is printed."""
+    page, printed = ROOT / "docs" / "tutorials" / "your_own_rig.md", ""
+    for block in pages.blocks(page):
+        for words in pages.commands(block.text) if block.language == "bash" else ():
+            printed += run("-m", "pam_antagonist", *words, cwd=tmp_path)
+    steps = json.loads((tmp_path / "rehearsed" / "state.json").read_text(encoding="utf-8"))["steps"]
+    assert list(steps) == ["wiring", "slow", "quick", "identify", "gains"]
+    assert sum(step.get("rig_s", 0.0) for step in steps.values()) < 15 * 60
+    shown = "\n".join(block.text for block in pages.blocks(page) if block.language == "text")
+    (row,) = re.findall(r"^identify: .*", shown, re.MULTILINE)
+    (now,) = re.findall(r"^identify: .*", printed, re.MULTILINE)
+    error, before = (float(value) for value in re.search(r"errs by ([\d.]+) deg \(([\d.]+) deg", now).groups())
+    assert error < 0.3 and before > 10.0 * error
+    assert _without_digits(row) == _without_digits(now)
+    assert "no effect is missing" in shown and "no effect is missing" in printed
+
+
+def _without_digits(line: str) -> str:
+    return re.sub(r"[\d.]+", "#", line)
+
+
 def _without_numbers(line: str) -> str:
     return " ".join(_NUMBER.sub("#", line).split())
 

@@ -13,20 +13,16 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli import commission, common, new_rig
-from pam_antagonist.cli.commission_guessed import gains_for
+from pam_antagonist.cli.commission_guessed import drawn, gains_for
 from pam_antagonist.cli.demo_steps import MODEL, task
 from pam_antagonist.control import Box, Laws, Mode, ModelController, Reachable, VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.identification import air_stage, joint_stage
-from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, markdown
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import angle_range, rest_pressure, rest_voltage
-from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.plant import Plant
 from pam_antagonist.strict_json import write_json
@@ -46,10 +42,6 @@ _MOVES_S = 40.0
 _SEED, _HOLD_S, _LAST_S = 1, 5.0, 1.0
 _ALLOWED_DEG, _ALLOWED_SHARE = 1.0, 0.03
 """Largest error of the controlled joint at rest [deg], or as a share of its range."""
-
-_WIDEST = 1.5
-"""Standard deviations of the priors at most: beyond, a ruler was read wrongly."""
-_TRIES = 200
 
 
 @dataclass(frozen=True)
@@ -108,46 +100,6 @@ def written(described: Described, path: Path) -> Rig:
     if new_rig.main(["--out", str(path), "--name", described.name, *described.words.split()]) != 0:
         raise BadInput(f"{described.name}: new_rig refuses it")
     return load_rig(path, regulators=True)
-
-
-def drawn(rig: Rig, seed: int) -> Rig:
-    """A joint that a guessed rig file may be of.
-
-    What could not be driven at all is drawn again: a joint that no pressures bring to its middle and to a third of its
-    range either way.
-
-    Args:
-        rig: made by ``new_rig``.
-        seed: of the draw.
-    """
-    rng = np.random.default_rng(seed)
-    sought = [*joint_stage.unknowns(rig, []), *air_stage.unknowns(rig)]
-    for _ in range(_TRIES):
-        values = {
-            path: item.value(float(np.clip(rng.standard_normal(), -_WIDEST, _WIDEST)))
-            for item in sought
-            for path in item.paths
-        }
-        if "effects.limb_weight.torque" in rig.priors:
-            weight, told = rig.priors["effects.limb_weight.torque"], rig.value("effects.limb_weight.torque")
-            values["effects.limb_weight.torque"] = abs(told + weight * float(np.clip(rng.standard_normal(), -1.0, 1.0)))
-            if not told:
-                values["effects.limb_weight.hanging"] = float(rng.uniform(-np.pi, np.pi))
-        joint = moved(rig, values)
-        if not unphysical(joint) and _drivable(joint):
-            return joint
-    raise BadInput(f"{rig.name}: no joint of its priors can be driven")
-
-
-def _drivable(joint: Rig) -> bool:
-    """Whether pressures hold the joint in the middle, and a third of its range either way."""
-    p = joint.parameters()
-    air, supply = joint.atmosphere.pressure, joint.supply.pressure
-    low, high = air + 0.15 * (supply - air), air + 0.85 * (supply - air)
-    if joint.drive == "regulator":
-        low, high = max(low, joint.command_limits[0]), min(high, joint.command_limits[1])
-    third = (np.radians(20.0) if joint.joint.stop is None else joint.joint.stop) / 3.0
-    return bool(equilibrium.rest_angle(high, low, p) > third and equilibrium.rest_angle(low, high, p) < -third)
 
 
 def parser() -> common.Parser:
