@@ -281,7 +281,7 @@ def test_one_muscle_of_a_data_sheet_gets_its_table(tmp_path, drive):
     assert measured == pytest.approx(272.0, rel=0.02) and other != measured
     assert other == pytest.approx(measured, rel=0.3)
     assert rig.value("muscle_2.force.c6") == pytest.approx(0.3, rel=1e-4)
-    assert "muscle_1.force.c1" in rig.priors and "muscle_2.force.c1" not in rig.priors
+    assert rig.priors["muscle_1.force.c1"] < 0.2 * rig.priors["muscle_2.force.c1"], "the other one was not measured"
 
 
 @pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
