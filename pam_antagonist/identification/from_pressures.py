@@ -28,14 +28,18 @@ from pam_antagonist.identification.filter_stage import (
     with_process_noise,
     with_unknown_torque,
 )
-from pam_antagonist.identification.joint_stage import DELAY, ZERO, fit_joint, model_values
+from pam_antagonist.identification.joint_stage import DELAY, fit_joint, model_values
 from pam_antagonist.identification.parts import (
+    beside,
+    calibration_of,
     checked,
     fitted_until,
     has_commands,
     is_free,
     is_guessed,
+    moving_parts,
     parts_of,
+    with_joint,
 )
 from pam_antagonist.identification.result import (
     AS_USUAL,
@@ -48,7 +52,7 @@ from pam_antagonist.identification.result import (
 )
 from pam_antagonist.identification.runs import Run, said
 from pam_antagonist.identification.stretches import beside_the_lag
-from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters, with_errors
 from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
@@ -123,7 +127,8 @@ def identify(
         model, curve = _with_curves(model, moving)
         own = moved(model, model_values(joint.unknowns, joint.values))
         steps.append(curve)
-    air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine)
+    near = [] if refine else beside(model, joint, recordings, ends)
+    air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine, elsewhere=near)
     if air is not None:
         steps.append(_air_step(own, moving, air))
     _refuse_two_rigs(recordings, ends, own, joint, air, jobs)
@@ -147,7 +152,8 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
             "record the angle of a free joint and the torque of a locked one.",
         )  # fmt: skip
         air = [joint_stage.from_parameter(item) for item in kept if item.name.startswith(joint_stage.AIR)]
-        return joint_stage.of_parameters(rig, kept), air, notes
+        calibration = [joint_stage.known_zero()] if seen and not _named(joint_stage.ZERO, options.frozen) else []
+        return [*joint_stage.of_parameters(rig, kept), *calibration], air, notes
     more = [item for item in named if item.name.startswith(options.free)] if options.free else []
     both = []
     for usual, of_air in ((joint_stage.unknowns(rig, runs), False), (air_stage.unknowns(rig), True)):
@@ -159,30 +165,11 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
 
 
 def _is_frozen(item: Unknown, frozen: Sequence[str]) -> bool:
-    return any(path == word or path.startswith(word.rstrip(".") + ".") for word in frozen for path in item.paths)
+    return any(_named(path, frozen) for path in item.paths)
 
 
-def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, list[Given]]:
-    """The rig with the values of its joint, and the recordings with the zero and the delay that were found."""
-    found = _found(joint)
-    return moved(rig, model_values(joint.unknowns, joint.values)), [
-        (found.applied(recording), state, name) for recording, state, name in recordings
-    ]
-
-
-def _found(joint: Fit) -> Corrections:
-    return Corrections(encoder_zero=joint.values.get(ZERO, 0.0), delay_angle=-joint.values.get(DELAY, 0.0))
-
-
-def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:
-    """Runs of the fitted parts; where the angle of a free joint was not measured, the model gives it.
-
-    Args:
-        ends: of the fitted part of each [s].
-    """
-    p = rig.parameters()
-    runs = parts_of(recordings, ends)
-    return [run if np.isfinite(run.angle).any() else joint_stage.by_the_model(run, p) for run in runs]
+def _named(path: str, words: Sequence[str]) -> bool:
+    return any(path == word or path.startswith(word.rstrip(".") + ".") for word in words)
 
 
 def concluded(
@@ -253,7 +240,7 @@ def _delivered(tuned: Rig, start: Rig, joint: Fit, air: Fit | None) -> Rig:
     values = model_values(joint.unknowns, joint.values)
     values |= {} if air is None else parameters(air.unknowns, air.values)
     out = moved(tuned, values)
-    calibration = _calibration(start).followed_by(_found(joint)).calibration()
+    calibration = _calibration(start).followed_by(calibration_of(joint)).calibration()
     return out.replaced(calibration=start.calibration.replaced(**calibration)) if calibration else out
 
 
@@ -263,13 +250,14 @@ def _from_all(
     """The values that all of the data determine; the fits begin at those that were found in a part of them."""
     everything = [math.inf] * len(recordings)
     residual = joint_stage.residual_of(model, parts_of(recordings, everything), joint.unknowns, math.inf)
-    last = fitted(joint.unknowns, residual, joint.amounts, jobs=jobs)
+    last = with_errors(fitted(joint.unknowns, residual, joint.amounts, jobs=jobs), residual, jobs)
     if air is None:
         return last, None
     own, corrected = with_joint(model, last, recordings)
-    usable = air_stage.usable(parts_of(corrected, everything))
-    residual = air_stage.residual_of(own, usable, 0.0, air_stage.HORIZONS[-1], air.unknowns)
-    return last, fitted(air.unknowns, residual, air.amounts, jobs=jobs)
+    runs, near = moving_parts(own, corrected, everything), beside(model, last, recordings, everything)
+    residual = air_stage.residual_of(own, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns)
+    found = fitted(air.unknowns, residual, air.amounts, jobs=jobs)
+    return last, air_stage.with_air_errors(found, own, runs, jobs, near)
 
 
 def _own_rig(rig: Rig, joint: Fit, air: Fit | None, name: str) -> Rig:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined
+from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
 from pam_antagonist.inference.free_parameters import LINEAR_FORCE, FreeParameter
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import dynamics
@@ -44,6 +44,8 @@ _ZERO_STD = math.radians(5.0)
 """[rad] Of the encoder's zero, where both muscles are alike."""
 _EYE_STD = math.radians(3.0)
 """[rad] Of an encoder that was set by eye to the middle between two stops."""
+_KNOWN_ZERO_STD = math.radians(0.5)
+"""[rad] Of the encoder of a rig that was identified before."""
 _LARGEST_ZERO_STD = math.radians(30.0)
 _UNLIKE = 0.35
 """Standard deviation of the difference of two muscles' forces, as a share of a force."""
@@ -135,16 +137,21 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
     out.append(Unknown(slopes[0], slopes, 0.005 * scale / (0.5 * rig.supply.pressure), 1.0, True, high=1e-2))
     free = [run for run in runs if not run.locked]
     if free:
-        weight = max(rig.joint.mass * rig.joint.gravity * 0.1, 0.005 * scale)
+        weight = unknown_weight(rig)
         torque, hanging = (rig.value(f"effects.limb_weight.{name}") for name in ("torque", "hanging"))
         # −G sin(ψ − ψ_h) = G sin ψ_h cos ψ − G cos ψ_h sin ψ.
         out.append(Unknown(WEIGHT_COS, (), torque * math.sin(hanging), weight))
         out.append(Unknown(WEIGHT_SIN, (), -torque * math.cos(hanging), weight))
     # The angles of a file with a stop count from the middle between its stops, to which an encoder is set by eye.
-    zero = middle(runs, rig.atmosphere.pressure) if rig.joint.stop is None else (0.0, _EYE_STD)
+    zero = middle(runs, rig) if rig.joint.stop is None else (0.0, _EYE_STD)
     out.append(Unknown(ZERO, (), *zero))
     out.append(Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1))
     return out
+
+
+def known_zero() -> Unknown:
+    """The zero of the encoder of a rig whose muscles are known: all recordings have one."""
+    return Unknown(ZERO, (), 0.0, _KNOWN_ZERO_STD)
 
 
 def torque_scale(rig: Rig) -> float:
@@ -154,13 +161,16 @@ def torque_scale(rig: Rig) -> float:
     return abs(float(_torque(x, p)))
 
 
-def middle(runs: Sequence[Run], atmosphere: float) -> tuple[float, float]:
+def unknown_weight(rig: Rig) -> float:
+    """Standard deviation of the torque [N m] of a limb that nobody told."""
+    return max(rig.joint.mass * rig.joint.gravity * 0.1, 0.005 * torque_scale(rig))
+
+
+def middle(runs: Sequence[Run], rig: Rig) -> tuple[float, float]:
     """Angle [rad] at which both pressures are equal, by a straight line through all readings, and its distance from 0.
 
-    The distance is a standard deviation: two muscles differ in force, so that equal pressures move the joint off ψ = 0.
-
-    Args:
-        atmosphere: [Pa].
+    The distance is a standard deviation: two muscles differ in force, and a limb has a weight. So equal pressures move
+    the joint off ψ = 0.
     """
     moving = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
     if not moving:
@@ -169,8 +179,11 @@ def middle(runs: Sequence[Run], atmosphere: float) -> tuple[float, float]:
     apart = np.concatenate([run.pressure[:, 0] - run.pressure[:, 1] for run in moving])
     known = np.isfinite(angle)
     slope, at_equal = np.polyfit(apart[known], angle[known], 1)
-    mean = np.mean(np.concatenate([run.pressure.mean(axis=1) for run in moving])) - atmosphere
-    return float(at_equal), min(math.hypot(_ZERO_STD, _UNLIKE * float(slope * mean)), _LARGEST_ZERO_STD)
+    mean = np.mean(np.concatenate([run.pressure.mean(axis=1) for run in moving])) - rig.atmosphere.pressure
+    # The difference of the pressures that carries the weight.
+    carried = unknown_weight(rig) / torque_scale(rig) * 0.5 * (rig.supply.pressure - rig.atmosphere.pressure)
+    std = math.hypot(_ZERO_STD, _UNLIKE * float(slope * mean), float(slope * carried))
+    return float(at_equal), min(std, _LARGEST_ZERO_STD)
 
 
 def _positive(rig: Rig, path: str, share: float) -> Unknown:
@@ -310,7 +323,7 @@ def fit_joint(
         progress("joint and muscles from measured pressures, whole runs")
         found = fitted(free, residual_of(rig, runs, free, horizon), found.amounts, evaluations, jobs)
     if not refine:
-        return found
+        return with_errors(found, residual_of(rig, runs, free, math.inf), jobs)
     names = list(dict.fromkeys(run.name for run in runs))
     extra = deviations(_ways(rig), free, names)
     noise = {kind: max(rig.sensors.error(kind), _LEAST_NOISE) for kind in ("angle", "torque")}
