@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 
 _FAR = 2.0
 """The farthest draw, in standard deviations."""
+_STOP = 1.3
+"""Of the joint, as a share of its reach. The encoder is set by eye to the middle between the stops."""
 _PLANT_STEP = 1e-3
 """[s] Largest step between the rows of a simulation."""
 
@@ -97,7 +99,7 @@ def described(kind: Kind, rng: np.random.Generator, name: str) -> Rig:
         name=name, kind="pulley", radius=radius, length=length, nominal_length=nominal, muscle=muscle,
         muscle_name=muscle_name, supply=float(rng.uniform(5.0, 7.0)) * 1e5, valve=valve_parts()[valve],
         valve_name=valve, voltage=(0.0, 10.0), shaft_radius=0.25 * radius, mass=float(rng.uniform(0.3, 3.0)),
-        inertia=1.0, stop=None, pressure_range=1e6, pressure_bits=12, period=kind.period,
+        inertia=1.0, stop=_STOP * reach, pressure_range=1e6, pressure_bits=12, period=kind.period,
         regulator=regulator_parts()["ITV2050"] if kind.regulators else None, regulator_time=0.12,
     )  # fmt: skip
     # A natural frequency of some hertz against the muscles' stiffness.
