@@ -52,7 +52,7 @@ from pam_antagonist.identification.result import (
 )
 from pam_antagonist.identification.runs import Run, said
 from pam_antagonist.identification.stretches import beside_the_lag
-from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters, with_errors
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters
 from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
@@ -152,8 +152,7 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
             "record the angle of a free joint and the torque of a locked one.",
         )  # fmt: skip
         air = [joint_stage.from_parameter(item) for item in kept if item.name.startswith(joint_stage.AIR)]
-        calibration = [joint_stage.known_zero()] if seen and not _named(joint_stage.ZERO, options.frozen) else []
-        return [*joint_stage.of_parameters(rig, kept), *calibration], air, notes
+        return joint_stage.of_parameters(rig, kept), air, notes
     more = [item for item in named if item.name.startswith(options.free)] if options.free else []
     both = []
     for usual, of_air in ((joint_stage.unknowns(rig, runs), False), (air_stage.unknowns(rig), True)):
@@ -165,11 +164,7 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
 
 
 def _is_frozen(item: Unknown, frozen: Sequence[str]) -> bool:
-    return any(_named(path, frozen) for path in item.paths)
-
-
-def _named(path: str, words: Sequence[str]) -> bool:
-    return any(path == word or path.startswith(word.rstrip(".") + ".") for word in words)
+    return any(path == word or path.startswith(word.rstrip(".") + ".") for word in frozen for path in item.paths)
 
 
 def concluded(
@@ -249,8 +244,10 @@ def _from_all(
 ) -> tuple[Fit, Fit | None]:
     """The values that all of the data determine; the fits begin at those that were found in a part of them."""
     everything = [math.inf] * len(recordings)
-    residual = joint_stage.residual_of(model, parts_of(recordings, everything), joint.unknowns, math.inf)
-    last = with_errors(fitted(joint.unknowns, residual, joint.amounts, jobs=jobs), residual, jobs)
+    runs = parts_of(recordings, everything)
+    residual = joint_stage.residual_of(model, runs, joint.unknowns, math.inf)
+    last = fitted(joint.unknowns, residual, joint.amounts, jobs=jobs)
+    last = joint_stage.with_joint_errors(last, model, runs, jobs)
     if air is None:
         return last, None
     own, corrected = with_joint(model, last, recordings)

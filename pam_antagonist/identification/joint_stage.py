@@ -44,8 +44,6 @@ _ZERO_STD = math.radians(5.0)
 """[rad] Of the encoder's zero, where both muscles are alike."""
 _EYE_STD = math.radians(3.0)
 """[rad] Of an encoder that was set by eye to the middle between two stops."""
-_KNOWN_ZERO_STD = math.radians(0.5)
-"""[rad] Of the encoder of a rig that was identified before."""
 _LARGEST_ZERO_STD = math.radians(30.0)
 _UNLIKE = 0.35
 """Standard deviation of the difference of two muscles' forces, as a share of a force."""
@@ -149,11 +147,6 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
     return out
 
 
-def known_zero() -> Unknown:
-    """The zero of the encoder of a rig whose muscles are known: all recordings have one."""
-    return Unknown(ZERO, (), 0.0, _KNOWN_ZERO_STD)
-
-
 def torque_scale(rig: Rig) -> float:
     """Torque [N m] of one muscle at half the supply's pressure and the middle length."""
     p = rig.parameters()
@@ -200,7 +193,9 @@ def model_values(unknown: Sequence[Unknown], values: Mapping[str, float], record
     return out
 
 
-def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = math.inf) -> Floats:
+def simulated(
+    run: Run, p: Floats, zero: float, delay: float, horizon: float = math.inf, longest: float = _LONGEST_STEP
+) -> Floats:
     """Readings of the encoder (N,) [rad] that a model gives for the measured pressures of a run.
 
     Args:
@@ -208,6 +203,7 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
         zero: reading at ψ = 0 [rad].
         delay: by how much the reading is late [s].
         horizon: time after which the simulation starts anew from the measurement [s].
+        longest: step of the integration [s].
     """
     known = np.isfinite(run.angle)
     angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
@@ -217,7 +213,7 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
     # What the reading shows with a delay has moved on meanwhile.
     speed = np.where(np.abs(run.velocity[begin]) < _MOVING, 0.0, run.velocity[begin])
     start = np.column_stack([angle[begin] + delay * speed, speed])
-    out = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, _LONGEST_STEP))
+    out = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, longest))
     return out + zero if delay == 0.0 else np.interp(run.time - delay, run.time, out) + zero
 
 
@@ -235,8 +231,9 @@ def by_the_model(run: Run, p: Floats) -> Run:
 
 
 def errors_of(
-    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], values: Mapping[str, float], horizon: float = math.inf
-) -> Iterator[tuple[str, Run, Floats]]:
+    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], values: Mapping[str, float], horizon: float = math.inf,
+    longest: float = _LONGEST_STEP,
+) -> Iterator[tuple[str, Run, Floats]]:  # fmt: skip
     """What a model leaves of each run: kind, run, and the known errors of the angle [rad] or the torque [N m].
 
     Args:
@@ -249,7 +246,7 @@ def errors_of(
             if run.name != name:
                 continue
             if not run.locked and np.isfinite(run.angle).any():
-                left = run.angle - simulated(run, p, zero, delay, horizon)
+                left = run.angle - simulated(run, p, zero, delay, horizon, longest)
                 yield "angle", run, left[np.isfinite(run.angle)]
             known = np.isfinite(run.torque) & np.isfinite(run.angle)
             if known.any():
@@ -265,23 +262,36 @@ def joined(errors: Iterable[tuple[str, Run, Floats]]) -> dict[str, Floats]:
     return {kind: np.concatenate(parts) for kind, parts in out.items()}
 
 
-def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float) -> Callable[..., Floats]:
+def residual_of(
+    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float, finer: bool = False
+) -> Callable[..., Floats]:
     """The residuals of all runs for values of the unknowns, in their units.
 
     Args:
         horizon: of the simulations [s].
+        finer: whether pressures are ahead of straight lines between the rows, and the steps are half as long.
     """
+    simulations = [run.finer() for run in runs] if finer else runs
+    longest, share = (0.5 * _LONGEST_STEP, 2.0) if finer else (_LONGEST_STEP, 1.0)
     unit = {
         "angle": _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked]),
         "torque": _TORQUE_SHARE * _range([run.torque for run in runs]),
     }
 
     def residual(values: Mapping[str, float]) -> Floats:
-        errors = errors_of(rig, runs, unknown, values, horizon)
-        parts = (math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / unit[kind] * left for kind, run, left in errors)
+        errors = errors_of(rig, simulations, unknown, values, horizon, longest)
+        parts = (
+            math.sqrt(min(_INDEPENDENT * share * run.period, 1.0)) / unit[kind] * left for kind, run, left in errors
+        )
         return np.concatenate([np.zeros(0), *parts])
 
     return residual
+
+
+def with_joint_errors(found: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit:
+    """A fit over whole runs with the standard errors of its values, those of the integration included."""
+    residual = residual_of(rig, runs, found.unknowns, math.inf)
+    return with_errors(found, residual, jobs, [residual_of(rig, runs, found.unknowns, math.inf, finer=True)])
 
 
 def _range(columns: Sequence[Floats]) -> float:
@@ -323,7 +333,7 @@ def fit_joint(
         progress("joint and muscles from measured pressures, whole runs")
         found = fitted(free, residual_of(rig, runs, free, horizon), found.amounts, evaluations, jobs)
     if not refine:
-        return with_errors(found, residual_of(rig, runs, free, math.inf), jobs)
+        return with_joint_errors(found, rig, runs, jobs)
     names = list(dict.fromkeys(run.name for run in runs))
     extra = deviations(_ways(rig), free, names)
     noise = {kind: max(rig.sensors.error(kind), _LEAST_NOISE) for kind in ("angle", "torque")}

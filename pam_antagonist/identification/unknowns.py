@@ -36,6 +36,8 @@ SPREAD = 0.01
 _ROUNDS = 2
 _WIDE_STEP = 0.05
 """Least first step, in standard deviations of the priors: small steps make the uncertainty look smaller than it is."""
+_SHARES = (1.0, 0.5, 0.25)
+"""Of a step that are tried."""
 _BLOCKS = 40
 """Parts of the data that count as independent of each other: seconds each, in recordings of a minute and more."""
 _FAILED = 1e3
@@ -217,7 +219,7 @@ def refined(
             now = errors(values)
             return np.concatenate([np.zeros(0), *(factor * now[kind] for kind, factor in scale.items())])
 
-        found = fitted(unknowns, residual, amounts, evaluations, jobs)
+        found = _carried_on(fitted(unknowns, residual, amounts, evaluations, jobs), residual, jobs)
         amounts = found.amounts
     return replace(found, scale=scale)
 
@@ -256,6 +258,37 @@ def fitted(
     return Fit(tuple(unknowns), found.x, np.linalg.inv(information), float(found.cost))
 
 
+def _carried_on(found: Fit, residual: Callable[[Mapping[str, float]], Floats], jobs: int) -> Fit:
+    """A fit after a further step, by derivatives over the width of the uncertainty, if that lowers its cost.
+
+    Where a joint sticks, small steps end before the priors have shared out what the data leave open, such as between a
+    common value and its deviations.
+    """
+    of_data, (low, high) = _robust(found.unknowns, residual), _bounds(found.unknowns)
+    base, free, slopes, within = _seen(found, of_data, jobs)
+    step = np.zeros(len(found.amounts))
+    step[free] = -within @ (slopes.T @ base + found.amounts[free])
+    for share in _SHARES:
+        there = np.clip(found.amounts + share * step, low, high)
+        cost = 0.5 * float(np.sum(of_data(there) ** 2) + there @ there)
+        if cost < found.cost:
+            return replace(found, amounts=there, cost=cost)
+    return found
+
+
+def _seen(
+    found: Fit, of_data: Callable[[Floats], Floats], jobs: int
+) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
+    """What the data say at a fit: residual (N,), free amounts (F,), derivatives by them (N, F), inverse curvature."""
+    bounds, base = _bounds(found.unknowns), of_data(found.amounts)
+    free = np.flatnonzero(np.minimum(found.amounts - bounds[0], bounds[1] - found.amounts) > _AT_BOUND)
+    within = found.covariance[np.ix_(free, free)]
+    for least in (_WIDE_STEP, _STEP):
+        slopes = _slopes(of_data, found.amounts, within, free, bounds, least, jobs)
+        within = np.linalg.inv(slopes.T @ slopes + np.eye(len(free)))
+    return base, free, slopes, within
+
+
 def with_errors(
     found: Fit,
     residual: Callable[[Mapping[str, float]], Floats],
@@ -278,14 +311,8 @@ def with_errors(
     """
     if not found.unknowns:
         return found
-    low, high = _bounds(found.unknowns)
-    of_data = _robust(found.unknowns, residual)
-    amounts, base = found.amounts, of_data(found.amounts)
-    free = np.flatnonzero(np.minimum(amounts - low, high - amounts) > _AT_BOUND)
-    within = found.covariance[np.ix_(free, free)]
-    for least in (_WIDE_STEP, _STEP):
-        slopes = _slopes(of_data, amounts, within, free, (low, high), least, jobs)
-        within = np.linalg.inv(slopes.T @ slopes + np.eye(len(free)))
+    amounts = found.amounts
+    base, free, slopes, within = _seen(found, _robust(found.unknowns, residual), jobs)
     moves = [within @ (slopes.T @ base + amounts[free])]
     moves += [within @ (slopes.T @ (_robust(found.unknowns, other)(amounts) - base)) for other in elsewhere]
     covariance = np.eye(len(amounts))

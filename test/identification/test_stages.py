@@ -1,0 +1,79 @@
+"""What the stages of an identification take as known, and what they allow for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from other_rigs import described, drawn, recorded
+
+from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.identification.joint_stage import ZERO
+from pam_antagonist.identification.parts import with_joint
+from pam_antagonist.identification.runs import runs_of
+from pam_antagonist.identification.unknowns import Fit, Unknown, refined
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import JointCondition, joint_condition
+
+RIG = described(0.01)
+TRUE = drawn(RIG, 3)
+
+
+@pytest.fixture(scope="module")
+def trial() -> Recording:
+    return recorded(TRUE, 3.0, 0)
+
+
+def test_chambers_are_simulated_from_the_first_known_angle_on(trial: Recording) -> None:
+    (run,) = runs_of(trial, joint_condition(trial, "free", None), "trial")
+    shown, starts = air_stage.simulated(run, RIG.parameters("locked"), 0.0, 1.0)
+    run.angle[[0, 1, 2, -1]] = np.nan
+    late, later = air_stage.simulated(run, RIG.parameters("locked"), 0.0, 1.0)
+    assert starts[0]
+    assert later[3]
+    assert not later[:3].any()
+    assert np.array_equal(late[[0, 1, 2, 3, -1]], run.pressure[[0, 1, 2, 3, -1]])
+    assert np.isfinite(late).all()
+    assert not np.array_equal(shown[-1], run.pressure[-1])
+
+
+def test_a_lock_angle_that_the_encoder_gave_has_its_zero_taken_off(trial: Recording) -> None:
+    zero = Fit((Unknown(ZERO, (), 0.0, 1.0),), np.array([0.1]), np.eye(1), 0.0)
+    locked = JointCondition("locked", 0.3, "measured angle")
+    _, ((_, state, _),) = with_joint(RIG, zero, [(trial, locked, "locked")])
+    assert state.lock_angle == pytest.approx(0.2)
+    unread = Recording(trial.path, trial.stamp_ns, trial.pressure, trial.voltage, None, None)
+    _, ((_, state, _),) = with_joint(RIG, zero, [(unread, locked, "locked")])
+    assert state.lock_angle == 0.3
+
+
+def test_the_weight_of_a_limb_may_have_moved_the_middle_of_the_angles(trial: Recording) -> None:
+    found = runs_of(trial, joint_condition(trial, "free", None), "trial")
+    light, heavy = (
+        joint_stage.middle(found, RIG.replaced(joint=RIG.joint.replaced(stop=None, mass=mass))) for mass in (0.01, 5.0)
+    )
+    assert light[0] == heavy[0]
+    assert light[1] < heavy[1]
+
+
+def test_a_common_value_takes_what_all_recordings_have_in_common() -> None:
+    time = np.linspace(0.0, 3.0, 400)
+    rng = np.random.default_rng(0)
+    noise = {name: rng.standard_normal(len(time)) for name in ("one", "two")}
+    common = Unknown("gain", ("gain",), 0.0, 0.05)
+    own = [Unknown(f"{name}: gain", (), 0.0, 0.01, recording=name) for name in noise]
+
+    def errors(values: dict[str, float]) -> dict[str, np.ndarray]:
+        out = []
+        for name, left in noise.items():
+            gain = values["gain"] + values[f"{name}: gain"]
+            out.append((gain - 0.03) * np.cos(time) + 0.02 * left + 5e-4 * np.sin(4e3 * gain + 20.0 * time))
+        return {"angle": np.concatenate(out)}
+
+    begin = Fit((common,), np.array([0.0]), np.eye(1), 0.0)
+    found = refined(begin, own, errors, {"angle": 1e-3}, 8)
+    shared = np.mean([found.values[item.name] for item in own])
+    assert found.values["gain"] + shared == pytest.approx(0.03, abs=3e-3)
+    assert abs(shared) < 0.1 * found.values["gain"]
+    assert math.isfinite(found.cost)
