@@ -31,9 +31,6 @@ _UNIT = 5e3
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _FEWEST_ROWS = 2
-_SUPPLY_STD = 0.05
-"""[-] Of the supply: a gauge errs by some per cent, and a small compressor stays behind. Two of three rigs of other
-laboratories ended 10 % below their gauge, where 2 % let them go no farther."""
 _LAST_EVALUATIONS = 4
 """The most derivatives of the last fit, which begins near its end."""
 
@@ -53,7 +50,7 @@ def unknowns(rig: Rig) -> list[Unknown]:
             out.append(Unknown(overlap, (overlap,), rig.value(overlap), 0.05, low=0.0, high=0.9))
         width = 0.03 * (rig.valves.voltage_max - rig.valves.voltage_min)
         out.append(Unknown(shift, (shift,), rig.value(shift), width, low=-2.0, high=2.0))
-    out.append(_positive("supply.pressure", rig, _SUPPLY_STD))
+    out.append(_positive("supply.pressure", rig, 0.02))
     return out
 
 

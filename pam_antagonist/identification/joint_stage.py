@@ -289,9 +289,17 @@ def residual_of(
 
 
 def with_joint_errors(found: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit:
-    """A fit over whole runs with the standard errors of its values, those of the integration included."""
-    residual = residual_of(rig, runs, found.unknowns, math.inf)
-    return with_errors(found, residual, jobs, [residual_of(rig, runs, found.unknowns, math.inf, finer=True)])
+    """A fit over whole runs with the standard errors of its values, those of integration and encoder included.
+
+    A joint that rests, such as at its stop, shows the same error of the encoder all the time.
+    """
+    residual, zero = residual_of(rig, runs, found.unknowns, math.inf), rig.sensors.error("angle")
+    finer = residual_of(rig, runs, found.unknowns, math.inf, finer=True)
+
+    def shifted(values: Mapping[str, float]) -> Floats:
+        return np.asarray(residual({**values, ZERO: values.get(ZERO, 0.0) + zero}))
+
+    return with_errors(found, residual, jobs, [finer, shifted])
 
 
 def _range(columns: Sequence[Floats]) -> float:
@@ -313,6 +321,8 @@ def fit_joint(
 ) -> Fit:
     """Fit joint and muscles, with growing horizons. Short horizons have several starts, of which the best goes on.
 
+    Where that one errs by more than the unit of the residuals over whole runs, the next one goes on as well.
+
     Args:
         starts: number of starts: the first is the rig file, the others are drawn from the priors.
         refine: whether errors are weighed by their size at last, and each recording may deviate a little. A rig that
@@ -321,17 +331,21 @@ def fit_joint(
     progress = progress or (lambda text: None)
     free = unknowns(rig, runs) if free is None else list(free)
     rng = np.random.default_rng(seed)
-    short, *longer = HORIZONS
-    residual = residual_of(rig, runs, free, short)
+    short, whole = (residual_of(rig, runs, free, horizon) for horizon in HORIZONS)
     tried = []
     for number in range(starts):
         progress(f"joint and muscles from measured pressures, start {number + 1} of {starts}")
         begin = _START_STD * rng.standard_normal(len(free)) if number else None
-        tried.append(fitted(free, residual, begin, evaluations, jobs))
-    found = min(tried, key=lambda one: one.cost)
-    for horizon in longer:
+        tried.append(fitted(free, short, begin, evaluations, jobs))
+    far = 0.5 * sum(min(_INDEPENDENT * run.period, 1.0) * len(run) for run in runs)
+    found: Fit | None = None
+    for one in sorted(tried, key=lambda one: one.cost):
         progress("joint and muscles from measured pressures, whole runs")
-        found = fitted(free, residual_of(rig, runs, free, horizon), found.amounts, evaluations, jobs)
+        again = fitted(free, whole, one.amounts, evaluations, jobs)
+        found = again if found is None or again.cost < found.cost else found
+        if found.cost < far:
+            break
+    assert found is not None
     if not refine:
         return with_joint_errors(found, rig, runs, jobs)
     names = list(dict.fromkeys(run.name for run in runs))

@@ -166,11 +166,12 @@ def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -
 def beside(rig: Rig, joint: Fit, recordings: Sequence[Given], ends: Sequence[float]) -> list[tuple[Rig, list[Run]]]:
     """Rig and runs for the joint that was found, changed by each independent error of what the air depends on."""
     names = [item.name for item in joint.unknowns]
+    low, high = np.array([item.bounds for item in joint.unknowns]).reshape(-1, 2).T
     seen = [k for k, name in enumerate(names) if name in (ZERO, DELAY) or name.startswith("geometry.")]
     out = []
     for column in np.linalg.cholesky(joint.covariance[np.ix_(seen, seen)]).T if seen else ():
         amounts = joint.amounts.copy()
         amounts[seen] += column
-        own, corrected = with_joint(rig, replace(joint, amounts=amounts), recordings)
+        own, corrected = with_joint(rig, replace(joint, amounts=np.clip(amounts, low, high)), recordings)
         out.append((own, moving_parts(own, corrected, ends)))
     return out

@@ -77,3 +77,29 @@ def test_a_common_value_takes_what_all_recordings_have_in_common() -> None:
     assert found.values["gain"] + shared == pytest.approx(0.03, abs=3e-3)
     assert abs(shared) < 0.1 * found.values["gain"]
     assert math.isfinite(found.cost)
+
+
+def test_the_zero_is_not_known_better_than_the_encoder(trial: Recording) -> None:
+    found = runs_of(trial, joint_condition(trial, "free", None), "trial")
+    zero = Fit((Unknown(ZERO, (), 0.0, 0.1),), np.array([0.4]), np.eye(1) * 1e-12, 0.0)
+    std = joint_stage.with_joint_errors(zero, TRUE, found, 1).stds[ZERO]
+    assert TRUE.sensors.error("angle") < std < 0.1
+
+
+@pytest.mark.parametrize(("first", "taken", "calls"), [(1e9, "second", 4), (1.0, "first", 3)])
+def test_a_further_start_goes_on_where_the_first_is_far_from_the_data(
+    first: float, taken: str, calls: int, trial: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    costs = {"short 1": 1.0, "short 2": 2.0, "first": first, "second": 5.0}
+    names = iter(costs)
+    seen = []
+
+    def fitted(free: list[Unknown], *_: object) -> Fit:
+        seen.append(next(names))
+        return Fit(tuple(free), np.full(len(free), len(seen)), np.eye(len(free)), costs[seen[-1]])
+
+    monkeypatch.setattr(joint_stage, "fitted", fitted)
+    monkeypatch.setattr(joint_stage, "with_joint_errors", lambda found, *_: found)
+    runs = runs_of(trial, joint_condition(trial, "free", None), "trial")
+    assert joint_stage.fit_joint(RIG, runs, starts=2).cost == costs[taken]
+    assert len(seen) == calls

@@ -45,17 +45,20 @@ def judged(lab: fresh.Laboratory, jobs: int = 2) -> dict[str, Any]:
         lab: with its recordings.
         jobs: threads.
     """
-    begin = time.monotonic()
-    out: dict[str, Any] = {"name": lab.name}
     try:
-        result = identify(lab.fit, lab.typed, jobs=jobs)
+        return {"name": lab.name, **_judged(lab, jobs)}
     except BadInput as error:
-        return {**out, "refused": str(error)}
+        return {"name": lab.name, "refused": str(error)}
+
+
+def _judged(lab: fresh.Laboratory, jobs: int) -> dict[str, Any]:
+    begin = time.monotonic()
+    result = identify(lab.fit, lab.typed, jobs=jobs)
     found = result.found
     assert isinstance(found, FromPressures)
-    out["seconds"] = time.monotonic() - begin
     if found.rejected:
-        return {**out, "refused": found.rejected}
+        return {"refused": found.rejected}
+    out: dict[str, Any] = {"seconds": time.monotonic() - begin}
     out["own"] = {name: found.pooled(name) for name in _COLUMNS} | {"coverage": found.coverage}
     errors: dict[str, list[tuple[float, int]]] = {}
     for recording in lab.held:
