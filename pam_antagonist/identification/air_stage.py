@@ -137,14 +137,12 @@ def fit_air(
     progress: Callable[[str], None] | None = None,
     free: Sequence[Unknown] | None = None,
     refine: bool = False,
-    elsewhere: Sequence[tuple[Rig, Sequence[Run]]] = (),
 ) -> Fit | None:
     """Fit chambers and valves, or regulators, with growing horizons; None without commands.
 
     Args:
         zero: reading of the encoder at ψ = 0 [rad].
         refine: whether errors are weighed by their size at last, and each recording may deviate a little.
-        elsewhere: see :func:`with_air_errors`.
     """
     free, given = unknowns(rig) if free is None else list(free), usable(runs)
     found: Fit | None = None
@@ -153,10 +151,8 @@ def fit_air(
             progress(f"{'regulators' if rig.drive == 'regulator' else 'valves'}, horizons of {horizon:g} s")
         begin = None if found is None else found.amounts
         found = fitted(free, residual_of(rig, given, zero, horizon, free), begin, evaluations, jobs)
-    if found is None:
-        return None
-    if not refine:
-        return with_air_errors(found, rig, given, jobs, elsewhere)
+    if found is None or not refine:
+        return found
     names = list(dict.fromkeys(run.name for run in given))
     areas = [f"valve_{i}.{way}flow_area" for i in (1, 2) for way in ("in", "out")]
     extra = deviations({path: {path: rig.value(path)} for path in areas}, free, names)

@@ -127,8 +127,9 @@ def identify(
         model, curve = _with_curves(model, moving)
         own = moved(model, model_values(joint.unknowns, joint.values))
         steps.append(curve)
-    near = [] if refine else beside(model, joint, recordings, ends)
-    air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine, elsewhere=near)
+    air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine)
+    if air is not None and not refine:
+        air = air_stage.with_air_errors(air, own, moving, jobs, beside(model, joint, recordings, ends))
     if air is not None:
         steps.append(_air_step(own, moving, air))
     _refuse_two_rigs(recordings, ends, own, joint, air, jobs)
