@@ -264,6 +264,8 @@ def _carried_on(found: Fit, residual: Callable[[Mapping[str, float]], Floats], j
     Where a joint sticks, small steps end before the priors have shared out what the data leave open, such as between a
     common value and its deviations.
     """
+    if not found.unknowns:
+        return found
     of_data, (low, high) = _robust(found.unknowns, residual), _bounds(found.unknowns)
     base, free, slopes, within = _seen(found, of_data, jobs)
     step = np.zeros(len(found.amounts))
@@ -285,7 +287,7 @@ def _seen(
     within = found.covariance[np.ix_(free, free)]
     for least in (_WIDE_STEP, _STEP):
         slopes = _slopes(of_data, found.amounts, within, free, bounds, least, jobs)
-        within = np.linalg.inv(slopes.T @ slopes + np.eye(len(free)))
+        within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(free))))
     return base, free, slopes, within
 
 
