@@ -264,7 +264,7 @@ def _carried_on(found: Fit, residual: Callable[[Mapping[str, float]], Floats], j
     Where a joint sticks, small steps end before the priors have shared out what the data leave open, such as between a
     common value and its deviations.
     """
-    if not found.unknowns:
+    if len(found.at_bounds) == len(found.unknowns):
         return found
     of_data, (low, high) = _robust(found.unknowns, residual), _bounds(found.unknowns)
     base, free, slopes, within = _seen(found, of_data, jobs)
@@ -283,7 +283,7 @@ def _seen(
 ) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
     """What the data say at a fit: residual (N,), free amounts (F,), derivatives by them (N, F), inverse curvature."""
     bounds, base = _bounds(found.unknowns), of_data(found.amounts)
-    free = np.flatnonzero(np.minimum(found.amounts - bounds[0], bounds[1] - found.amounts) > _AT_BOUND)
+    free = np.flatnonzero([item.name not in found.at_bounds for item in found.unknowns])
     within = found.covariance[np.ix_(free, free)]
     for least in (_WIDE_STEP, _STEP):
         slopes = _slopes(of_data, found.amounts, within, free, bounds, least, jobs)
@@ -311,7 +311,7 @@ def with_errors(
     Args:
         elsewhere: the residual with those values changed by one standard error, for each independent change.
     """
-    if not found.unknowns:
+    if len(found.at_bounds) == len(found.unknowns):
         return found
     amounts = found.amounts
     base, free, slopes, within = _seen(found, _robust(found.unknowns, residual), jobs)

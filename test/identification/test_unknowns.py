@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters, with_errors
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters, refined, with_errors
 
 TIME = np.linspace(0.0, 3.0, 200)
 GAIN = Unknown("gain", ("a.gain", "b.gain"), 2.0, 0.5, positive=True)
@@ -136,6 +136,14 @@ def test_a_value_at_a_bound_is_not_determined() -> None:
     assert found.reasons["shift"] == "met a bound"
     assert found.values["shift"] == pytest.approx(0.2, abs=1e-3)
     assert found.stds["gain"] > 0.0
+
+
+def test_values_that_are_all_at_bounds_stay_as_they_are() -> None:
+    narrow = Unknown("gain", ("gain",), 2.0, 0.5, low=1.999, high=2.001)
+    found = fitted([narrow], lambda values: np.full(5, 100.0 * (values["gain"] - 3.0)))
+    errors = {"angle": np.ones(20)}
+    assert with_errors(found, lambda values: np.ones(5)).reasons == {"gain": "met a bound"}
+    assert refined(found, [], lambda values: errors, {"angle": 1.0}, 2).unknowns == found.unknowns
 
 
 def test_nothing_free_has_no_errors() -> None:
