@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +131,7 @@ def identify(
     air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine)
     if air is not None and not refine:
         air = air_stage.with_air_errors(air, own, moving, jobs, beside(model, joint, recordings, ends))
+        air = replace(air, lost=joint.lost)
     if air is not None:
         steps.append(_air_step(own, moving, air))
     _refuse_two_rigs(recordings, ends, own, joint, air, jobs)
@@ -255,7 +257,7 @@ def _from_all(
     runs, near = moving_parts(own, corrected, everything), beside(model, last, recordings, everything)
     residual = air_stage.residual_of(own, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns)
     found = fitted(air.unknowns, residual, air.amounts, jobs=jobs)
-    return last, air_stage.with_air_errors(found, own, runs, jobs, near)
+    return last, replace(air_stage.with_air_errors(found, own, runs, jobs, near), lost=last.lost)
 
 
 def _own_rig(rig: Rig, joint: Fit, air: Fit | None, name: str) -> Rig:
@@ -378,6 +380,8 @@ def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     if abs(late) > max(5.0 * std, 2e-3):
         words = "late against" if late > 0.0 else "ahead of"
         out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")
+    if joint.lost:
+        out.append("The fit of joint and muscles stayed far from the measured angle: no value is determined.")
     for fit in [joint] if air is None else [joint, air]:
         for name in fit.at_bounds:
             value = fit.values[name]

@@ -49,6 +49,8 @@ _UNLIKE = 0.35
 """Standard deviation of the difference of two muscles' forces, as a share of a force."""
 _START_STD = 0.7
 """Scatter of further starts about the first one, in standard deviations of the prior."""
+_LOST = 9.0
+"""A fit whose cost is so many times that of errors of one unit, 3 % of the range as RMS, has found nothing."""
 _LEAST_NOISE = 1e-5
 _LAST_EVALUATIONS = 8
 """The most derivatives of the last fit, which begins near its end."""
@@ -299,7 +301,13 @@ def with_joint_errors(found: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> F
     def shifted(values: Mapping[str, float]) -> Floats:
         return np.asarray(residual({**values, ZERO: values.get(ZERO, 0.0) + zero}))
 
-    return with_errors(found, residual, jobs, [finer, shifted])
+    lost = found.cost > _LOST * _cost_of_units(runs)
+    return replace(with_errors(found, residual, jobs, [finer, shifted]), lost=lost)
+
+
+def _cost_of_units(runs: Sequence[Run]) -> float:
+    """The cost of errors that are one unit, as RMS."""
+    return 0.5 * sum(min(_INDEPENDENT * run.period, 1.0) * len(run) for run in runs)
 
 
 def _range(columns: Sequence[Floats]) -> float:
@@ -337,13 +345,12 @@ def fit_joint(
         progress(f"joint and muscles from measured pressures, start {number + 1} of {starts}")
         begin = _START_STD * rng.standard_normal(len(free)) if number else None
         tried.append(fitted(free, short, begin, evaluations, jobs))
-    far = 0.5 * sum(min(_INDEPENDENT * run.period, 1.0) * len(run) for run in runs)
     found: Fit | None = None
     for one in sorted(tried, key=lambda one: one.cost):
         progress("joint and muscles from measured pressures, whole runs")
         again = fitted(free, whole, one.amounts, evaluations, jobs)
         found = again if found is None or again.cost < found.cost else found
-        if found.cost < far:
+        if found.cost < _cost_of_units(runs):
             break
     assert found is not None
     if not refine:

@@ -93,6 +93,7 @@ class Fit:
         amounts: found values in standard deviations of the priors (F,).
         covariance: of the amounts (F, F), from the curvature with the priors, or by :func:`with_errors`.
         scale: factor of each kind of residual, see :func:`scale_of`; empty for the stage's own.
+        lost: whether the fit stayed so far from the data that its values and their standard errors mean nothing.
     """
 
     unknowns: tuple[Unknown, ...]
@@ -100,6 +101,7 @@ class Fit:
     covariance: Floats
     cost: float
     scale: Mapping[str, float] = field(default_factory=dict)
+    lost: bool = False
 
     @property
     def values(self) -> dict[str, float]:
@@ -123,6 +125,8 @@ class Fit:
     @property
     def reasons(self) -> dict[str, str]:
         """Why the data do not determine each unknown, in few words, by name; empty where they do."""
+        if self.lost:
+            return dict.fromkeys((item.name for item in self.unknowns), "the fit does not explain the data")
         return {
             item.name: _reason(item, float(amount), math.sqrt(variance), item.name in self.at_bounds)
             for item, amount, variance in zip(self.unknowns, self.amounts, np.diag(self.covariance), strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,3 +104,13 @@ def test_a_further_start_goes_on_where_the_first_is_far_from_the_data(
     runs = runs_of(trial, joint_condition(trial, "free", None), "trial")
     assert joint_stage.fit_joint(RIG, runs, starts=2).cost == costs[taken]
     assert len(seen) == calls
+
+
+def test_a_fit_that_stays_far_from_the_data_has_determined_nothing(trial: Recording) -> None:
+    runs = runs_of(trial, joint_condition(trial, "free", None), "trial")
+    zero = Fit((Unknown(ZERO, (), 0.0, 0.1),), np.array([0.4]), np.eye(1) * 1e-12, 0.0)
+    near, far = (
+        joint_stage.with_joint_errors(replace(zero, cost=cost), TRUE, runs, 1).reasons[ZERO] for cost in (1.0, 1e4)
+    )
+    assert near == ""
+    assert far == "the fit does not explain the data"
