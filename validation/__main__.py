@@ -32,6 +32,7 @@ COMMANDS: dict[str, Command] = {
         "validation.excitation.new_rigs:main",
         "run commission on twelve rigs of new_rig and joints drawn from their priors",
     ),
+    "rigs": Command("validation.rigs.judge:main", "identify fresh virtual rigs and judge the result"),
     "pamy": Command("validation.pamy.command:main", "apply close_loop to the recording of a real arm with regulators"),
     "faults": Command(
         "validation.faults.command:main",

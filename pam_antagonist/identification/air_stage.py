@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined
+from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.command_driven import pressures
 from pam_antagonist.rig import Rig
@@ -67,15 +67,18 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
         zero: reading of the encoder at ψ = 0 [rad].
         horizon: time after which the simulation starts anew from the measurement [s].
     """
-    known = np.isfinite(run.angle)
+    known = np.flatnonzero(np.isfinite(run.angle))
     angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
     size = max(round(horizon / run.period), _FEWEST_ROWS)
-    first = np.append(np.arange(0, max(len(run) - size // 2, 1), size), len(run))
+    # Where the angle is not known yet, or no longer, nothing is simulated.
+    begin, end = known[0], known[-1] + 1
+    first = np.append(np.arange(begin, max(end - size // 2, begin + 1), size), end)
     starts = np.zeros(len(run), bool)
     starts[first[:-1]] = True
     # What droops or lags goes on over a restart.
-    anew = first[:-1] == 0
+    anew = first[:-1] == begin
     found = pressures(first, run.pressure[first[:-1]], run.time, run.command, angle, p, _LONGEST_STEP, anew)
+    found[:begin], found[end:] = run.pressure[:begin], run.pressure[end:]
     return np.asarray(found), starts
 
 
@@ -159,3 +162,16 @@ def fit_air(
         found, extra, lambda values: {"pressure": left(values)},
         {"pressure": rig.sensors.error("pressure") / math.sqrt(averaged)}, _LAST_EVALUATIONS, jobs,
     )  # fmt: skip
+
+
+def with_air_errors(
+    found: Fit, rig: Rig, runs: Sequence[Run], jobs: int, elsewhere: Sequence[tuple[Rig, Sequence[Run]]] = ()
+) -> Fit:
+    """A fit over the longest horizon, with the standard errors of its values.
+
+    Args:
+        elsewhere: rig and runs, each with one independent change of the joint by its standard error.
+    """
+    one, *others = (residual_of(this, usable(parts), 0.0, HORIZONS[-1], found.unknowns)
+                    for this, parts in ((rig, runs), *elsewhere))  # fmt: skip
+    return with_errors(found, one, jobs, others)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +29,18 @@ from pam_antagonist.identification.filter_stage import (
     with_process_noise,
     with_unknown_torque,
 )
-from pam_antagonist.identification.joint_stage import DELAY, ZERO, fit_joint, model_values
+from pam_antagonist.identification.joint_stage import DELAY, fit_joint, model_values
 from pam_antagonist.identification.parts import (
+    beside,
+    calibration_of,
     checked,
     fitted_until,
     has_commands,
     is_free,
     is_guessed,
+    moving_parts,
     parts_of,
+    with_joint,
 )
 from pam_antagonist.identification.result import (
     AS_USUAL,
@@ -124,6 +129,9 @@ def identify(
         own = moved(model, model_values(joint.unknowns, joint.values))
         steps.append(curve)
     air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine)
+    if air is not None and not refine:
+        air = air_stage.with_air_errors(air, own, moving, jobs, beside(model, joint, recordings, ends))
+        air = replace(air, lost=joint.lost)
     if air is not None:
         steps.append(_air_step(own, moving, air))
     _refuse_two_rigs(recordings, ends, own, joint, air, jobs)
@@ -160,29 +168,6 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
 
 def _is_frozen(item: Unknown, frozen: Sequence[str]) -> bool:
     return any(path == word or path.startswith(word.rstrip(".") + ".") for word in frozen for path in item.paths)
-
-
-def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, list[Given]]:
-    """The rig with the values of its joint, and the recordings with the zero and the delay that were found."""
-    found = _found(joint)
-    return moved(rig, model_values(joint.unknowns, joint.values)), [
-        (found.applied(recording), state, name) for recording, state, name in recordings
-    ]
-
-
-def _found(joint: Fit) -> Corrections:
-    return Corrections(encoder_zero=joint.values.get(ZERO, 0.0), delay_angle=-joint.values.get(DELAY, 0.0))
-
-
-def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:
-    """Runs of the fitted parts; where the angle of a free joint was not measured, the model gives it.
-
-    Args:
-        ends: of the fitted part of each [s].
-    """
-    p = rig.parameters()
-    runs = parts_of(recordings, ends)
-    return [run if np.isfinite(run.angle).any() else joint_stage.by_the_model(run, p) for run in runs]
 
 
 def concluded(
@@ -253,7 +238,7 @@ def _delivered(tuned: Rig, start: Rig, joint: Fit, air: Fit | None) -> Rig:
     values = model_values(joint.unknowns, joint.values)
     values |= {} if air is None else parameters(air.unknowns, air.values)
     out = moved(tuned, values)
-    calibration = _calibration(start).followed_by(_found(joint)).calibration()
+    calibration = _calibration(start).followed_by(calibration_of(joint)).calibration()
     return out.replaced(calibration=start.calibration.replaced(**calibration)) if calibration else out
 
 
@@ -262,14 +247,17 @@ def _from_all(
 ) -> tuple[Fit, Fit | None]:
     """The values that all of the data determine; the fits begin at those that were found in a part of them."""
     everything = [math.inf] * len(recordings)
-    residual = joint_stage.residual_of(model, parts_of(recordings, everything), joint.unknowns, math.inf)
+    runs = parts_of(recordings, everything)
+    residual = joint_stage.residual_of(model, runs, joint.unknowns, math.inf)
     last = fitted(joint.unknowns, residual, joint.amounts, jobs=jobs)
+    last = joint_stage.with_joint_errors(last, model, runs, jobs)
     if air is None:
         return last, None
     own, corrected = with_joint(model, last, recordings)
-    usable = air_stage.usable(parts_of(corrected, everything))
-    residual = air_stage.residual_of(own, usable, 0.0, air_stage.HORIZONS[-1], air.unknowns)
-    return last, fitted(air.unknowns, residual, air.amounts, jobs=jobs)
+    runs, near = moving_parts(own, corrected, everything), beside(model, last, recordings, everything)
+    residual = air_stage.residual_of(own, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns)
+    found = fitted(air.unknowns, residual, air.amounts, jobs=jobs)
+    return last, replace(air_stage.with_air_errors(found, own, runs, jobs, near), lost=last.lost)
 
 
 def _own_rig(rig: Rig, joint: Fit, air: Fit | None, name: str) -> Rig:
@@ -392,6 +380,8 @@ def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     if abs(late) > max(5.0 * std, 2e-3):
         words = "late against" if late > 0.0 else "ahead of"
         out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")
+    if joint.lost:
+        out.append("The fit of joint and muscles stayed far from the measured angle: no value is determined.")
     for fit in [joint] if air is None else [joint, air]:
         for name in fit.at_bounds:
             value = fit.values[name]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined
+from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
 from pam_antagonist.inference.free_parameters import LINEAR_FORCE, FreeParameter
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import dynamics
@@ -49,6 +49,8 @@ _UNLIKE = 0.35
 """Standard deviation of the difference of two muscles' forces, as a share of a force."""
 _START_STD = 0.7
 """Scatter of further starts about the first one, in standard deviations of the prior."""
+_LOST = 9.0
+"""A fit whose cost is so many times that of errors of one unit, 3 % of the range as RMS, has found nothing."""
 _LEAST_NOISE = 1e-5
 _LAST_EVALUATIONS = 8
 """The most derivatives of the last fit, which begins near its end."""
@@ -135,13 +137,13 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
     out.append(Unknown(slopes[0], slopes, 0.005 * scale / (0.5 * rig.supply.pressure), 1.0, True, high=1e-2))
     free = [run for run in runs if not run.locked]
     if free:
-        weight = max(rig.joint.mass * rig.joint.gravity * 0.1, 0.005 * scale)
+        weight = unknown_weight(rig)
         torque, hanging = (rig.value(f"effects.limb_weight.{name}") for name in ("torque", "hanging"))
         # −G sin(ψ − ψ_h) = G sin ψ_h cos ψ − G cos ψ_h sin ψ.
         out.append(Unknown(WEIGHT_COS, (), torque * math.sin(hanging), weight))
         out.append(Unknown(WEIGHT_SIN, (), -torque * math.cos(hanging), weight))
     # The angles of a file with a stop count from the middle between its stops, to which an encoder is set by eye.
-    zero = middle(runs, rig.atmosphere.pressure) if rig.joint.stop is None else (0.0, _EYE_STD)
+    zero = middle(runs, rig) if rig.joint.stop is None else (0.0, _EYE_STD)
     out.append(Unknown(ZERO, (), *zero))
     out.append(Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1))
     return out
@@ -154,13 +156,16 @@ def torque_scale(rig: Rig) -> float:
     return abs(float(_torque(x, p)))
 
 
-def middle(runs: Sequence[Run], atmosphere: float) -> tuple[float, float]:
+def unknown_weight(rig: Rig) -> float:
+    """Standard deviation of the torque [N m] of a limb that nobody told."""
+    return max(rig.joint.mass * rig.joint.gravity * 0.1, 0.005 * torque_scale(rig))
+
+
+def middle(runs: Sequence[Run], rig: Rig) -> tuple[float, float]:
     """Angle [rad] at which both pressures are equal, by a straight line through all readings, and its distance from 0.
 
-    The distance is a standard deviation: two muscles differ in force, so that equal pressures move the joint off ψ = 0.
-
-    Args:
-        atmosphere: [Pa].
+    The distance is a standard deviation: two muscles differ in force, and a limb has a weight. So equal pressures move
+    the joint off ψ = 0.
     """
     moving = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
     if not moving:
@@ -169,8 +174,11 @@ def middle(runs: Sequence[Run], atmosphere: float) -> tuple[float, float]:
     apart = np.concatenate([run.pressure[:, 0] - run.pressure[:, 1] for run in moving])
     known = np.isfinite(angle)
     slope, at_equal = np.polyfit(apart[known], angle[known], 1)
-    mean = np.mean(np.concatenate([run.pressure.mean(axis=1) for run in moving])) - atmosphere
-    return float(at_equal), min(math.hypot(_ZERO_STD, _UNLIKE * float(slope * mean)), _LARGEST_ZERO_STD)
+    mean = np.mean(np.concatenate([run.pressure.mean(axis=1) for run in moving])) - rig.atmosphere.pressure
+    # The difference of the pressures that carries the weight.
+    carried = unknown_weight(rig) / torque_scale(rig) * 0.5 * (rig.supply.pressure - rig.atmosphere.pressure)
+    std = math.hypot(_ZERO_STD, _UNLIKE * float(slope * mean), float(slope * carried))
+    return float(at_equal), min(std, _LARGEST_ZERO_STD)
 
 
 def _positive(rig: Rig, path: str, share: float) -> Unknown:
@@ -187,7 +195,9 @@ def model_values(unknown: Sequence[Unknown], values: Mapping[str, float], record
     return out
 
 
-def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = math.inf) -> Floats:
+def simulated(
+    run: Run, p: Floats, zero: float, delay: float, horizon: float = math.inf, longest: float = _LONGEST_STEP
+) -> Floats:
     """Readings of the encoder (N,) [rad] that a model gives for the measured pressures of a run.
 
     Args:
@@ -195,6 +205,7 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
         zero: reading at ψ = 0 [rad].
         delay: by how much the reading is late [s].
         horizon: time after which the simulation starts anew from the measurement [s].
+        longest: step of the integration [s].
     """
     known = np.isfinite(run.angle)
     angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
@@ -204,7 +215,7 @@ def simulated(run: Run, p: Floats, zero: float, delay: float, horizon: float = m
     # What the reading shows with a delay has moved on meanwhile.
     speed = np.where(np.abs(run.velocity[begin]) < _MOVING, 0.0, run.velocity[begin])
     start = np.column_stack([angle[begin] + delay * speed, speed])
-    out = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, _LONGEST_STEP))
+    out = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, longest))
     return out + zero if delay == 0.0 else np.interp(run.time - delay, run.time, out) + zero
 
 
@@ -222,8 +233,9 @@ def by_the_model(run: Run, p: Floats) -> Run:
 
 
 def errors_of(
-    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], values: Mapping[str, float], horizon: float = math.inf
-) -> Iterator[tuple[str, Run, Floats]]:
+    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], values: Mapping[str, float], horizon: float = math.inf,
+    longest: float = _LONGEST_STEP,
+) -> Iterator[tuple[str, Run, Floats]]:  # fmt: skip
     """What a model leaves of each run: kind, run, and the known errors of the angle [rad] or the torque [N m].
 
     Args:
@@ -236,7 +248,7 @@ def errors_of(
             if run.name != name:
                 continue
             if not run.locked and np.isfinite(run.angle).any():
-                left = run.angle - simulated(run, p, zero, delay, horizon)
+                left = run.angle - simulated(run, p, zero, delay, horizon, longest)
                 yield "angle", run, left[np.isfinite(run.angle)]
             known = np.isfinite(run.torque) & np.isfinite(run.angle)
             if known.any():
@@ -252,23 +264,50 @@ def joined(errors: Iterable[tuple[str, Run, Floats]]) -> dict[str, Floats]:
     return {kind: np.concatenate(parts) for kind, parts in out.items()}
 
 
-def residual_of(rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float) -> Callable[..., Floats]:
+def residual_of(
+    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float, finer: bool = False
+) -> Callable[..., Floats]:
     """The residuals of all runs for values of the unknowns, in their units.
 
     Args:
         horizon: of the simulations [s].
+        finer: whether pressures are ahead of straight lines between the rows, and the steps are half as long.
     """
+    simulations = [run.finer() for run in runs] if finer else runs
+    longest, share = (0.5 * _LONGEST_STEP, 2.0) if finer else (_LONGEST_STEP, 1.0)
     unit = {
         "angle": _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked]),
         "torque": _TORQUE_SHARE * _range([run.torque for run in runs]),
     }
 
     def residual(values: Mapping[str, float]) -> Floats:
-        errors = errors_of(rig, runs, unknown, values, horizon)
-        parts = (math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / unit[kind] * left for kind, run, left in errors)
+        errors = errors_of(rig, simulations, unknown, values, horizon, longest)
+        parts = (
+            math.sqrt(min(_INDEPENDENT * share * run.period, 1.0)) / unit[kind] * left for kind, run, left in errors
+        )
         return np.concatenate([np.zeros(0), *parts])
 
     return residual
+
+
+def with_joint_errors(found: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit:
+    """A fit over whole runs with the standard errors of its values, those of integration and encoder included.
+
+    A joint that rests, such as at its stop, shows the same error of the encoder all the time.
+    """
+    residual, zero = residual_of(rig, runs, found.unknowns, math.inf), rig.sensors.error("angle")
+    finer = residual_of(rig, runs, found.unknowns, math.inf, finer=True)
+
+    def shifted(values: Mapping[str, float]) -> Floats:
+        return np.asarray(residual({**values, ZERO: values.get(ZERO, 0.0) + zero}))
+
+    lost = found.cost > _LOST * _cost_of_units(runs)
+    return replace(with_errors(found, residual, jobs, [finer, shifted]), lost=lost)
+
+
+def _cost_of_units(runs: Sequence[Run]) -> float:
+    """The cost of errors that are one unit, as RMS."""
+    return 0.5 * sum(min(_INDEPENDENT * run.period, 1.0) * len(run) for run in runs)
 
 
 def _range(columns: Sequence[Floats]) -> float:
@@ -290,6 +329,8 @@ def fit_joint(
 ) -> Fit:
     """Fit joint and muscles, with growing horizons. Short horizons have several starts, of which the best goes on.
 
+    Where that one errs by more than the unit of the residuals over whole runs, the next one goes on as well.
+
     Args:
         starts: number of starts: the first is the rig file, the others are drawn from the priors.
         refine: whether errors are weighed by their size at last, and each recording may deviate a little. A rig that
@@ -298,19 +339,22 @@ def fit_joint(
     progress = progress or (lambda text: None)
     free = unknowns(rig, runs) if free is None else list(free)
     rng = np.random.default_rng(seed)
-    short, *longer = HORIZONS
-    residual = residual_of(rig, runs, free, short)
+    short, whole = (residual_of(rig, runs, free, horizon) for horizon in HORIZONS)
     tried = []
     for number in range(starts):
         progress(f"joint and muscles from measured pressures, start {number + 1} of {starts}")
         begin = _START_STD * rng.standard_normal(len(free)) if number else None
-        tried.append(fitted(free, residual, begin, evaluations, jobs))
-    found = min(tried, key=lambda one: one.cost)
-    for horizon in longer:
+        tried.append(fitted(free, short, begin, evaluations, jobs))
+    found: Fit | None = None
+    for one in sorted(tried, key=lambda one: one.cost):
         progress("joint and muscles from measured pressures, whole runs")
-        found = fitted(free, residual_of(rig, runs, free, horizon), found.amounts, evaluations, jobs)
+        again = fitted(free, whole, one.amounts, evaluations, jobs)
+        found = again if found is None or again.cost < found.cost else found
+        if found.cost < _cost_of_units(runs):
+            break
+    assert found is not None
     if not refine:
-        return found
+        return with_joint_errors(found, rig, runs, jobs)
     names = list(dict.fromkeys(run.name for run in runs))
     extra = deviations(_ways(rig), free, names)
     noise = {kind: max(rig.sensors.error(kind), _LEAST_NOISE) for kind in ("angle", "torque")}

@@ -1,16 +1,24 @@
-"""Which part of the recordings is fitted and which is held out, and whether they tell enough."""
+"""Which part of the recordings is fitted and which is held out, whether they tell enough, and their corrections."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.filter_stage import Given
+from pam_antagonist.identification.joint_stage import DELAY, ZERO, model_values
 from pam_antagonist.identification.runs import Run, runs_of
+from pam_antagonist.identification.unknowns import Fit
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.trial import check, make_trial
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
 
 _WHOLE_FROM = 4
@@ -123,3 +131,47 @@ def _check_motion(recordings: Sequence[Given], runs: Sequence[Run], ends: Sequen
         if is_free(given) and has_commands(given) and end < given[0].duration_s and held_runs(given, end):
             return
     raise BadInput("the part that is held out has no second with pressures and angle; expected a longer recording")
+
+
+def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, list[Given]]:
+    """The rig with the values of its joint, and the recordings with the zero and the delay that were found."""
+    found = calibration_of(joint)
+    return moved(rig, model_values(joint.unknowns, joint.values)), [
+        (found.applied(recording), _read_with(found, recording, state), name) for recording, state, name in recordings
+    ]
+
+
+def _read_with(found: Corrections, recording: Recording, state: JointCondition) -> JointCondition:
+    """The condition of a joint whose lock angle was read from its encoder, without the encoder's zero."""
+    measured = recording.angle is not None and np.isfinite(recording.angle).any()
+    return replace(state, lock_angle=state.lock_angle - found.encoder_zero) if measured else state
+
+
+def calibration_of(joint: Fit) -> Corrections:
+    """Zero and delay of the encoder that a joint's fit found."""
+    return Corrections(encoder_zero=joint.values.get(ZERO, 0.0), delay_angle=-joint.values.get(DELAY, 0.0))
+
+
+def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:
+    """Runs of the fitted parts; where the angle of a free joint was not measured, the model gives it.
+
+    Args:
+        ends: of the fitted part of each [s].
+    """
+    p = rig.parameters()
+    runs = parts_of(recordings, ends)
+    return [run if np.isfinite(run.angle).any() else joint_stage.by_the_model(run, p) for run in runs]
+
+
+def beside(rig: Rig, joint: Fit, recordings: Sequence[Given], ends: Sequence[float]) -> list[tuple[Rig, list[Run]]]:
+    """Rig and runs for the joint that was found, changed by each independent error of what the air depends on."""
+    names = [item.name for item in joint.unknowns]
+    low, high = np.array([item.bounds for item in joint.unknowns]).reshape(-1, 2).T
+    seen = [k for k, name in enumerate(names) if name in (ZERO, DELAY) or name.startswith("geometry.")]
+    out = []
+    for column in np.linalg.cholesky(joint.covariance[np.ix_(seen, seen)]).T if seen else ():
+        amounts = joint.amounts.copy()
+        amounts[seen] += column
+        own, corrected = with_joint(rig, replace(joint, amounts=np.clip(amounts, low, high)), recordings)
+        out.append((own, moving_parts(own, corrected, ends)))
+    return out

@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.inference.threads import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +34,12 @@ _NORMAL = 1.96
 SPREAD = 0.01
 """Relative standard deviation of a recording's own deviation from the common value."""
 _ROUNDS = 2
+_WIDE_STEP = 0.05
+"""Least first step, in standard deviations of the priors: small steps make the uncertainty look smaller than it is."""
+_SHARES = (1.0, 0.5, 0.25)
+"""Of a step that are tried."""
+_BLOCKS = 40
+"""Parts of the data that count as independent of each other: seconds each, in recordings of a minute and more."""
 _FAILED = 1e3
 """Residual of a simulation that is not finite."""
 
@@ -85,8 +91,9 @@ class Fit:
 
     Attributes:
         amounts: found values in standard deviations of the priors (F,).
-        covariance: of the amounts (F, F), from the curvature with the priors.
+        covariance: of the amounts (F, F), from the curvature with the priors, or by :func:`with_errors`.
         scale: factor of each kind of residual, see :func:`scale_of`; empty for the stage's own.
+        lost: whether the fit stayed so far from the data that its values and their standard errors mean nothing.
     """
 
     unknowns: tuple[Unknown, ...]
@@ -94,6 +101,7 @@ class Fit:
     covariance: Floats
     cost: float
     scale: Mapping[str, float] = field(default_factory=dict)
+    lost: bool = False
 
     @property
     def values(self) -> dict[str, float]:
@@ -117,6 +125,8 @@ class Fit:
     @property
     def reasons(self) -> dict[str, str]:
         """Why the data do not determine each unknown, in few words, by name; empty where they do."""
+        if self.lost:
+            return dict.fromkeys((item.name for item in self.unknowns), "the fit does not explain the data")
         return {
             item.name: _reason(item, float(amount), math.sqrt(variance), item.name in self.at_bounds)
             for item, amount, variance in zip(self.unknowns, self.amounts, np.diag(self.covariance), strict=True)
@@ -213,7 +223,7 @@ def refined(
             now = errors(values)
             return np.concatenate([np.zeros(0), *(factor * now[kind] for kind, factor in scale.items())])
 
-        found = fitted(unknowns, residual, amounts, evaluations, jobs)
+        found = _carried_on(fitted(unknowns, residual, amounts, evaluations, jobs), residual, jobs)
         amounts = found.amounts
     return replace(found, scale=scale)
 
@@ -233,12 +243,8 @@ def fitted(
     """
     if not unknowns:
         return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual({}) ** 2)))
-    low, high = (np.array(side) for side in zip(*(item.bounds for item in unknowns), strict=True))
-
-    def of_data(amounts: Floats) -> Floats:
-        values = {item.name: item.value(a) for item, a in zip(unknowns, amounts, strict=True)}
-        left = np.nan_to_num(residual(values), nan=_FAILED, posinf=_FAILED, neginf=-_FAILED)
-        return np.asarray(_ROBUST * np.arctan(left / _ROBUST))
+    low, high = _bounds(unknowns)
+    of_data = _robust(unknowns, residual)
 
     def whole(amounts: Floats) -> Floats:
         return np.concatenate([of_data(amounts), amounts])
@@ -246,17 +252,131 @@ def fitted(
     def jacobian(amounts: Floats) -> Floats:
         base = of_data(amounts)
         steps = np.where(amounts + _STEP <= high, _STEP, -_STEP)
-
-        def column(k: int) -> Floats:
-            moved = amounts.copy()
-            moved[k] += steps[k]
-            return np.asarray((of_data(moved) - base) / steps[k])
-
-        columns = Parallel(n_jobs=jobs, prefer="threads")(delayed(column)(k) for k in range(len(amounts)))
-        return np.vstack([np.column_stack(columns), np.eye(len(amounts))])
+        columns = side_by_side(lambda there: of_data(there) - base, amounts + np.diag(steps), jobs)
+        return np.vstack([np.column_stack(columns) / steps, np.eye(len(amounts))])
 
     first = np.zeros(len(unknowns)) if begin is None else begin
     inside = np.clip(first, low + 1e-6, high - 1e-6)
     found = least_squares(whole, inside, jacobian, bounds=(low, high), max_nfev=evaluations, xtol=1e-4, ftol=1e-4)
     information = found.jac.T @ found.jac
     return Fit(tuple(unknowns), found.x, np.linalg.inv(information), float(found.cost))
+
+
+def _carried_on(found: Fit, residual: Callable[[Mapping[str, float]], Floats], jobs: int) -> Fit:
+    """A fit after a further step, by derivatives over the width of the uncertainty, if that lowers its cost.
+
+    Where a joint sticks, small steps end before the priors have shared out what the data leave open, such as between a
+    common value and its deviations.
+    """
+    if len(found.at_bounds) == len(found.unknowns):
+        return found
+    of_data, (low, high) = _robust(found.unknowns, residual), _bounds(found.unknowns)
+    base, free, slopes, within = _seen(found, of_data, jobs)
+    step = np.zeros(len(found.amounts))
+    step[free] = -within @ (slopes.T @ base + found.amounts[free])
+    for share in _SHARES:
+        there = np.clip(found.amounts + share * step, low, high)
+        cost = 0.5 * float(np.sum(of_data(there) ** 2) + there @ there)
+        if cost < found.cost:
+            return replace(found, amounts=there, cost=cost)
+    return found
+
+
+def _seen(
+    found: Fit, of_data: Callable[[Floats], Floats], jobs: int
+) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
+    """What the data say at a fit: residual (N,), free amounts (F,), derivatives by them (N, F), inverse curvature."""
+    bounds, base = _bounds(found.unknowns), of_data(found.amounts)
+    free = np.flatnonzero([item.name not in found.at_bounds for item in found.unknowns])
+    within = found.covariance[np.ix_(free, free)]
+    for least in (_WIDE_STEP, _STEP):
+        slopes = _slopes(of_data, found.amounts, within, free, bounds, least, jobs)
+        within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(free))))
+    return base, free, slopes, within
+
+
+def with_errors(
+    found: Fit,
+    residual: Callable[[Mapping[str, float]], Floats],
+    jobs: int = 1,
+    elsewhere: Sequence[Callable[[Mapping[str, float]], Floats]] = (),
+) -> Fit:
+    """A fit with honest standard errors; its values stay.
+
+    The unit of the residuals is a guess, and a model's errors last. So the curvature alone is no covariance. A joint
+    that sticks makes the cost rough: small steps show the roughness, and a fit by them stops in any of many small
+    minima. So the derivatives are differences over the width of the uncertainty. The standard errors come from
+
+    * the priors,
+    * the estimates that leave out one block of the data each (a jackknife, by one step of Gauss and Newton),
+    * the step by which the fit would still move,
+    * the errors of values that another stage found.
+
+    Args:
+        elsewhere: the residual with those values changed by one standard error, for each independent change.
+    """
+    if len(found.at_bounds) == len(found.unknowns):
+        return found
+    amounts = found.amounts
+    base, free, slopes, within = _seen(found, _robust(found.unknowns, residual), jobs)
+    moves = [within @ (slopes.T @ base + amounts[free])]
+    moves += [within @ (slopes.T @ (_robust(found.unknowns, other)(amounts) - base)) for other in elsewhere]
+    covariance = np.eye(len(amounts))
+    covariance[np.ix_(free, free)] = (
+        within @ within + _jackknife(slopes, base, within) + sum(np.outer(one, one) for one in moves)
+    )
+    return replace(found, covariance=covariance)
+
+
+def _slopes(
+    of_data: Callable[[Floats], Floats], amounts: Floats, within: Floats, free: NDArray[np.intp],
+    bounds: tuple[Floats, Floats], least: float, jobs: int,
+) -> Floats:  # fmt: skip
+    """Derivatives of the residual by the free amounts (N, F), from differences over two standard deviations."""
+    sizes, turned = np.linalg.eigh(within)
+    ways = np.zeros((len(free), len(amounts)))
+    ways[:, free] = (turned * np.clip(np.sqrt(sizes), least, 1.0)).T
+    there = [amounts + _room(sign * way, amounts, bounds) * sign * way for way in ways for sign in (1.0, -1.0)]
+    left = side_by_side(of_data, there, jobs)
+    moved = np.array([forth - back for forth, back in zip(there[::2], there[1::2], strict=True)])[:, free]
+    changes = np.column_stack([forth - back for forth, back in zip(left[::2], left[1::2], strict=True)])
+    return np.asarray(np.linalg.solve(moved, changes.T).T)
+
+
+def _room(way: Floats, amounts: Floats, bounds: tuple[Floats, Floats]) -> float:
+    """The share of a way (F,) that stays within the bounds, at most 1."""
+    room = np.where(way > 0.0, bounds[1] - amounts, amounts - bounds[0])
+    return float(np.min(room[way != 0.0] / np.abs(way[way != 0.0]), initial=1.0))
+
+
+def _jackknife(slopes: Floats, residual: Floats, within: Floats) -> Floats:
+    """Covariance of the free amounts (F, F) by the data's errors, whatever their size and however long they last."""
+    information = np.linalg.inv(within)
+    blocks = np.array_split(np.arange(len(residual)), min(_BLOCKS, max(len(residual), 1)))
+    moves = np.array([
+        np.linalg.solve(information - slopes[rows].T @ slopes[rows], slopes[rows].T @ residual[rows])
+        for rows in blocks
+    ])  # fmt: skip
+    moves -= moves.mean(axis=0)
+    # Neighbours are not independent: half of their products count (Bartlett's weights, Newey and West 1987).
+    nothing = np.zeros((1, moves.shape[1]))
+    pairs = np.vstack([moves, nothing]) + np.vstack([nothing, moves])
+    return np.asarray(0.5 * pairs.T @ pairs)
+
+
+def _bounds(unknowns: Sequence[Unknown]) -> tuple[Floats, Floats]:
+    low, high = (np.array(side) for side in zip(*(item.bounds for item in unknowns), strict=True))
+    return low, high
+
+
+def _robust(
+    unknowns: Sequence[Unknown], residual: Callable[[Mapping[str, float]], Floats]
+) -> Callable[[Floats], Floats]:
+    """The residual of the data for amounts; large ones count less, also those of a simulation that diverged."""
+
+    def of_data(amounts: Floats) -> Floats:
+        values = {item.name: item.value(a) for item, a in zip(unknowns, amounts, strict=True)}
+        left = np.nan_to_num(residual(values), nan=_FAILED, posinf=_FAILED, neginf=-_FAILED)
+        return np.asarray(_ROBUST * np.arctan(left / _ROBUST))
+
+    return of_data

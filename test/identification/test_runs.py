@@ -90,3 +90,16 @@ def test_readings_of_a_slow_sensor_are_joined_by_lines_and_named() -> None:
     assert np.allclose(run.pressure[1:-1:2], 0.5 * (run.pressure[:-2:2] + run.pressure[2::2]), atol=200.0)
     assert "the sensor is slower than the log" in said([run])[0]
     assert said(runs(recording)) == ()
+
+
+def test_a_finer_run_has_the_same_rows_and_pressures_between_them_that_are_ahead_of_a_line() -> None:
+    recording = made(20.0, 5.0)
+    recording = replace(recording, angle=np.where(recording.time_s < 1.0, np.nan, recording.angle))
+    (run,) = runs(recording)
+    fine = run.finer()
+    assert np.array_equal(fine.pressure[::2], run.pressure)
+    assert np.array_equal(fine.angle[::2], run.angle, equal_nan=True)
+    assert np.isnan(fine.angle[1::2]).all()
+    assert fine.period == pytest.approx(0.5 * run.period)
+    moved = (fine.pressure[1::2] - run.pressure[:-1]) / np.diff(run.pressure, axis=0)
+    assert moved == pytest.approx(np.full(moved.shape, 0.5625))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from pam_antagonist.identification.unknowns import Unknown, fitted, parameters
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters, refined, with_errors
 
 TIME = np.linspace(0.0, 3.0, 200)
 GAIN = Unknown("gain", ("a.gain", "b.gain"), 2.0, 0.5, positive=True)
@@ -74,3 +74,77 @@ def test_amount_is_the_inverse_of_value() -> None:
     for item in (GAIN, SHIFT):
         assert item.amount(item.value(0.7)) == pytest.approx(0.7)
     assert parameters([GAIN], {"gain": GAIN.value(1.0)})["b.gain"] == pytest.approx(2.0 * math.exp(0.5))
+
+
+def _lasting(rng: np.random.Generator, count: int, last: float) -> np.ndarray:
+    """Errors that last for some rows, with a standard deviation of 1."""
+    keep = math.exp(-1.0 / last)
+    out = rng.standard_normal(count)
+    for k in range(1, count):
+        out[k] = keep * out[k - 1] + math.sqrt(1.0 - keep**2) * out[k]
+    return out
+
+
+@pytest.mark.parametrize("size", [0.2, 3.0])
+def test_true_values_lie_in_their_intervals_although_errors_last_and_their_size_was_guessed(size: float) -> None:
+    time = np.linspace(0.0, 30.0, 1200)
+    shapes = np.column_stack([np.sin(time), np.sin(2.3 * time), np.cos(0.9 * time) ** 2])
+    unknown = [Unknown(name, (name,), 0.0, 1.0) for name in "abc"]
+    rng = np.random.default_rng(0)
+    inside, narrow = [], []
+    for _ in range(60):
+        true = rng.standard_normal(3)
+        wanted = shapes @ true + size * _lasting(rng, len(time), 6.0)
+
+        def of(values: Mapping[str, float], wanted: np.ndarray = wanted) -> np.ndarray:
+            return math.sqrt(0.1) * (shapes @ np.array(list(values.values())) - wanted)
+
+        first = fitted(unknown, of)
+        off = np.abs(with_errors(first, of).amounts - true)
+        inside += list(off < 1.96 * np.sqrt(np.diag(with_errors(first, of).covariance)))
+        narrow += list(off < 1.96 * np.sqrt(np.diag(first.covariance)))
+    assert 0.9 <= np.mean(inside) <= 0.99
+    assert not 0.9 <= np.mean(narrow) <= 0.99
+
+
+def test_a_fit_that_a_rough_cost_holds_up_is_not_certain() -> None:
+    whole = residual((3.1, 0.1), unit=0.3)
+
+    def rough(values: Mapping[str, float]) -> np.ndarray:
+        return whole(values) + 0.3 * np.sin(60.0 * values["gain"] + 40.0 * TIME)
+
+    stuck = fitted([GAIN, SHIFT], rough)
+    assert abs(stuck.values["gain"] - 3.1) > 10.0 * stuck.stds["gain"]
+    assert abs(stuck.values["gain"] - 3.1) < 1.96 * with_errors(stuck, rough).stds["gain"]
+
+
+def test_errors_of_another_stage_widen_the_intervals() -> None:
+    whole = residual((3.1, 0.1), noise=0.01)
+    first = fitted([GAIN, SHIFT], whole)
+
+    def elsewhere(values: Mapping[str, float]) -> np.ndarray:
+        return whole({**values, "shift": values["shift"] + 0.02})
+
+    alone, both = with_errors(first, whole), with_errors(first, whole, elsewhere=[elsewhere])
+    assert both.values == alone.values
+    assert both.stds["shift"] == pytest.approx(math.hypot(alone.stds["shift"], 0.02), rel=0.05)
+
+
+def test_a_value_at_a_bound_is_not_determined() -> None:
+    whole = residual((3.1, 0.9))
+    found = with_errors(fitted([GAIN, SHIFT], whole), whole)
+    assert found.reasons["shift"] == "met a bound"
+    assert found.values["shift"] == pytest.approx(0.2, abs=1e-3)
+    assert found.stds["gain"] > 0.0
+
+
+def test_values_that_are_all_at_bounds_stay_as_they_are() -> None:
+    narrow = Unknown("gain", ("gain",), 2.0, 0.5, low=1.999, high=2.001)
+    found = fitted([narrow], lambda values: np.full(5, 100.0 * (values["gain"] - 3.0)))
+    errors = {"angle": np.ones(20)}
+    assert with_errors(found, lambda values: np.ones(5)).reasons == {"gain": "met a bound"}
+    assert refined(found, [], lambda values: errors, {"angle": 1.0}, 2).unknowns == found.unknowns
+
+
+def test_nothing_free_has_no_errors() -> None:
+    assert with_errors(Fit((), np.zeros(0), np.zeros((0, 0)), 1.0), lambda values: np.ones(2)).cost == 1.0

@@ -1,0 +1,1 @@
+"""Fresh virtual rigs by which the identification from measured pressures is judged."""

@@ -1,0 +1,241 @@
+"""Fresh rigs of this package's own model: what a laboratory types, and recordings of a joint that differs from it.
+
+The values of the joint are drawn from the priors of the identification, so that the share of true values within their
+intervals means something. A pressure loop of the laboratory drives the valves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.identification.joint_stage import DELAY, ZERO
+from pam_antagonist.identification.runs import Run
+from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.recording import Recording
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.new import Facts, starting_point
+from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
+from pam_antagonist.rig.physical import unphysical
+from pam_antagonist.simulation.plant import Plant
+
+Floats = NDArray[np.float64]
+
+_FAR = 2.0
+"""The farthest draw, in standard deviations."""
+_STOP = 1.3
+"""Of the joint, as a share of its reach. The encoder is set by eye to the middle between the stops."""
+_PLANT_STEP = 1e-3
+"""[s] Largest step between the rows of a simulation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Laboratory:
+    """A rig of a laboratory.
+
+    Attributes:
+        name: of the rig, with what it is.
+        typed: the rig file, from ruler and data sheets.
+        fit: recordings for the identification.
+        held: recordings of another day.
+        truth: true values by name of the unknown; empty where the simulator has other laws.
+    """
+
+    name: str
+    typed: Rig
+    fit: Sequence[Recording]
+    held: Sequence[Recording]
+    truth: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a laboratory records: what is drawn besides the values of the joint.
+
+    Attributes:
+        regulators: in place of valves.
+        trials: short trials, each from rest, in place of a long recording.
+        period: of the log [s].
+        hysteresis: that nobody declared, as a share of a muscle's force.
+    """
+
+    regulators: bool
+    trials: bool
+    period: float
+    hysteresis: float
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Kind:
+        """A kind by chance."""
+        regulators = bool(rng.random() < 0.4)
+        period = float(rng.choice([0.02, 0.01, 0.005] if regulators else [0.02, 0.01, 0.005, 0.001]))
+        return cls(regulators, bool(rng.random() < 0.5), period, float(rng.uniform(0.01, 0.05) * (rng.random() < 0.5)))
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        return (
+            f"{'regulators' if self.regulators else 'valves'}, {'trials' if self.trials else 'long'}, "
+            f"{1.0 / self.period:g} Hz{', hysteresis' if self.hysteresis else ''}"
+        )
+
+
+def described(kind: Kind, rng: np.random.Generator, name: str) -> Rig:
+    """What a laboratory types."""
+    muscle_name = str(rng.choice(["DMSP-10", "DMSP-20", "DMSP-40"]))
+    muscle = muscle_parts()[muscle_name]
+    nominal = float(rng.uniform(9.0, 16.0) * muscle.diameter)
+    length = nominal * float(rng.uniform(0.9, 0.94))
+    reach = math.radians(float(rng.uniform(20.0, 45.0)))
+    radius = 0.07 * nominal / reach
+    valve = {"DMSP-10": "MPYE-5-M5", "DMSP-20": "MPYE-5-M5", "DMSP-40": "MPYE-5-1/8-LF"}[muscle_name]
+    facts = Facts(
+        name=name, kind="pulley", radius=radius, length=length, nominal_length=nominal, muscle=muscle,
+        muscle_name=muscle_name, supply=float(rng.uniform(5.0, 7.0)) * 1e5, valve=valve_parts()[valve],
+        valve_name=valve, voltage=(0.0, 10.0), shaft_radius=0.25 * radius, mass=float(rng.uniform(0.3, 3.0)),
+        inertia=1.0, stop=_STOP * reach, pressure_range=1e6, pressure_bits=12, period=kind.period,
+        regulator=regulator_parts()["ITV2050"] if kind.regulators else None, regulator_time=0.12,
+    )  # fmt: skip
+    # A natural frequency of some hertz against the muscles' stiffness.
+    stiffness = (starting_point(facts).joint.viscous_friction / 0.1) ** 2
+    inertia = stiffness / (2.0 * math.pi * float(rng.uniform(3.0, 8.0))) ** 2
+    return starting_point(replace(facts, inertia=inertia))
+
+
+def drawn(typed: Rig, kind: Kind, rng: np.random.Generator) -> tuple[Rig, dict[str, float]]:
+    """A joint that the description may be of, and its values by name of the unknown."""
+    # Whether a limb hangs on the joint does not depend on the recordings.
+    blank = _free_run()
+    free = [*joint_stage.unknowns(typed, [blank]), *air_stage.unknowns(typed)]
+    while True:
+        values = {item.name: item.value(float(np.clip(rng.standard_normal(), -_FAR, _FAR))) for item in free}
+        values[ZERO] = math.radians(3.0) * float(rng.standard_normal())
+        bounded = {item.name: float(np.clip(values[item.name], item.low, item.high)) for item in free}
+        true = moved(typed, joint_stage.model_values(free, bounded))
+        if not unphysical(true):
+            break
+    if kind.hysteresis:
+        size = kind.hysteresis * joint_stage.torque_scale(true) / true.geometry.radius
+        loop = {"amplitude_1": size, "amplitude_2": size, "width": 0.02 * true.geometry.length}
+        true = true.replaced(effects={**true.effects, "hysteresis": loop})
+    return true, bounded
+
+
+def _free_run() -> Run:
+    """A free run without a measured angle."""
+    nothing = np.full(3, np.nan)
+    pair = np.full((3, 2), np.nan)
+    return Run("", np.arange(3.0), pair, pair, nothing, nothing, np.zeros(3), False, False)
+
+
+def targets(rng: np.random.Generator, times: Floats, low: float, high: float) -> Floats:
+    """Pressures that a laboratory asks for (N, 2) [Pa]: steps, ramps and slow waves, a few in each second."""
+    out = np.empty((len(times), 2))
+    for i in (0, 1):
+        knots, levels = [float(times[0])], [0.5 * (low + high)]
+        while knots[-1] < times[-1]:
+            rest, level = float(rng.uniform(0.1, 1.0)), float(rng.uniform(low, high))
+            knots += [knots[-1] + rest, knots[-1] + rest + float(rng.choice([0.01, 0.3, 1.0]))]
+            levels += [levels[-1], level]
+        out[:, i] = np.interp(times, knots, levels)
+    return out
+
+
+class Logged:
+    """What a laboratory logs of a simulated joint.
+
+    Args:
+        typed: the rig file.
+        period: of the simulation's rows [s].
+        every: the log has every so many rows.
+        zero: reading of the encoder at ψ = 0 [rad].
+        late: by how much the readings of the angle are late [s].
+    """
+
+    def __init__(self, typed: Rig, period: float, every: int, zero: float, late: float) -> None:
+        self.typed, self.period, self.every, self.zero, self.late = typed, period, every, zero, late
+
+    def recording(
+        self, step: Callable[[Floats], tuple[Floats, float]], seconds: float, rng: np.random.Generator, name: str
+    ) -> Recording:
+        """A recording.
+
+        Args:
+            step: of the simulated joint, by its commands (2,), to the readings of pressures [Pa] and angle [rad].
+            seconds: of the recording.
+            rng: for the motion.
+            name: of the recording.
+        """
+        typed = self.typed
+        count = round(seconds / self.period / self.every) * self.every
+        time: Floats = self.period * np.arange(1, count + 1, dtype=np.float64)
+        low, high = typed.atmosphere.pressure + 0.4e5, typed.supply.pressure - 0.5e5
+        asked = targets(rng, time, low, high)
+        middle = 0.5 * (typed.valves.voltage_min + typed.valves.voltage_max)
+        pressure, command, angle = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+        now = np.full(2, typed.atmosphere.pressure)
+        given = asked[0]
+        for k in range(count):
+            if k % self.every == 0:
+                given = asked[k]
+                if typed.drive == "valve":
+                    # A loop that jumps over the closed middle, as such loops do.
+                    apart = asked[k] - now
+                    given = np.clip(middle + 8e-5 * apart + 0.4 * np.tanh(apart / 5e3), 0.0, 10.0)
+            now, angle[k] = step(given)
+            pressure[k], command[k] = now, given
+        shown = np.interp(time - self.late, time, angle) + self.zero
+        rows = slice(self.every - 1, None, self.every)
+        return Recording(
+            path=Path(name), stamp_ns=np.rint(time[rows] * 1e9).astype(np.int64) + 10**18, pressure=pressure[rows],
+            voltage=command[rows], angle=shown[rows], torque=None, drive=typed.drive,
+        )  # fmt: skip
+
+
+def laboratory(seed: int, declared: bool = False) -> Laboratory:
+    """A fresh rig.
+
+    Args:
+        seed: of everything.
+        declared: whether there is nothing that nobody declared.
+    """
+    rng = np.random.default_rng(seed)
+    kind = Kind.drawn(rng)
+    kind = replace(kind, hysteresis=0.0) if declared else kind
+    name = f"fresh_{seed}"
+    typed = described(kind, rng, name)
+    true, truth = drawn(typed, kind, rng)
+    every = max(round(kind.period / _PLANT_STEP), 1)
+    sensors = true.sensors.replaced(angle_step=math.radians(float(rng.choice([0.02, 0.05, 0.18]))))
+    quick = true.replaced(sample_period=kind.period / every, sensors=sensors)
+    log = Logged(typed, quick.sample_period, every, truth[ZERO], truth[DELAY])
+
+    def recorded(seconds: float, number: int) -> Recording:
+        rest = None if kind.regulators else (2.5e5, 2.5e5)
+        plant = Plant(quick, seed=1000 * seed + number, substeps=2, initial_pressure=rest)
+
+        def step(command: Floats) -> tuple[Floats, float]:
+            sample = plant.step(command)
+            return sample.pressure, sample.angle
+
+        return log.recording(step, seconds, np.random.default_rng((seed, number)), f"{name}_{number}")
+
+    return Laboratory(f"{name} ({kind.words})", typed, *sets(recorded, kind.trials), truth)
+
+
+def sets(recorded: Callable[[float, int], Recording], trials: bool) -> tuple[list[Recording], list[Recording]]:
+    """Recordings to fit, and of another day: trials of 10 s, or a long one.
+
+    Args:
+        recorded: makes one, of a length [s] and with a number.
+        trials: whether they are short.
+    """
+    if trials:
+        return [recorded(10.0, k) for k in range(9)], [recorded(10.0, k) for k in range(100, 103)]
+    return [recorded(60.0, 0)], [recorded(30.0, 100)]
