@@ -27,6 +27,8 @@ from validation.__main__ import COMMANDS as MEASUREMENTS
 ROOT = Path(__file__).resolve().parents[1]
 SCHEMA = ROOT / "config" / "rig.schema.json"
 MARKED = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_ELSEWHERE = ("muscle_2", "valve_2", "effects")
+"""Entries of a rig file that are like others, or on the page of the effects."""
 NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller, "joints": joints}
 MESSAGES = ROOT / "pam_antagonist_msgs"
 
@@ -84,21 +86,27 @@ def messages() -> str:
 
 
 def parameters() -> str:
-    """A table of parameters a node."""
+    """Tables of the parameters that the same nodes have."""
+    tables = {name: (*module.PARAMETERS, AUTOSTART, DIAGNOSTICS_PERIOD) for name, module in NODES.items()}
+    shared: dict[tuple[str, ...], list[Parameter]] = {}
+    for entry in (entry for table in tables.values() for entry in table):
+        names = tuple(name for name, table in tables.items() if entry in table)
+        if entry not in shared.setdefault(names, []):
+            shared[names].append(entry)
+
+    def row(entry: Parameter) -> str:
+        text = entry.description.replace("|", "/") + ("" if entry.read_only else "; may change while the node runs")
+        return f"| `{entry.name}` | `{entry.default}` | {entry.expected} | {text} |"
+
     parts = []
-    for name, module in NODES.items():
-        table: tuple[Parameter, ...] = (*module.PARAMETERS, AUTOSTART, DIAGNOSTICS_PERIOD)
-        rows = [
-            f"| `{entry.name}` | `{entry.default}` | {entry.expected} | {entry.description.replace('|', '/')}"
-            f"{'' if entry.read_only else '; may change while the node runs'} |"
-            for entry in table
-        ]
-        parts.append(f"### {name}\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n" + "\n".join(rows))
+    for names, entries in sorted(shared.items(), key=lambda item: -len(item[0])):
+        rows = "\n".join(map(row, entries))
+        parts.append(f"### {', '.join(names)}\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n{rows}")
     return "\n\n".join(parts) + "\n"
 
 
 def rig_fields() -> str:
-    """Every entry of a rig file by its dotted path."""
+    """Every entry of a rig file by its dotted path; those of effects have a page of their own."""
     schema = rig_json_schema()
     rows: list[str] = []
     _walk("", schema, schema["$defs"], rows)
@@ -112,6 +120,8 @@ def _walk(prefix: str, node: dict[str, Any], defs: dict[str, Any], rows: list[st
             if "$ref" in reference:
                 inner = defs[reference["$ref"].rsplit("/", 1)[1]]
         path = f"{prefix}{key}"
+        if path in _ELSEWHERE:
+            continue
         if inner.get("properties"):
             _walk(f"{path}.", inner, defs, rows)
         else:

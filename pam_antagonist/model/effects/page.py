@@ -8,6 +8,7 @@ The text between a pair of marks ``<!-- begin X -->`` and ``<!-- end X -->`` is 
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +19,6 @@ from pam_antagonist.model.effects.hooks import HOOKS, QUANTITIES, Hook
 from pam_antagonist.model.effects.registry import CATALOGUE
 
 _OWN = __package__ or ""
-_NO_STATE = "No added state.\n"
 _AT = {"possible": "may", "needed": "must", "none": "cannot"}
 _PARTS = {"air": "the pressures", "balance": "the torque that the motion needs"}
 
@@ -29,17 +29,15 @@ def section(effect: Effect) -> str:
     if effect.module.startswith(f"{_OWN}."):
         where = f"[`effects/{effect.name}.py`](../{effect.module.replace('.', '/')}.py)"
     law = "" if "```math" in effect.notes else f"*Law* {effect.law}.\n\n"
-    states = _table(("added state", "", "unit", "comes with", "initial std", "noise a √s"), map(_state, effect.states))
     sealed = effect.sealed
-    usual = {item.name: item.scale for item in effect.parameters}
     shown = f"shows it in {_PARTS[sealed.part]}" if sealed.part else f"does not show it: {sealed.reason}"
+    parameters = _table(("parameter", "", "unit", "neutral", "allowed", "meaning"), map(_parameter, effect.parameters))
+    states = _table(("added state", "", "unit", "comes with", "initial std", "noise a √s"), map(_state, effect.states))
     return (
-        f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}"
-        + _table(("parameter", "", "unit", "neutral", "from", "to", "meaning"), map(_parameter, effect.parameters))
-        + f"\n{states if effect.states else _NO_STATE}\n"
-        f"*Source* {effect.source}.\n\n*Signature* {effect.signature}\n\n"
-        f"*In a report* {effect.in_words(None, usual)}.\n\n*Which recording shows it* {effect.experiment}.\n\n"
-        f"*A sealed joint* {shown}.\n"
+        f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
+        + (f"{states}\n" if effect.states else "")
+        + f"*Source* {effect.source}.\n\n*Signature* {effect.signature}\n\n"
+        f"*Which recording shows it* {effect.experiment}.\n\n*A sealed joint* {shown}.\n"
     )
 
 
@@ -67,7 +65,19 @@ def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     def line(cells: Sequence[str]) -> str:
         return f"|{'|'.join(f' {cell} ' if cell else ' ' for cell in cells)}|\n"
 
-    return line(titles) + f"|{'|'.join('---' for _ in titles)}|\n" + "".join(map(line, rows))
+    return line(titles) + f"|{'|'.join('---' for _ in titles)}|\n" + "".join(map(line, _merged(rows)))
+
+
+def _merged(rows: Iterable[Sequence[str]]) -> Iterable[Sequence[str]]:
+    """Rows that differ by a number only (of the muscle, of the signal) as one, with an ``i`` for the number."""
+    kept: dict[tuple[str, ...], list[Sequence[str]]] = {}
+    for row in rows:
+        number = re.search(r"\d(?=`)", row[0])
+        own = rf"(?<=[A-Za-z_]){number[0]}|(?<=muscle |signal ){number[0]}" if number else r"(?!)"
+        key = tuple(cell if column == 2 else re.sub(own, "i", cell) for column, cell in enumerate(row))
+        kept.setdefault(key, []).append(row)
+    for key, same in kept.items():
+        yield same[0] if len(same) == 1 else (", ".join(row[0] for row in same), *key[1:])
 
 
 def _symbol(symbol: str) -> str:
@@ -75,8 +85,8 @@ def _symbol(symbol: str) -> str:
 
 
 def _parameter(item: EffectParameter) -> tuple[str, ...]:
-    numbers = (f"{value:g}" for value in (item.neutral, item.low, item.high))
-    return (f"`{item.name}`", _symbol(item.symbol), item.unit, *numbers, item.meaning)
+    allowed = f"{item.low:g} to {item.high:g}"
+    return (f"`{item.name}`", _symbol(item.symbol), item.unit, f"{item.neutral:g}", allowed, item.meaning)
 
 
 def _state(state: AddedState) -> tuple[str, ...]:
