@@ -10,7 +10,8 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.model.effects.page import page
+from pam_antagonist.model.effects.hooks import HOOKS, QUANTITIES
+from pam_antagonist.model.effects.page import hooks, page
 from pam_antagonist.model.effects.registry import catalogue
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,11 +47,12 @@ def test_words(name):
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_every_number_and_every_state_stands_in_a_table(name):
+def test_every_number_and_every_state_is_there(name):
     effect, section = CATALOGUE[name], SECTIONS[name]
-    shown = {word: row for title in ("parameter", "added state") for row in table(section, title)
-             for word in re.findall(r"`(\w+)`", row[0])}  # fmt: skip
-    assert list(shown) == [item.name for item in (*effect.parameters, *effect.states)]
+    shown = {word: row for row in table(section, "parameter") for word in re.findall(r"`(\w+)`", row[0])}
+    assert list(shown) == [item.name for item in effect.parameters]
+    states = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\*State\* (.*?) \$", section, re.MULTILINE)))
+    assert states == [item.name for item in effect.states]
     for item in effect.parameters:
         assert shown[item.name][2:5] == [item.unit, f"{item.neutral:g}", f"{item.low:g} to {item.high:g}"]
 
@@ -65,9 +67,14 @@ def test_files_that_it_names_are_there():
         assert (ROOT / path).is_file(), name
 
 
+def test_hooks_and_quantities_are_listed():
+    text = hooks()
+    assert all(f"| `{name}` |" in text for name in (*HOOKS, *QUANTITIES))
+
+
 def test_a_page_without_its_marks_is_refused():
-    with pytest.raises(BadInput, match="expected one part between <!-- begin hooks -->"):
-        page(TEXT.replace("<!-- begin hooks -->", ""), CATALOGUE)
+    with pytest.raises(BadInput, match="expected one part between <!-- begin effects -->"):
+        page(TEXT.replace("<!-- begin effects -->", ""), CATALOGUE)
 
 
 def test_a_loop_of_a_sealed_joint_names_parameters_of_its_effect() -> None:

@@ -1,9 +1,10 @@
 """The page of the effects, ``docs/effects.md``: a section for each, generated from the catalogue.
 
     python -m pam_antagonist.model.effects.page NAME ...     prints the sections of these effects
+    python -m pam_antagonist.model.effects.page --hooks      prints where an effect may act, and on what it may depend
     python -m pam_antagonist.model.effects.page --write docs/effects.md
 
-The text between a pair of marks ``<!-- begin X -->`` and ``<!-- end X -->`` is generated; the rest is written by hand.
+The text between ``<!-- begin effects -->`` and ``<!-- end effects -->`` is generated; the rest is written by hand.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ def section(effect: Effect) -> str:
     sealed = effect.sealed
     shown = f"shows it in {_PARTS[sealed.part]}" if sealed.part else f"does not show it: {sealed.reason}"
     parameters = _table(("parameter", "", "unit", "neutral", "allowed", "meaning"), map(_parameter, effect.parameters))
-    states = _table(("added state", "", "unit", "comes with", "initial std", "noise a √s"), map(_state, effect.states))
+    states = [f"*State* {line}.\n\n" for line in map(_line, _merged(map(_state, effect.states)))]
     return (
         f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
-        + (f"{states}\n" if effect.states else "")
+        + "".join(states)
         + f"*Source* {effect.source}.\n\n*Signature* {effect.signature}\n\n"
         f"*Which recording shows it* {effect.experiment}.\n\n*A sealed joint* {shown}.\n"
     )
@@ -49,16 +50,18 @@ def sections(effects: Iterable[Effect]) -> str:
 def page(text: str, catalogue: Mapping[str, Effect]) -> str:
     """A page with its marked parts generated anew."""
     own = [effect for effect in catalogue.values() if effect.module.startswith(f"{_OWN}.")]
+    begin, end = "<!-- begin effects -->\n", "<!-- end effects -->"
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise BadInput(f"page of the effects: expected one part between {begin.strip()} and {end}")
+    before, rest = text.split(begin)
+    return f"{before}{begin}\n{sections(own)}\n{end}{rest.split(end)[1]}"
+
+
+def hooks() -> str:
+    """Where an effect may act, and on what it may depend, in Markdown."""
     titles = ("hook", "at each", "the function returns", "unit", "which the model", "states of the effect")
-    hooks = _table(titles, map(_hook, HOOKS.values()))
-    quantities = _table(("quantity", "unit", ""), ((f"`{n}`", unit, what) for n, (unit, what) in QUANTITIES.items()))
-    for name, content in (("effects", sections(own)), ("hooks", hooks), ("quantities", quantities)):
-        begin, end = f"<!-- begin {name} -->\n", f"<!-- end {name} -->"
-        if text.count(begin) != 1 or text.count(end) != 1:
-            raise BadInput(f"page of the effects: expected one part between {begin.strip()} and {end}")
-        before, rest = text.split(begin)
-        text = f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}"
-    return text
+    known = ((f"`{name}`", unit, what) for name, (unit, what) in QUANTITIES.items())
+    return _table(titles, map(_hook, HOOKS.values())) + "\n" + _table(("quantity", "unit", ""), known)
 
 
 def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -95,6 +98,11 @@ def _state(state: AddedState) -> tuple[str, ...]:
     return (f"`{state.name}`", _symbol(state.symbol), state.unit, switches, f"{state.initial_std:g}", noise)
 
 
+def _line(row: Sequence[str]) -> str:
+    name, symbol, unit, switches, std, noise = row
+    return f"{name} {symbol} [{unit}], with {switches}: initial std {std}, noise {noise} a √s"
+
+
 def _hook(hook: Hook) -> tuple[str, ...]:
     known = ", ".join(f"`{name}`" for name in (hook.value, *hook.quantities))
     floor = " (not below 0)" if hook.floor else ""
@@ -109,6 +117,9 @@ def main(arguments: Sequence[str]) -> int:
     if arguments[:1] == ["--write"] and len(arguments) == 2:
         file = Path(arguments[1])
         file.write_text(page(file.read_text(encoding="utf-8"), CATALOGUE), encoding="utf-8")
+        return 0
+    if arguments == ["--hooks"]:
+        print(hooks(), end="")
         return 0
     unknown = [name for name in arguments if name not in CATALOGUE]
     if unknown:
