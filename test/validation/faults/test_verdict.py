@@ -141,7 +141,7 @@ def test_table_page_and_json_tell_what_failed() -> None:
     page = table.page([good, bad])
     assert page.count("| stop |") == 2 and "**not as expected**: safe voltages after 63 ms" in page
     widths = {line.count("|") for line in page.splitlines() if line.startswith("|")}
-    assert widths == {7}
+    assert widths == {5}
     content = json.loads(json.dumps(plain(table.content([good, bad]))))
     assert [entry["held"] for entry in content["faults"]] == [True, False]
     assert not math.isnan(content["faults"][0]["safe_ms"])
