@@ -70,7 +70,6 @@ NAVIGATION = {
         "faults",
         "evidence/speed",
         "performance",
-        "soak",
         "evidence/security",
     ],
 }
@@ -85,7 +84,6 @@ exclude_patterns = [
     "release.py",
     "demo_picture.py",
     "commission_pictures.py",
-    "evidence/step_speed.py",
 ]
 html_theme = "furo"
 html_static_path = ["_static"]

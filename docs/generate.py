@@ -80,9 +80,13 @@ def topics() -> str:
 
 
 def messages() -> str:
-    """The message and service files as they are."""
-    files = [*sorted((MESSAGES / "msg").glob("*.msg")), *sorted((MESSAGES / "srv").glob("*.srv"))]
-    return "\n".join(f"### {file.stem}\n\n```text\n{file.read_text(encoding='utf-8').strip()}\n```\n" for file in files)
+    """Each message and service: its file, and the first sentence of it."""
+    rows = []
+    for file in [*sorted((MESSAGES / "msg").glob("*.msg")), *sorted((MESSAGES / "srv").glob("*.srv"))]:
+        comment = file.read_text(encoding="utf-8").split("\n\n")[0].replace("\n#", "")
+        first = re.split(r"(?<=\.) ", comment.removeprefix("# "))[0]
+        rows.append(f"* [`{file.name}`](../../{file.relative_to(ROOT)}): {first[0].lower()}{first[1:]}")
+    return "\n".join(rows) + "\n"
 
 
 def parameters() -> str:
@@ -96,7 +100,8 @@ def parameters() -> str:
 
     def row(entry: Parameter) -> str:
         text = entry.description.replace("|", "/") + ("" if entry.read_only else "; may change while the node runs")
-        return f"| `{entry.name}` | `{entry.default}` | {entry.expected} | {text} |"
+        allowed = re.sub(r"^(a number from|an integer from|one of) ", "", entry.expected)
+        return f"| `{entry.name}` | `{entry.default}` | {allowed} | {text} |"
 
     parts = []
     for names, entries in sorted(shared.items(), key=lambda item: -len(item[0])):

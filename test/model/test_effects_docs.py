@@ -57,6 +57,11 @@ def test_every_number_and_every_state_is_there(name):
         assert shown[item.name][2:5] == [item.unit, f"{item.neutral:g}", f"{item.low:g} to {item.high:g}"]
 
 
+def test_what_a_sealed_joint_shows():
+    paragraph = TEXT.split("**A sealed joint**")[1].split("\n\n")[0]
+    assert set(re.findall(r"`(\w+)`", paragraph)) == {name for name, item in CATALOGUE.items() if item.sealed.part}
+
+
 def test_the_page_is_up_to_date():
     assert page(TEXT, CATALOGUE) == TEXT, "python -m pam_antagonist.model.effects.page --write docs/effects.md"
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
@@ -80,7 +81,7 @@ class ArmResult:
 def markdown(result: ArmResult) -> str:
     """The page."""
     found = result.found
-    notes = "\n".join(f"- {item.text}" for item in report.findings(found, result.joint))
+    notes = _list(item.text for item in report.findings(found, result.joint))
     all_rows = [found.rows[0], *result.baselines, *found.rows[1:]]
     errors = report.errors_table(_with_rows(found, all_rows))
     trees = (
@@ -111,7 +112,7 @@ def _with_rows(found: EpisodeDiagnosis, rows: Sequence[Row]) -> EpisodeDiagnosis
 def _regulators(result: ArmResult) -> str:
     table = regulators_table(result.regulators, result.joint.rig)
     recent = result.found.rows[-1].recent or result.found.rows[-1].later
-    said = "\n".join(f"- {text}" for text in regulators_sentences(result.regulators))
+    said = _list(regulators_sentences(result.regulators))
     return (
         f"{table.caption} ([`regulators.py`](../pam_antagonist/identification/regulators.py)). The command is `p_set`. "
         f"`identify` finds the same.\n\n{_table(table)}\n\n{said}\n\n"
@@ -121,6 +122,11 @@ def _regulators(result: ArmResult) -> str:
         "measured pressures over commanded ones as its input, which is little. What it draws beside that from how "
         "motion changes the pressures was not measured here: their units are not known."
     )
+
+
+def _list(texts: Iterable[str]) -> str:
+    """What was found; what was tried and left is in ``report.html``."""
+    return "\n".join(f"- {text}" for text in texts if not re.search("is not needed|is left as configured", text))
 
 
 def _table(table: Table) -> str:

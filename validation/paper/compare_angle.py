@@ -116,7 +116,7 @@ def _linear(work: SeedWork, samples: int) -> dict[str, Any]:
 
 def result(context: Context) -> Result:
     """Put the seeds together."""
-    order = [ranked(context, MODELS, tuning, key) for tuning in TUNINGS for key in ("ratio", "rmse")]
+    order = [ranked(context, MODELS, tuning, "ratio") for tuning in TUNINGS]
     laws = [model.name for model in MODELS if model.paper is not None and model.name != "linear"]
     differ = {}
     for tuning in TUNINGS:

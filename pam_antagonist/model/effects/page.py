@@ -21,7 +21,6 @@ from pam_antagonist.model.effects.registry import CATALOGUE
 
 _OWN = __package__ or ""
 _AT = {"possible": "may", "needed": "must", "none": "cannot"}
-_PARTS = {"air": "the pressures", "balance": "the torque that the motion needs"}
 
 
 def section(effect: Effect) -> str:
@@ -30,15 +29,13 @@ def section(effect: Effect) -> str:
     if effect.module.startswith(f"{_OWN}."):
         where = f"[`effects/{effect.name}.py`](../{effect.module.replace('.', '/')}.py)"
     law = "" if "```math" in effect.notes else f"*Law* {effect.law}.\n\n"
-    sealed = effect.sealed
-    shown = f"shows it in {_PARTS[sealed.part]}" if sealed.part else f"does not show it: {sealed.reason}"
     parameters = _table(("parameter", "", "unit", "neutral", "allowed", "meaning"), map(_parameter, effect.parameters))
     states = [f"*State* {line}.\n\n" for line in map(_line, _merged(map(_state, effect.states)))]
     return (
         f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
         + "".join(states)
         + f"*Source* {effect.source}.\n\n*Signature* {effect.signature}\n\n"
-        f"*Which recording shows it* {effect.experiment}.\n\n*A sealed joint* {shown}.\n"
+        f"*Which recording shows it* {effect.experiment}.\n"
     )
 
 
