@@ -41,7 +41,6 @@ def test_a_section_for_each_effect_in_the_catalogue_s_order():
 def test_words(name):
     effect, section = CATALOGUE[name], SECTIONS[name]
     assert effect.meaning in section
-    assert f"*Source* {effect.source}." in section
     assert f"*Signature* {effect.signature}" in section
     assert "```math" in section
 

@@ -179,13 +179,24 @@ def markdown(
     for result in results:
         lines += [f"## {result.title}", "", result.question, ""]
         if result.beside:
-            lines += [*_table(beside(result.beside)), ""]
+            lines += [*_table(_together(beside(result.beside))), ""]
         lines += [f"* {text}" for text in result.findings]
         lines += [""] if result.findings else []
         for figure, place in zip(result.figures, places[result.name], strict=True):
             alt = re.sub(r"([\[\]\\])", r"\\\1", figure.title)
             lines += [f"**{figure.title}**", "", f"![{alt}]({place})", ""]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _together(table: Table) -> Table:
+    """The same with 𝕀, 𝕄 and ℚ of one quantity in one row."""
+    rows: list[tuple[str, ...]] = []
+    for what, ours, paper, why in table.rows:
+        if rows and why == "″" and what[:-1] == rows[-1][0][: len(what) - 1] and what[-1] in "𝕄ℚ":
+            rows[-1] = (f"{rows[-1][0]}, {what[-1]}", f"{rows[-1][1]}, {ours}", f"{rows[-1][2]}, {paper}", rows[-1][3])
+        else:
+            rows.append((what, ours, paper, why))
+    return Table(table.header, tuple((*cells[:2], re.sub("^–(, –)+$", "–", cells[2]), cells[3]) for cells in rows))
 
 
 def _table(table: Table) -> list[str]:

@@ -34,7 +34,7 @@ def section(effect: Effect) -> str:
     return (
         f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
         + "".join(states)
-        + f"*Source* {effect.source}.\n\n*Signature* {effect.signature}\n\n"
+        + f"*Signature* {effect.signature}\n\n"
         f"*Which recording shows it* {effect.experiment}.\n"
     )
 
