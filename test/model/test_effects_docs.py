@@ -53,7 +53,8 @@ def test_every_number_and_every_state_is_there(name):
     states = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\*State\* (.*?) \$", section, re.MULTILINE)))
     assert states == [item.name for item in effect.states]
     for item in effect.parameters:
-        assert shown[item.name][2:5] == [item.unit, f"{item.neutral:g}", f"{item.low:g} to {item.high:g}"]
+        allowed = f"{item.low:g} to {item.high:g} {item.unit.replace('-', '')}".rstrip()
+        assert shown[item.name][2:4] == [f"{item.neutral:g}", allowed]
 
 
 def test_what_a_sealed_joint_shows():

@@ -125,8 +125,9 @@ def _regulators(result: ArmResult) -> str:
 
 
 def _list(texts: Iterable[str]) -> str:
-    """What was found; what was tried and left is in ``report.html``."""
-    return "\n".join(f"- {text}" for text in texts if not re.search("is not needed|is left as configured", text))
+    """What was found; what was tried and left is in ``report.html``, numbers that change are in the table."""
+    left = "is not needed|is left as configured|^These numbers change"
+    return "\n".join(f"- {text}" for text in texts if not re.search(left, text))
 
 
 def _table(table: Table) -> str:

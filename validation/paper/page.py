@@ -184,7 +184,7 @@ def markdown(
         lines += [""] if result.findings else []
         for figure, place in zip(result.figures, places[result.name], strict=True):
             alt = re.sub(r"([\[\]\\])", r"\\\1", figure.title)
-            lines += [f"**{figure.title}**", "", f"![{alt}]({place})", ""]
+            lines += [f"![{alt}]({place})", ""]
     return "\n".join(lines).rstrip() + "\n"
 
 

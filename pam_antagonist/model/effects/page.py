@@ -29,13 +29,13 @@ def section(effect: Effect) -> str:
     if effect.module.startswith(f"{_OWN}."):
         where = f"[`effects/{effect.name}.py`](../{effect.module.replace('.', '/')}.py)"
     law = "" if "```math" in effect.notes else f"*Law* {effect.law}.\n\n"
-    parameters = _table(("parameter", "", "unit", "neutral", "allowed", "meaning"), map(_parameter, effect.parameters))
+    parameters = _table(("parameter", "", "neutral", "allowed", "meaning"), map(_parameter, effect.parameters))
     states = [f"*State* {line}.\n\n" for line in map(_line, _merged(map(_state, effect.states)))]
     return (
         f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
         + "".join(states)
         + f"*Signature* {effect.signature}\n\n"
-        f"*Which recording shows it* {effect.experiment}.\n"
+        f"*Recording* {effect.experiment}.\n"
     )
 
 
@@ -73,8 +73,8 @@ def _merged(rows: Iterable[Sequence[str]]) -> Iterable[Sequence[str]]:
     kept: dict[tuple[str, ...], list[Sequence[str]]] = {}
     for row in rows:
         number = re.search(r"\d(?=`)", row[0])
-        own = rf"(?<=[A-Za-z_]){number[0]}|(?<=muscle |signal ){number[0]}" if number else r"(?!)"
-        key = tuple(cell if column == 2 else re.sub(own, "i", cell) for column, cell in enumerate(row))
+        own = rf"((?<=[_,])|(?<=slope)|(?<=muscle |signal )){number[0]}" if number else r"(?!)"
+        key = tuple(re.sub(own, "i", cell) for cell in row)
         kept.setdefault(key, []).append(row)
     for key, same in kept.items():
         yield same[0] if len(same) == 1 else (", ".join(row[0] for row in same), *key[1:])
@@ -85,8 +85,8 @@ def _symbol(symbol: str) -> str:
 
 
 def _parameter(item: EffectParameter) -> tuple[str, ...]:
-    allowed = f"{item.low:g} to {item.high:g}"
-    return (f"`{item.name}`", _symbol(item.symbol), item.unit, f"{item.neutral:g}", allowed, item.meaning)
+    allowed = f"{item.low:g} to {item.high:g} {item.unit.replace('-', '')}".rstrip()
+    return (f"`{item.name}`", _symbol(item.symbol), f"{item.neutral:g}", allowed, item.meaning)
 
 
 def _state(state: AddedState) -> tuple[str, ...]:

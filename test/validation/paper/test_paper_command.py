@@ -96,7 +96,7 @@ def test_markdown_has_the_numbers_beside_the_paper_and_the_report_every_table(re
 def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None:
     assert sorted(path.name for path in report.iterdir()) == ["out", "paper", "paper.md"]
     text = (report / "paper.md").read_text(encoding="utf-8")
-    shown = re.findall(r"^\*\*(.+?)\*\*\n\n!\[(.+)\]\((.+)\)$", text, re.MULTILINE)
+    shown = re.findall(r"^!\[(.+)\]\((.+)\)$", text, re.MULTILINE)
     assert [place for *_, place in shown] == [
         "paper/static_1.png",
         "paper/static_2.png",
@@ -107,7 +107,6 @@ def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None
     html = (report / "out/report.html").read_text(encoding="utf-8")
     captions = [unescape(text) for text in re.findall(r"<figcaption>(.+?)</figcaption>", html)]
     assert [title for title, *_ in shown] == captions
-    assert all(title == alt for title, alt, _ in shown)
     assert text.index("influence_1.png") > text.index("## Proposition 1") > text.index("static_2.png")
     for file in (report / "paper").iterdir():
         content = file.read_bytes()
