@@ -10,13 +10,14 @@ from pam_antagonist.safety import SafeAction
 
 
 class DaqCard:
-    """Two analog inputs and two outputs; ``card`` is the driver's own object, with the four calls that are used here."""
+    """Two analog inputs and two outputs; ``card`` is the driver's own object, with the calls that are used here."""
 
     def __init__(self, open_card):
         self._open_card = open_card
         self._card = None
 
     def start(self, action: SafeAction) -> DeviceInfo:
+        """Set the safe voltages, and say what the card is."""
         if self._card is not None:  # lost before
             self._card.close()
         try:
@@ -30,6 +31,7 @@ class DaqCard:
         return DeviceInfo("my card", "V", False, False, 1_000_000, None, 0.0, 10.0)
 
     def samples(self, timeout_s: float) -> list[RawSample]:
+        """Readings since the last call."""
         try:
             rows = self._card.read(timeout_s)  # [(volts of channel 1, of channel 2), ...], sampled by its own clock
         except OSError as error:
@@ -42,6 +44,7 @@ class DaqCard:
         return out
 
     def command(self, voltage: tuple[float, float]) -> None:
+        """Put voltages on the valves."""
         try:
             self._card.write(voltage)
         except OSError as error:
@@ -49,14 +52,17 @@ class DaqCard:
         self._now = voltage
 
     def close(self) -> None:
+        """Leave the safe voltages."""
         card, self._card = self._card, None
         if card is not None:
             card.write(self._hold)
             card.close()
 
     def counters(self) -> Mapping[str, float]:
+        """Nothing that /diagnostics could show."""
         return {}
 
 
 def main(open_card) -> int:
+    """The bridge with this card."""
     return bridge.main(device=lambda: DaqCard(open_card))

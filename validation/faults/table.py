@@ -113,8 +113,8 @@ do not edit it by hand.
 Each line is one fault that was made on purpose in a running pipeline. Device emulator, bridge, estimator and controller
 ran as processes of their own at 1 kHz. The reference was 10°.
 
-* **Safe after** is the time from the fault to the safe voltages. These lasted until the fault was over or, after a
-  stop, until the stop was cleared. The time is that of the device's own log of its valves.
+* **Safe after** is the time from the fault to the safe voltages, by the device's own log of its valves. These lasted
+  until the fault was over or, after a stop, until the stop was cleared.
 * **By** says whose safe voltages these were: of the device, the bridge or the controller. Each has values of its own.
 * **Control** is back when the valves have other voltages again. After a restart this includes the start of the process.
 * **A wrong voltage** is one that neither the controller nor any safe action can have meant. None occurred unless the

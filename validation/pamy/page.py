@@ -119,8 +119,7 @@ def _regulators(result: ArmResult) -> str:
         f"With these regulators' pressures in the place of the measured ones, the extended model errs by "
         f"{report.interval(result.commanded)}° on later episodes, with the measured ones by "
         f"{report.interval(recent)}°. So a filter gains {number(result.commanded.value - recent.value, 2)}° from "
-        "measured pressures over commanded ones as its input, which is little. What it draws beside that from how "
-        "motion changes the pressures was not measured here: their units are not known."
+        "measured pressures over commanded ones as its input, which is little."
     )
 
 

@@ -18,12 +18,6 @@ _SIGNS = ("𝕀", "𝕄", "ℚ")
 COMPARED_S = 62.0
 """The part of the profile that models are compared over [s]: up to here it has been at all its extremes."""
 
-OFFLINE = (
-    "All of our rows are offline, over recordings of many virtual rigs; the paper's are of one online run on its rig. "
-    "Live and replayed estimates are the same bits here, so offline rows differ from online ones in rig and noise only."
-)
-"""A remark on both tables."""
-
 
 @dataclass(frozen=True)
 class Model:

@@ -118,20 +118,6 @@ def alone_table(done: Sequence[Mapping[str, Any]]) -> Table:
     return Table(("model alone", *map(_short, names)), rows)
 
 
-def sentences(done: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Ours beside the best soft sensor without physics, a line for each joint."""
-    known, out = _latest(done), []
-    for joint in _joints(done):
-        ours = known.get((joint, "after"), {}).get("alone_deg" if joint == ARM else "rmse_deg")
-        others = {peer: known[joint, peer]["rmse_deg"] for peer in CURVES[:4] if (joint, peer) in known}
-        if ours and others:
-            best = min(others, key=lambda peer: others[peer])
-            what = "our model, driven by the measured pressures," if joint == ARM else "our filter"
-            out.append(f"* {_short(joint).replace('the ', 'The ')}: the best without physics ({_WORDS[best]}) errs by "
-                       f"{number(others[best])}°, {what} by {number(ours)}°.")  # fmt: skip
-    return out
-
-
 def said_table(done: Sequence[Mapping[str, Any]]) -> Table:
     """What close_loop said."""
     known = _latest(done)
@@ -169,7 +155,7 @@ def texts(done: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def write(done: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the page, and its figure into a folder of the page's name beside it."""
-    lines = [_TEXT, *markdown(sensors_table(done)), "", *sentences(done), ""]
+    lines = [_TEXT, *markdown(sensors_table(done)), ""]
     lines += ["## The model alone", "", "Free runs from voltages or commands; of the arm, from the measured pressures.",
               "PySINDy (polynomials of second degree) and the Gaussian process are fitted to the rates of velocity and",
               "pressures that a step of 10 ms of the identified model leaves.", "",
