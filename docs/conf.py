@@ -16,31 +16,27 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 NAVIGATION = {
-    "Tutorial": ["tutorials/first_hour", "tutorials/your_own_rig"],
-    "How-to guides": [
+    "Tutorials": ["tutorials/first_hour", "tutorials/your_own_rig"],
+    "How-to: a rig and its recordings": [
         "how-to/your_rig",
         "how-to/commission",
         "how-to/excite",
-        "how-to/check",
+        "how-to/recording",
         "how-to/import_csv",
-        "how-to/regulators",
+        "how-to/check",
         "how-to/static",
-        "how-to/identify",
-        "how-to/close_loop",
+    ],
+    "How-to: find the model": ["how-to/identify", "how-to/close_loop", "how-to/regulators"],
+    "How-to: connect and control": [
         "how-to/hardware",
         "how-to/driver",
         "how-to/references",
         "interaction",
         "how-to/ros2_control",
         "how-to/several_joints",
-        "how-to/safety",
-        "how-to/recording",
-        "how-to/watch",
-        "how-to/tools",
-        "how-to/security",
-        "how-to/machines",
-        "how-to/troubleshooting",
     ],
+    "How-to: watch and keep it safe": ["how-to/safety", "how-to/watch", "how-to/tools", "how-to/security"],
+    "How-to: machines and problems": ["how-to/machines", "how-to/troubleshooting", "release"],
     "Reference": [
         "reference/commands",
         "reference/nodes",
@@ -58,7 +54,6 @@ NAVIGATION = {
         "explanation/identification",
         "explanation/close_loop",
         "architecture",
-        "release",
     ],
     "Evidence": [
         "evidence/sealed_joint",
@@ -75,7 +70,6 @@ NAVIGATION = {
         "faults",
         "evidence/speed",
         "performance",
-        "soak",
         "evidence/security",
     ],
 }
@@ -89,8 +83,7 @@ exclude_patterns = [
     "layouts.py",
     "release.py",
     "demo_picture.py",
-    "commission_pictures.py",
-    "evidence/step_speed.py",
+    "tutorial_pictures.py",
 ]
 html_theme = "furo"
 html_static_path = ["_static"]

@@ -27,6 +27,8 @@ from validation.__main__ import COMMANDS as MEASUREMENTS
 ROOT = Path(__file__).resolve().parents[1]
 SCHEMA = ROOT / "config" / "rig.schema.json"
 MARKED = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_ELSEWHERE = ("muscle_2", "valve_2", "effects")
+"""Entries of a rig file that are like others, or on the page of the effects."""
 NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller, "joints": joints}
 MESSAGES = ROOT / "pam_antagonist_msgs"
 
@@ -78,31 +80,42 @@ def topics() -> str:
 
 
 def messages() -> str:
-    """The message and service files as they are."""
-    files = [*sorted((MESSAGES / "msg").glob("*.msg")), *sorted((MESSAGES / "srv").glob("*.srv"))]
-    return "\n".join(f"### {file.stem}\n\n```text\n{file.read_text(encoding='utf-8').strip()}\n```\n" for file in files)
+    """Each message and service: its file, and the first sentence of it."""
+    rows = []
+    for file in [*sorted((MESSAGES / "msg").glob("*.msg")), *sorted((MESSAGES / "srv").glob("*.srv"))]:
+        comment = file.read_text(encoding="utf-8").split("\n\n")[0].replace("\n#", "")
+        first = re.split(r"(?<=\.) ", comment.removeprefix("# "))[0]
+        rows.append(f"* [`{file.name}`](../../{file.relative_to(ROOT)}): {first[0].lower()}{first[1:]}")
+    return "\n".join(rows) + "\n"
 
 
 def parameters() -> str:
-    """A table of parameters a node."""
+    """Tables of the parameters that the same nodes have."""
+    tables = {name: (*module.PARAMETERS, AUTOSTART, DIAGNOSTICS_PERIOD) for name, module in NODES.items()}
+    shared: dict[tuple[str, ...], list[Parameter]] = {}
+    for entry in (entry for table in tables.values() for entry in table):
+        names = tuple(name for name, table in tables.items() if entry in table)
+        if entry not in shared.setdefault(names, []):
+            shared[names].append(entry)
+
+    def row(entry: Parameter) -> str:
+        text = entry.description.replace("|", "/") + ("" if entry.read_only else "; may change while the node runs")
+        allowed = re.sub(r"^(a number from|an integer from|one of) ", "", entry.expected)
+        return f"| `{entry.name}` | `{entry.default}` | {allowed} | {text} |"
+
     parts = []
-    for name, module in NODES.items():
-        table: tuple[Parameter, ...] = (*module.PARAMETERS, AUTOSTART, DIAGNOSTICS_PERIOD)
-        rows = [
-            f"| `{entry.name}` | `{entry.default}` | {entry.expected} | {entry.description.replace('|', '/')}"
-            f"{'' if entry.read_only else '; may change while the node runs'} |"
-            for entry in table
-        ]
-        parts.append(f"### {name}\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n" + "\n".join(rows))
+    for names, entries in sorted(shared.items(), key=lambda item: -len(item[0])):
+        rows = "\n".join(map(row, entries))
+        parts.append(f"### {', '.join(names)}\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n{rows}")
     return "\n\n".join(parts) + "\n"
 
 
 def rig_fields() -> str:
-    """Every entry of a rig file by its dotted path."""
+    """Every entry of a rig file by its dotted path; those of effects have a page of their own."""
     schema = rig_json_schema()
     rows: list[str] = []
     _walk("", schema, schema["$defs"], rows)
-    return "\n".join(["| entry | allowed | default | meaning |", "|---|---|---|---|", *rows, ""])
+    return "\n".join(["| entry | allowed | meaning |", "|---|---|---|", *rows, ""])
 
 
 def _walk(prefix: str, node: dict[str, Any], defs: dict[str, Any], rows: list[str]) -> None:
@@ -112,12 +125,14 @@ def _walk(prefix: str, node: dict[str, Any], defs: dict[str, Any], rows: list[st
             if "$ref" in reference:
                 inner = defs[reference["$ref"].rsplit("/", 1)[1]]
         path = f"{prefix}{key}"
+        if path in _ELSEWHERE:
+            continue
         if inner.get("properties"):
             _walk(f"{path}.", inner, defs, rows)
         else:
-            default = "" if "default" not in entry else f"`{json.dumps(entry['default'])}`"
+            default = "" if "default" not in entry else f"; `{json.dumps(entry['default'])}`"
             meaning = (entry.get("description") or inner.get("description") or "").replace("|", "/")
-            rows.append(f"| `{path}` | {_allowed(entry)} | {default} | {meaning} |")
+            rows.append(f"| `{path}` | {_allowed(entry)}{default} | {meaning} |")
 
 
 def _allowed(entry: dict[str, Any]) -> str:

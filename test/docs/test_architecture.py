@@ -35,6 +35,14 @@ def test_it_names_the_steps_of_both_ways() -> None:
     }
 
 
+def test_files_of_the_first_table_exist() -> None:
+    table = pages.read(PAGE).split("## Where to change what")[1].split("\n## ")[0]
+    named = re.findall(r"`((?:\w+/)+\w*(?:\.py)?)`", table)
+    assert len(named) > 25
+    for path in named:
+        assert (ROOT / "pam_antagonist" / path).exists() or (ROOT / path).exists() or "NAME" in path, path
+
+
 def test_every_folder_of_the_package_stands_in_the_table() -> None:
     there = {path.name for path in (ROOT / "pam_antagonist").iterdir() if (path / "__init__.py").is_file()}
     table = pages.read(PAGE).split("## What is where")[1].split("\n## ")[0]

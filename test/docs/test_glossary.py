@@ -48,7 +48,7 @@ def _fields(kind: Any) -> set[str]:
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_names_in_the_code_exist(row: list[str]) -> None:
-    term, _, _, meaning, code = row
+    term, meaning, code = row
     assert term and meaning
     (name,) = re.findall(r"`([^`]+)`", code)
     resolved(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pkgutil
 import re
 import runpy
 import subprocess
@@ -21,6 +22,13 @@ def test_every_page_is_in_the_navigation() -> None:
     listed = [f"{page}.md" for part in navigation.values() for page in part]
     there = [page.relative_to(DOCS).as_posix() for page in pages.PAGES if DOCS in page.parents]
     assert sorted([*listed, "index.md"]) == sorted(there)
+
+
+def test_every_name_of_the_python_api_exists() -> None:
+    names = re.findall(r"^\.\. auto\w+:: ([\w.]+)$", pages.read(DOCS / "reference" / "api.md"), re.MULTILINE)
+    assert len(names) > 20
+    for name in names:
+        pkgutil.resolve_name(name)
 
 
 @pytest.mark.slow

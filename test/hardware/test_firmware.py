@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import struct
-import zlib
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.hardware import cobs, protocol
+from pam_antagonist.hardware import protocol
 from pam_antagonist.hardware.firmware import Firmware, Readings, Settings
 from pam_antagonist.hardware.frames import FrameReader, frame
 from pam_antagonist.hardware.protocol import Command, Goodbye, Hello, Result, Status, Telemetry, Welcome
@@ -287,17 +285,3 @@ def test_damaged_frames_are_counted_and_told() -> None:
     telemetry = bench.tick()
     assert telemetry is not None and telemetry.damaged >= len(good) - 1
     assert bench.firmware.voltage == SAFE
-
-
-def test_it_can_be_followed_by_hand() -> None:
-    """The bytes of a hello and a command, put together without the code that is tested."""
-
-    def by_hand(payload: bytes) -> bytes:
-        return cobs.encode(payload + struct.pack("<I", zlib.crc32(payload))) + b"\0"
-
-    firmware = Firmware()
-    firmware.receive(by_hand(struct.pack("<BBHfffff", 1, 1, 9, 5.0, 5.0, 5.0, 5.0, 0.0)), 0)
-    firmware.tick(1000, READINGS)
-    firmware.receive(by_hand(struct.pack("<BHHHff", 4, 9, 1, 0, 7.5, 2.5)), 1500)
-    firmware.tick(2000, READINGS)
-    assert firmware.voltage == (7.5, 2.5)

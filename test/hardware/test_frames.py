@@ -86,18 +86,6 @@ def test_no_bytes_are_taken_for_a_frame(noise: list[bytes]) -> None:
 
 @settings(max_examples=300)
 @given(payloads, st.data())
-def test_a_frame_that_is_cut_is_not_taken(payload: bytes, data: st.DataObject) -> None:
-    whole = frame(payload)
-    begin = data.draw(st.integers(0, len(whole) - 1))
-    end = data.draw(st.integers(begin, len(whole) - 1))
-    reader = FrameReader()
-    if (begin, end) != (0, len(whole) - 1):
-        assert reader.feed(whole[begin:end] + b"\0") == []
-        assert reader.feed(frame(b"next")) == [b"next"]
-
-
-@settings(max_examples=300)
-@given(payloads, st.data())
 def test_a_frame_with_damaged_bits_is_not_taken(payload: bytes, data: st.DataObject) -> None:
     whole = bytearray(frame(payload))
     for place in data.draw(st.sets(st.integers(0, 8 * len(whole) - 1), min_size=1, max_size=6)):

@@ -1,4 +1,4 @@
-"""A device kept going: with doubles of hardware, one of them the DAQ card of docs/how-to/driver.md."""
+"""A device kept going: with doubles of hardware, one of them the DAQ card of examples/drivers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pam_antagonist.hardware.transport import DeviceLost
 from pam_antagonist.safety import SafeAction
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-DRIVER, PROTOCOL = DOCS / "how-to" / "driver.md", DOCS / "reference" / "protocol.md"
+DRIVER, PROTOCOL = DOCS.parent / "examples" / "drivers" / "daq_card.py", DOCS / "reference" / "protocol.md"
 MS = 1_000_000
 ACTION = SafeAction((5.0, 5.25))
 WANTED = Wanted(MS, 0.0, 10.0, ACTION)
@@ -197,7 +197,7 @@ def test_a_defect_is_not_swallowed_with_the_thread() -> None:
     assert device.closed
 
 
-# ----------------------------------------------------------------------------------------- docs/how-to/driver.md
+# ----------------------------------------------------------------------------------------- examples/drivers
 
 
 class Card:
@@ -225,9 +225,8 @@ class Card:
 
 
 def test_daq_card_of_the_documentation_works(tmp_path: Path) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", DRIVER.read_text(encoding="utf-8"), re.DOTALL)
     names: dict[str, Any] = {}
-    exec(compile(code, str(DRIVER), "exec"), names)
+    exec(compile(DRIVER.read_text(encoding="utf-8"), str(DRIVER), "exec"), names)
     cards: list[Card] = []
 
     def open_card() -> Card:

@@ -98,14 +98,6 @@ def test_a_braided_muscle_is_its_published_form_and_never_pushes(rig: Rig) -> No
             assert expected > 0.0
 
 
-def test_a_braided_muscle_pulls_more_with_pressure_and_length(rig: Rig) -> None:
-    p, outside = braided(rig), rig.atmosphere.pressure
-    lengths, pressures = np.linspace(0.13, 0.175, 40), outside + np.linspace(0.0, 6e5, 40)
-    force = np.array([[muscle.force(1, length, pressure, p) for pressure in pressures] for length in lengths])
-    assert np.all(np.diff(force, axis=0) > 0.0)
-    assert np.all(np.diff(force, axis=1) > 0.0)
-
-
 def test_slope_of_a_braided_muscle_is_that_of_its_force(rig: Rig) -> None:
     p = braided(rig)
     for length in (0.14, 0.165, 0.1683, 0.174):

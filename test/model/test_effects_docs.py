@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model.effects import CATALOGUE, AddedState, EffectParameter
-from pam_antagonist.model.effects.page import page
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects.hooks import HOOKS, QUANTITIES
+from pam_antagonist.model.effects.page import hooks, page
 from pam_antagonist.model.effects.registry import catalogue
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,31 +41,25 @@ def test_a_section_for_each_effect_in_the_catalogue_s_order():
 def test_words(name):
     effect, section = CATALOGUE[name], SECTIONS[name]
     assert effect.meaning in section
-    assert f"*Source* {effect.source}." in section
     assert f"*Signature* {effect.signature}" in section
     assert "```math" in section
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_parameters(name):
-    def row(item: EffectParameter) -> list[str]:
-        numbers = [f"{value:g}" for value in (item.neutral, item.low, item.high)]
-        return [f"`{item.name}`", item.unit, *numbers, item.meaning]
+def test_every_number_and_every_state_is_there(name):
+    effect, section = CATALOGUE[name], SECTIONS[name]
+    shown = {word: row for row in table(section, "parameter") for word in re.findall(r"`(\w+)`", row[0])}
+    assert list(shown) == [item.name for item in effect.parameters]
+    states = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\*State\* (.*?) \$", section, re.MULTILINE)))
+    assert states == [item.name for item in effect.states]
+    for item in effect.parameters:
+        allowed = f"{item.low:g} to {item.high:g} {item.unit.replace('-', '')}".rstrip()
+        assert shown[item.name][2:4] == [f"{item.neutral:g}", allowed]
 
-    shown = [[cells[0], *cells[2:]] for cells in table(SECTIONS[name], "parameter")]
-    assert shown == [row(item) for item in CATALOGUE[name].parameters]
 
-
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_states(name):
-    def row(state: AddedState) -> list[str]:
-        noise = f"`{state.noise}`" if isinstance(state.noise, str) else f"{state.noise:g}"
-        switches = " or ".join(f"`{name}`" for name in (state.switch, *state.further))
-        return [f"`{state.name}`", state.unit, switches, f"{state.initial_std:g}", noise]
-
-    shown = [[cells[0], *cells[2:]] for cells in table(SECTIONS[name], "added state")]
-    assert shown == [row(state) for state in CATALOGUE[name].states]
-    assert bool(shown) != ("No added state." in SECTIONS[name])
+def test_what_a_sealed_joint_shows():
+    paragraph = TEXT.split("**A sealed joint**")[1].split("\n\n")[0]
+    assert set(re.findall(r"`(\w+)`", paragraph)) == {name for name, item in CATALOGUE.items() if item.sealed.part}
 
 
 def test_the_page_is_up_to_date():
@@ -77,9 +72,14 @@ def test_files_that_it_names_are_there():
         assert (ROOT / path).is_file(), name
 
 
+def test_hooks_and_quantities_are_listed():
+    text = hooks()
+    assert all(f"| `{name}` |" in text for name in (*HOOKS, *QUANTITIES))
+
+
 def test_a_page_without_its_marks_is_refused():
-    with pytest.raises(BadInput, match="expected one part between <!-- begin hooks -->"):
-        page(TEXT.replace("<!-- begin hooks -->", ""), CATALOGUE)
+    with pytest.raises(BadInput, match="expected one part between <!-- begin effects -->"):
+        page(TEXT.replace("<!-- begin effects -->", ""), CATALOGUE)
 
 
 def test_a_loop_of_a_sealed_joint_names_parameters_of_its_effect() -> None:

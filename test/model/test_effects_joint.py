@@ -42,11 +42,6 @@ def loop_of(rate_scale, amplitude=5e-3, cycles=3, points=4000):
     return length[-points - 1 :], z[-points - 1 :]
 
 
-@pytest.fixture
-def p_loop(rig):
-    return with_effects(rig.parameters(), hysteresis={"amplitude_1": 4.0, "width": WIDTH})
-
-
 def test_the_loop_is_closed_and_bounded():
     length, z = loop_of(1.0)
     assert z[0] == pytest.approx(z[-1], abs=1e-6)
@@ -58,28 +53,6 @@ def test_the_loop_is_closed_and_bounded():
 def test_the_loop_does_not_depend_on_the_speed():
     slow, fast = loop_of(1.0)[1], loop_of(1024.0)[1]
     assert np.array_equal(slow, fast)
-
-
-def test_an_idle_muscle_keeps_its_loop():
-    assert loop_rate(WIDTH, 0.0, 0.7) == 0.0
-    for z in (-1.0, 1.0):
-        assert loop_rate(WIDTH, z * 0.1, z) == 0.0, "saturated: it cannot grow on"
-        assert loop_rate(WIDTH, -z * 0.1, z) * z < 0.0
-
-
-def test_a_muscle_pulls_harder_while_it_is_lengthened(p_loop):
-    """z goes to +1 with growing length: the force opposes the motion both ways, by the amplitude."""
-    length, z = loop_of(1.0)
-    middle = np.abs(length) < 1e-4
-    up = np.gradient(length) > 0.0
-    # From its bound it comes to zero over one width, and goes on as an exponential of the rest of half a stroke.
-    expected = 1.0 - math.exp(-(5e-3 / 2e-3 - np.abs(z).max()))
-    assert z[middle & up].mean() == pytest.approx(expected, abs=0.01)
-    assert z[middle & ~up].mean() == pytest.approx(-expected, abs=0.01)
-    straight = dynamics.forces(np.array([0.0, 0.0, 4e5, 4e5, 0.0]), p_loop)
-    bent = dynamics.forces(np.array([0.0, 0.0, 4e5, 4e5, 1.0]), p_loop)
-    assert bent[0] == straight[0] + 4.0
-    assert bent[1] == straight[1], "muscle 2 has no loop here"
 
 
 def pushed(p, peak, period=4.0):
@@ -125,26 +98,6 @@ def test_creep_is_a_share_of_a_step_that_comes_late(rig):
     assert other == pytest.approx([paper.force(T, 2, T["L_0"], 450e3)] * 11, rel=1e-9)
 
 
-def test_creep_of_the_tube_is_of_its_length_and_not_of_the_pressure(rig):
-    """A stiffness that relaxes: a locked joint's force follows its pressure at once, a moved one's comes back late."""
-    stiffness, time = 150.0, 2.0
-    p = with_effects(rig.parameters("locked", changes=SHUT), creep={"stiffness": stiffness, "time": time})
-    u = np.array([5.5, 5.5])
-    x = equilibrium.initial_state(0.0, 450e3, 450e3, u, p)
-    x[2] = 600e3
-    assert dynamics.forces(x, p)[0] == pytest.approx(paper.force(T, 1, T["L_0"], 600e3), rel=1e-12)
-    # The same joint held elsewhere: muscle 1 is shorter and pulls less by κ Δl, until the tube has given way.
-    x = equilibrium.initial_state(0.0, 450e3, 450e3, u, p)
-    x[0] = 0.2
-    states, _, _ = integration.simulate(x, np.tile(u, (6001, 1)), p, DT, 1)
-    for i in (1, 2):
-        l_i = paper.length(T, i, 0.2)
-        full = paper.force(T, i, l_i, 450e3)
-        force = np.array([dynamics.forces(state, p)[i - 1] for state in states])
-        expected = full + stiffness * (l_i - T["L_0"]) * np.exp(-DT * np.arange(6001) / time)
-        assert force == pytest.approx(expected, rel=1e-9)
-
-
 # Load
 
 
@@ -187,21 +140,6 @@ def test_the_stick_band_is_wider_by_what_is_added_at_rest(rig, coulomb, stribeck
         assert not stands(p, way * 1.02 * band)
 
 
-def test_stribeck_fades_with_the_velocity(rig):
-    """Sliding, the joint decelerates by c + d exp(−|ψ̇|/v) over the inertia more."""
-    velocity, base = 0.3, held(rig)
-    p = with_effects(base, friction={"coulomb": 0.02, "stribeck": 0.06, "velocity": velocity})
-    dx, without = np.empty(4), np.empty(4)
-    z = T["T_stp"] / T["J"]
-    for speed in (3.0, -3.0, 0.5, -8.0):
-        x = np.array([0.0, speed, 450e3, 450e3])
-        dynamics.derivative(x, np.array([5.5, 5.5]), p, dx)
-        dynamics.derivative(x, np.array([5.5, 5.5]), base, without)
-        added = 0.02 + 0.06 * math.exp(-abs(speed) / velocity)
-        lost = math.copysign(added, speed) / (T["J"] * (1.0 + z * T["c_s"]))
-        assert dx[1] - without[1] == pytest.approx(-lost, rel=1e-9)
-
-
 def test_friction_below_none_is_none(rig):
     p = with_effects(held(rig), friction={"coulomb": -0.5})
     assert not stands(p, 1e-3)
@@ -230,25 +168,6 @@ def test_a_known_push_and_an_estimated_one_move_alike(rig):
     assert dynamics.torque(known[800], base) < torque[800] - 0.2
 
 
-def test_the_state_stays_what_it_is_without_a_measurement(rig):
-    p = with_effects(rig.parameters(), external_torque={"noise": 0.1})
-    states, _, _ = integration.simulate(
-        np.array([0.0, 0.0, 450e3, 450e3, 0.2]), np.tile([5.5, 5.5], (500, 1)), p, DT, 1
-    )
-    assert np.all(states[:, 4] == 0.2)
-
-
-def test_a_locked_joint_does_not_feel_a_push(rig):
-    p = rig.parameters("locked")
-    voltage = np.tile([5.8, 5.2], (500, 1))
-    pushed_on = np.column_stack([voltage, np.full(500, 0.7)])
-    x = np.array([0.0, 0.0, 450e3, 450e3])
-    for one, other in zip(
-        integration.simulate(x, voltage, p, DT, 1), integration.simulate(x, pushed_on, p, DT, 1), strict=True
-    ):
-        assert np.array_equal(one, other)
-
-
 # Warming up
 
 
@@ -264,21 +183,6 @@ def test_a_muscle_loses_its_share_of_the_gauge_pressure_s_force(rig):
         slope = (paper.force(T, 1, l_1, 500e3) - paper.force(T, 1, l_1, 400e3)) / 100e3
         assert base[0] - warm[0] == pytest.approx(share * slope * (pressure - 101.3e3), abs=1e-9)
         assert warm[1] == base[1], "muscle 2 does not drift here"
-
-
-def test_it_warms_from_the_start_on_with_its_time_constant(rig):
-    time = 6.0
-    p = with_effects(rig.parameters("locked"), warm_up={"share_1": 0.1, "share_2": -0.05, "time": time})
-    voltage = np.full((30_001, 2), 5.5)
-    start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
-    assert start[4] == 0.0
-    states, torque, _ = integration.simulate(start, voltage, p, DT, 1)
-    assert states[:, 4] == pytest.approx(1.0 - np.exp(-DT * np.arange(len(states)) / time), abs=1e-9)
-    base, steady, _ = integration.simulate(start[:4], voltage, rig.parameters("locked"), DT, 1)
-    assert np.array_equal(states[:, :4], base), "the pressures of a locked joint do not feel it"
-    v_1, v_2 = ((paper.force(T, i, T["L_0"], 500e3) - paper.force(T, i, T["L_0"], 400e3)) / 100e3 for i in (1, 2))
-    lost = 0.1 * v_1 * (states[-1, 2] - 101.3e3) + 0.05 * v_2 * (states[-1, 3] - 101.3e3)
-    assert torque[-1] - steady[-1] == pytest.approx(-T["r"] * lost * states[-1, 4], rel=1e-6)
 
 
 # Slack

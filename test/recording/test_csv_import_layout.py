@@ -7,10 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from csv_files import HEADER, ROWS, Lab, table
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import csv_table
 
 EXPECTED = np.array([row[1:3] for row in ROWS]) * 1e3
@@ -221,26 +218,3 @@ def test_progress_adds_up_to_the_file(lab: Lab) -> None:
     csv_table.read_table(lab.csv, csv_table.Layout(), {"pressure_1": "p1"}, seen.append)
     assert sum(seen) == lab.csv.stat().st_size
     assert len(seen) == 3 and min(seen) > 0
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
-@given(
-    text=st.text(alphabet=st.sampled_from('tpu12 ,;\t"\n\r.#-+eE0\u00e9\u2028naN'), max_size=120), header=st.booleans()
-)
-def test_any_text_is_read_or_refused_in_one_line(lab: Lab, text: str, header: bool) -> None:
-    lab.text((NAMES if header else "") + BODY + text)
-    try:
-        recording = lab.read()
-    except BadInput as error:
-        assert "\n" not in str(error).strip()
-    else:
-        assert np.all(np.diff(recording.stamp_ns) > 0)
-        assert np.nanmin(recording.pressure) >= 80e3
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
-@given(content=st.binary(max_size=200))
-def test_any_bytes_are_refused(lab: Lab, content: bytes) -> None:
-    lab.csv.write_bytes(content)
-    with pytest.raises(BadInput):
-        lab.read()

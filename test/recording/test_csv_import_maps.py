@@ -8,8 +8,6 @@ from typing import Any
 import pytest
 import yaml
 from csv_files import MAP, Lab
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.csv_map import example_text, load_map, map_names
@@ -169,34 +167,3 @@ def test_defaults_of_the_layout_are_those_that_the_example_shows(lab: Lab) -> No
     shown["missing"] = tuple(shown["missing"])
     layout = load_map(lab.map).file
     assert {name: getattr(layout, name) for name in shown} == shown
-
-
-_VALUES = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers(-3, 10**30)
-    | st.floats()
-    | st.sampled_from(["kPa", "t", "V", "gauge", "\0", "ä"]),
-    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from(["unit", "column", "a"]), inner),
-    max_leaves=4,
-)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=120)
-@given(
-    entry=st.sampled_from(["file", "time", "atmosphere", "pressure_1", "valve_2", "angle", "other"]),
-    key=st.sampled_from(["column", "unit", "scale", "offset", "constant", "sealed", "rate", "delimiter", "encoding",
-                         "comment", "missing", "skip_lines", "reference", "pressure", None]),
-    value=_VALUES,
-)  # fmt: skip
-def test_any_entry_is_read_or_refused_in_one_line(lab: Lab, entry: str, key: str | None, value: Any) -> None:
-    content = {name: dict(known) for name, known in MAP.items()}
-    if key is None:
-        content[entry] = value
-    else:
-        content.setdefault(entry, {})[key] = value
-    lab.map.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
-    try:
-        lab.read()
-    except BadInput as error:
-        assert "\n" not in str(error).strip()

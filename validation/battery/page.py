@@ -17,7 +17,6 @@ from validation.battery.draw import LARGE, LEVELS
 from validation.battery.forms import FORMS, SINGLE, UNCATALOGUED
 from validation.battery.forms_uncatalogued import LEFT
 from validation.battery.outcomes import Outcome
-from validation.battery.places import PLACES
 from validation.battery.plants import DURATION
 from validation.battery.remainders import OTHER, VARIATION, Remainder, group_of, is_other
 from validation.battery.scores import Share, confusion, detections, scores
@@ -121,15 +120,17 @@ def remainders_table(found: Mapping[str, Remainder]) -> Table:
     return Table(("effect", "form", "base alone leaves", "remainder", "counts as", "mechanism"), rows)
 
 
-def uncatalogued_table() -> Table:
-    """What is outside of every law, with its place, its arguments, and what the catalogue leaves of it."""
-    rows = []
-    for form in UNCATALOGUED:
-        place, (base, law, name) = PLACES[form.effect], LEFT[form.name]
-        names = (", ".join(f"`{item}`" for item in sorted(part)) for part in place)
-        rows.append((form.name, *names, percent(base), f"{percent(law)} ({name})", form.source))
-    header = ("form", "places, any of", "arguments, any of", "base alone leaves", "with the best law", "mechanism")
-    return Table(header, tuple(rows))
+def _left() -> str:
+    least, most = (limit(law for _, law, _ in LEFT.values()) for limit in (min, max))
+    return f"{100.0 * least:.0f} to {100.0 * most:.0f} %"
+
+
+def _form_counts() -> str:
+    groups = [group_of([form.name]) for form in SINGLE]
+    return (
+        f"Of the {len(groups)} forms {groups.count('variation')} are variations, {groups.count('other')} are other "
+        f"forms, {groups.count('near')} lie between, and {groups.count('no law')} have no law."
+    )
 
 
 def misses_table(run: Run) -> Table:
@@ -245,7 +246,6 @@ def write_page(run: Run, path: Path) -> None:
 
 
 def _page(run: Run, image: str) -> list[str]:
-    header, rows = confusion(run.done)
     seconds = sorted(item.seconds for item in run.done)
     with_law = [item for item in run.done if item.kind in ("single", "pair")]
     others = [item for item in with_law if any(is_other(FORMS[name]) for name in item.form)]
@@ -274,16 +274,7 @@ def _page(run: Run, image: str) -> list[str]:
         "",
         *markdown(figures_table(run)),
         "",
-        "## Detection against size",
-        "",
-        "Right one first, of how many cases. *Found from*: the smallest size from which on it is found in 9 of 10.",
-        "*Another one first up to*: the largest size at which another effect was named first.",
-        "",
-        *markdown(detection_table(run)),
-        "",
         *([image, ""] if image else []),
-        *markdown(intervals_table(run)),
-        "",
         "## Forms",
         "",
         "Each effect is written in forms of its own ([`forms.py`](../validation/battery/forms.py)). The",
@@ -292,29 +283,14 @@ def _page(run: Run, image: str) -> list[str]:
         "what the form did (root mean squares over all channels). Below "
         f"{100.0 * VARIATION:.0f} % a form is a variation of",
         f"the law, reported apart; above {100.0 * OTHER:.0f} % it is truly another form. Pushes have no law.",
+        f"{_form_counts()} `./run battery --out DIR --remainders` lists them, with sources.",
         "",
-        *markdown(remainders_table(run.remainders)),
-        "",
-        "## Outside of every law",
-        "",
-        "Effects from the literature that no law of the catalogue can imitate, drawn by `--uncatalogued`. They were",
-        "written by another hand than the search",
+        f"`--uncatalogued` draws from {len(UNCATALOGUED)} effects of the literature that no law of the catalogue can",
+        f"imitate: the best law leaves {_left()} of what they do. They were written by another hand than the search",
         "([`forms_uncatalogued.py`](../validation/battery/forms_uncatalogued.py)). Places and arguments, which are the",
         "truth for a search, stand in [`places.py`](../validation/battery/places.py).",
         "",
-        *markdown(uncatalogued_table()),
-        "",
-        "## Confusion matrix",
-        "",
-        "Rows: what was there, of any size. Columns: what was found first. In brackets: what is in no catalogue.",
-        "",
-        *markdown(Table(header, rows)),
-        "",
-        "## What was not right",
-        "",
-        "Or right, with something beside it that is not there. The smallest effects are hidden by the noise.",
-        "",
-        *markdown(misses_table(run)),
+        "`DIR` has each case; the command prints the confusion matrix, detection against size, and what was not right.",
         "",
         "Software: " + ", ".join(f"{name} {version}" for name, version in versions().items()) + ".",
         "",

@@ -57,8 +57,7 @@ Whole commissionings of simulated joints that have one effect which their rig fi
 Each joint has its effect in one muscle or one of its numbers, in a size of the battery where its bounds allow: 4, 8 or
 16 noises of a sample, root mean square over a minute. Other parameters are 1 % off the rig file.
 [`commission --unattended --source rehearsal`](how-to/commission.md) takes it from the rig file to control. The effects
-are in the form of the catalogue. An effect in another form is harder, and what [the battery](battery.md) tries. It is
-this package's own simulator; no real joint was commissioned yet.
+are in the form of the catalogue, which is easier than another one. No real joint was commissioned yet.
 
 *Settled after*: steps of the angle of 20° on the estimate, with the rig file and the gains that came out; the slower of
 two, until within 5 % of the step. *Angle's error*: how far the joint itself is off at the end of a step. *Limits kept*:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from pam_antagonist.diagnosis.episode_drift import WINDOWS
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
@@ -13,7 +13,7 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report.identify_episodes import regulators_numbers, regulators_sentences, regulators_table
-from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.report.table import Table, number
 
 _ADDRESS = "https://github.com/ALRhub/action-conditional-rkn"
 _HEAD = """\
@@ -40,19 +40,17 @@ The same report by the commands that a laboratory would type:
 _RULES = """\
 ## What was chosen with these data in view
 
-The form of the model, the candidates, and that friction may go with signals come from a first look at these data. The
-directions in which the force map is fitted were turned until fits from different starts agreed; the errors of later
-episodes were in view then. The rule that an effect removes 5 % of what is left is that of joints with valves. The
-shares that are tried as the last episodes were written down before any error of theirs was seen, but for the smallest
-one, 1/16: it was added when 1/8 had the best forecast, and errors of later episodes were in view. That numbers along
-straight lines stay at their last values behind the fitted episodes was decided with errors of later episodes in view:
-lines that go on err more there. The rule of 1 % of what there was comes from a simulated joint.
+The form of the model, the candidates, and that friction may go with signals come from a first look at these data.
+Errors of later episodes were in view when the directions of the force map were chosen, when the smallest share of last
+episodes (1/16) was added, and when it was decided that numbers along straight lines keep their last values. The rule
+that an effect removes 5 % of what is left is that of joints with valves. The rule of 1 % of what there was comes from a
+simulated joint.
 
 ## What is not shown
 
-Torque in N m, areas and stiffness in N m/rad cannot be told without a torque or an inertia that is known. That
-friction depends on the other joint's pressures is a correlation in recordings of a policy, not an experiment: to hold
-that joint at two pressures would tell.
+Torque in N m, areas and stiffness in N m/rad cannot be known without a torque or an inertia. That friction depends on
+the other joint's pressures is a correlation in recordings of a policy, not an experiment: hold that joint at two
+pressures to find out.
 """
 
 
@@ -83,7 +81,7 @@ class ArmResult:
 def markdown(result: ArmResult) -> str:
     """The page."""
     found = result.found
-    notes = "\n".join(f"- {item.text}" for item in report.findings(found, result.joint))
+    notes = _list(item.text for item in report.findings(found, result.joint))
     all_rows = [found.rows[0], *result.baselines, *found.rows[1:]]
     errors = report.errors_table(_with_rows(found, all_rows))
     trees = (
@@ -91,20 +89,17 @@ def markdown(result: ArmResult) -> str:
         if result.trees
         else f"Boosted trees are left out: scikit-learn is not installed; to get it: {install('compare')}.\n"
     )
-    forecasts = Table(
-        ("Last episodes fitted", "RMSE on those that follow [°]"),
-        tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
-    )
-    values, drift = report.values_table(found, result.joint.rig), report.drift_table(found, result.joint.rig)
+    values = report.values_table(found, result.joint.rig)
     parts = [
         _HEAD.format(address=_ADDRESS), "## What the model lacks", report.verdict(found), notes, "## Errors",
         f"{errors.caption}. Every fit and every choice of the extended model saw the other episodes only. {trees}",
-        _table(errors), "## Candidates", report.tried_table(found).caption + ".", _table(report.tried_table(found)),
+        _table(errors),
         "## Numbers, and their drift",
         "Torques are per inertia; a bar is one of the recording, a quarter of the normalised range.",
-        f"{values.caption}.", _table(values), f"{drift.caption}:", _table(drift),
-        "Fitted to so many of the last episodes, the extended model forecasts those that follow (fitted part only):",
-        _table(forecasts), "## The regulators", _regulators(result), _RULES,
+        f"{values.caption}.", _table(values),
+        "Scores of all candidates, numbers and errors by part of the recording, and forecasts are in `report.html` and "
+        "`report.json`.",
+        "## The regulators", _regulators(result), _RULES,
         f"The command took {result.took:.0f} s.",
     ]  # fmt: skip
     return "\n\n".join(part.strip() for part in parts if part.strip()) + "\n"
@@ -117,16 +112,21 @@ def _with_rows(found: EpisodeDiagnosis, rows: Sequence[Row]) -> EpisodeDiagnosis
 def _regulators(result: ArmResult) -> str:
     table = regulators_table(result.regulators, result.joint.rig)
     recent = result.found.rows[-1].recent or result.found.rows[-1].later
-    said = "\n".join(f"- {text}" for text in regulators_sentences(result.regulators))
+    said = _list(regulators_sentences(result.regulators))
     return (
         f"{table.caption} ([`regulators.py`](../pam_antagonist/identification/regulators.py)). The command is `p_set`. "
         f"`identify` finds the same.\n\n{_table(table)}\n\n{said}\n\n"
         f"With these regulators' pressures in the place of the measured ones, the extended model errs by "
         f"{report.interval(result.commanded)}° on later episodes, with the measured ones by "
         f"{report.interval(recent)}°. So a filter gains {number(result.commanded.value - recent.value, 2)}° from "
-        "measured pressures over commanded ones as its input, which is little. What it draws beside that from how "
-        "motion changes the pressures was not measured here: their units are not known."
+        "measured pressures over commanded ones as its input, which is little."
     )
+
+
+def _list(texts: Iterable[str]) -> str:
+    """What was found; what was tried and left is in ``report.html``, numbers that change are in the table."""
+    left = "is not needed|is left as configured|^These numbers change"
+    return "\n".join(f"- {text}" for text in texts if not re.search(left, text))
 
 
 def _table(table: Table) -> str:

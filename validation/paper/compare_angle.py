@@ -16,7 +16,6 @@ from pam_antagonist.rig import Rig
 from validation.paper import linear
 from validation.paper.comparison import (
     COMPARED_S,
-    OFFLINE,
     Model,
     comparison_figure,
     comparison_table,
@@ -116,7 +115,7 @@ def _linear(work: SeedWork, samples: int) -> dict[str, Any]:
 
 def result(context: Context) -> Result:
     """Put the seeds together."""
-    order = [ranked(context, MODELS, tuning, key) for tuning in TUNINGS for key in ("ratio", "rmse")]
+    order = [ranked(context, MODELS, tuning, "ratio") for tuning in TUNINGS]
     laws = [model.name for model in MODELS if model.paper is not None and model.name != "linear"]
     differ = {}
     for tuning in TUNINGS:
@@ -127,7 +126,6 @@ def result(context: Context) -> Result:
     torque = rig.friction.lever_force * rig.geometry.radius
     findings = (
         *order,
-        OFFLINE,
         "Why: with tuning published the median ℚ of the four laws of friction is within a factor of "
         f"{number(differ['published'])}, with default {number(differ['default'])}. The published Q adds 0.18° to the "
         "angle in each step. This moves the sigma points out of stiction, and the law of friction hardly matters "
@@ -142,8 +140,6 @@ def result(context: Context) -> Result:
         "Two choices favour one side. The plant follows the proposed law of friction (with a hysteresis beside it): "
         "this favours the proposed model. The linear model and the fitted constants come from 60 s of data of the rig "
         "that they are tried on, and the proposed model's parameters do not: this favours the others.",
-        "The 95 % intervals of the other laws of friction do not include the error of the law: the declared "
-        "uncertainties are those of the proposed model's parameters.",
     )
     return Result(
         name="compare_angle",

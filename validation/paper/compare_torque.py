@@ -18,7 +18,6 @@ from pam_antagonist.report.table import MISSING, Table, number
 from validation.paper.bench import static_fits, with_fits
 from validation.paper.comparison import (
     COMPARED_S,
-    OFFLINE,
     Model,
     comparison_figure,
     comparison_table,
@@ -125,7 +124,7 @@ def _beside(context: Context) -> tuple[Beside, ...]:
 
 
 def _findings(context: Context) -> tuple[str, ...]:
-    order = tuple(ranked(context, MODELS, tuning, key) for tuning in TUNINGS for key in ("ratio", "rmse"))
+    order = tuple(ranked(context, MODELS, tuning, "ratio") for tuning in TUNINGS)
     medians = {model.name: context.spread(model.name, "default", "rmse").median for model in MODELS}
     wide = max(medians.values()) / min(medians.values())
     known = {model.name: context.spread(model.name, "default", "rmse").count for model in MODELS}
@@ -136,7 +135,6 @@ def _findings(context: Context) -> tuple[str, ...]:
     ]
     return (
         *order,
-        OFFLINE,
         *(
             [
                 f"Left out where the static test does not determine the coefficients: {', '.join(undetermined)}. A map "

@@ -151,7 +151,7 @@ def document(
 def markdown(
     results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], places: Mapping[str, Sequence[str]]
 ) -> str:
-    """The report as Markdown, for ``docs/paper.md``.
+    """The report as Markdown, for ``docs/paper.md``: numbers beside the paper's, what follows, pictures.
 
     Args:
         results: of the experiments.
@@ -170,34 +170,37 @@ def markdown(
         "",
     ]
     lines += [
-        "`./run paper --out DIR` makes all of it again, with figures to zoom into, in `DIR/report.html`; "
+        "`./run paper --out DIR` makes all of it again. `DIR/report.html` has further tables and figures to zoom into; "
         "`DIR/report.json` holds every number of every seed; `--docs FILE` writes this file and its pictures. Median "
-        "(least … largest) over the virtual rigs throughout.",
+        "(least … largest) over the virtual rigs throughout; ″ stands for the sentence above.",
         "",
     ]
     lines += [*_table(mismatches(scenario, seeds)), ""]
     for result in results:
         lines += [f"## {result.title}", "", result.question, ""]
         if result.beside:
-            lines += [*_table(result.table()), ""]
+            lines += [*_table(_together(beside(result.beside))), ""]
         lines += [f"* {text}" for text in result.findings]
         lines += [""] if result.findings else []
-        for table in result.tables:
-            lines += [f"*{table.caption}*", ""] if table.caption else []
-            lines += [*_table(table), ""]
         for figure, place in zip(result.figures, places[result.name], strict=True):
             alt = re.sub(r"([\[\]\\])", r"\\\1", figure.title)
-            lines += [f"**{figure.title}.** {figure.about}", "", f"![{alt}]({place})", ""]
+            lines += [f"![{alt}]({place})", ""]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _together(table: Table) -> Table:
+    """The same with 𝕀, 𝕄 and ℚ of one quantity in one row."""
+    rows: list[tuple[str, ...]] = []
+    for what, ours, paper, why in table.rows:
+        if rows and why == "″" and what[:-1] == rows[-1][0][: len(what) - 1] and what[-1] in "𝕄ℚ":
+            rows[-1] = (f"{rows[-1][0]}, {what[-1]}", f"{rows[-1][1]}, {ours}", f"{rows[-1][2]}, {paper}", rows[-1][3])
+        else:
+            rows.append((what, ours, paper, why))
+    return Table(table.header, tuple((*cells[:2], re.sub("^–(, –)+$", "–", cells[2]), cells[3]) for cells in rows))
 
 
 def _table(table: Table) -> list[str]:
     def line(cells: Sequence[str]) -> str:
         return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
-    best = table.best or (frozenset[int](),) * len(table.rows)
-    rows = [
-        line([f"**{cell}**" if column in marked else cell for column, cell in enumerate(row)])
-        for row, marked in zip(table.rows, best, strict=True)
-    ]
-    return [line(table.header), line(["---"] * len(table.header)), *rows]
+    return [line(table.header), line(["---"] * len(table.header)), *map(line, table.rows)]

@@ -46,8 +46,7 @@ Ours beside what others would use. This page is written by a command; the record
   that may be fitted; [the arm](../pamy.md): the first two thirds of the episodes.
 * **Held out**: whole recordings of the three laboratories; for the others the last third. All errors are of the angle.
 * Soft sensors without physics get the pressures and what drives the joint, 100 times a second at most; on the arm also
-  the next joint's pressures, and the network the first angle of an episode. They are fitted to recordings of the joint
-  that moves, with its encoder; one that is held makes them worse.
+  the next joint's pressures, and the network the first angle of an episode.
 * The other filters get the rig that `close_loop` found, with its tuning. They lack what ours adds to the covariance:
   the uncertainty of the parameters.
 * *Numbers* are those that were fitted or kept. Processor time is that of the fit and of the held-out samples, on one
@@ -119,20 +118,6 @@ def alone_table(done: Sequence[Mapping[str, Any]]) -> Table:
     return Table(("model alone", *map(_short, names)), rows)
 
 
-def sentences(done: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Ours beside the best soft sensor without physics, a line for each joint."""
-    known, out = _latest(done), []
-    for joint in _joints(done):
-        ours = known.get((joint, "after"), {}).get("alone_deg" if joint == ARM else "rmse_deg")
-        others = {peer: known[joint, peer]["rmse_deg"] for peer in CURVES[:4] if (joint, peer) in known}
-        if ours and others:
-            best = min(others, key=lambda peer: others[peer])
-            what = "our model, driven by the measured pressures," if joint == ARM else "our filter"
-            out.append(f"* {_short(joint).replace('the ', 'The ')}: the best without physics ({_WORDS[best]}) errs by "
-                       f"{number(others[best])}°, {what} by {number(ours)}°.")  # fmt: skip
-    return out
-
-
 def said_table(done: Sequence[Mapping[str, Any]]) -> Table:
     """What close_loop said."""
     known = _latest(done)
@@ -170,11 +155,11 @@ def texts(done: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def write(done: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the page, and its figure into a folder of the page's name beside it."""
-    lines = [_TEXT, *markdown(sensors_table(done)), "", *sentences(done), ""]
+    lines = [_TEXT, *markdown(sensors_table(done)), ""]
     lines += ["## The model alone", "", "Free runs from voltages or commands; of the arm, from the measured pressures.",
               "PySINDy (polynomials of second degree) and the Gaussian process are fitted to the rates of velocity and",
-              "pressures that a step of 10 ms of the identified model leaves.", "", *markdown(alone_table(done)), "",
-              *markdown(said_table(done)), ""]  # fmt: skip
+              "pressures that a step of 10 ms of the identified model leaves.", "",
+              *markdown(alone_table(done)), ""]  # fmt: skip
     figure = curves_figure(done)
     if figure is not None:
         folder = path.with_suffix("")

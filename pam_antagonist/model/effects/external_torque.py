@@ -6,12 +6,11 @@ J\ddot\psi = \tau + d - T_f - k_s\psi,\qquad
 ```
 
 Where nothing shows $d$, its standard deviation grows to $s$ and stays there. Without a declared $s$ it is a random
-walk, whose standard deviation grows for ever. To declare: $s$ is how hard one pushes, and $T$ how long a push lasts, so
-that $\sigma = s\sqrt{2/T}$.
+walk, whose standard deviation grows for ever. $s$ is how hard one pushes, and $T$ how long a push lasts.
 
 Pushes that set in at once are declared by `onset`. An innovation beyond so many standard deviations says that one has
 begun or ended: the filter then lets $d$ be anything within $s$. Noise of two pressures at 1 kHz exceeds 5.5 once an
-hour. $\sigma$ is then only what a push changes by while it lasts.
+hour.
 
 The model alone has $d = 0$; a filter estimates it (`EstimateRun.added["external_torque"]`). Where the torque from
 outside was *measured*, it is an input instead: `u[2]` of `integration.rk4_step`, `external_torque` of `simulate_model`.

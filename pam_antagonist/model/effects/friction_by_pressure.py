@@ -4,9 +4,8 @@ r"""Friction that grows with the joint's own pressures.
 T_c = T_s + T_p + b_1 (P_1 - P_{out}) + b_2 (P_2 - P_{out})\ \ge 0
 ```
 
-in the place of $T_s + T_p$ in (10). A muscle that pulls harder presses its tendon and the shaft harder into what guides
-them. $T_s$ says so of both muscles alike. Here each has a slope of its own. It is a candidate on joints with pressure
-regulators only: the thresholds for joints with valves were set without this effect.
+in the place of $T_s + T_p$ in (10). A muscle that pulls harder presses tendon and shaft harder into their guides. It is
+a candidate on joints with pressure regulators only: the thresholds for joints with valves were set without this effect.
 """
 
 from __future__ import annotations

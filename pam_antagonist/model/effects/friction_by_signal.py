@@ -5,8 +5,8 @@ T_c = T_s + T_p + \sum_k b_k (s_k - \bar s_k)\ \ge 0
 ```
 
 in the place of $T_s + T_p$ in (10). $s_k$ are the further signals that the rig file names (`signals`), in SI units, and
-$\bar s_k$ their values there. Where a signal is not measured, that value is taken. Tendons of a neighbouring joint that
-run through this one press on its guides when that joint's muscles pull.
+$\bar s_k$ their values there. Where a signal is not measured, that value is taken. Tendons of a neighbouring joint may
+press on the guides of this one.
 """
 
 from __future__ import annotations

@@ -4,9 +4,8 @@ r"""A load torque that goes with a signal from outside of the joint, such as ano
 \tau_l = \sum_k c_k (s_k - \bar s_k)
 ```
 
-is added to the torque on the joint. $s_k$ are the further signals that the rig file names (`signals`), in SI units,
-and $\bar s_k$ their values there. Where a signal is not measured, that value is taken. An arm whose next joint bends
-has its weight elsewhere; a tendon that runs through this joint pulls on it.
+is added to the torque on the joint. $s_k$ and $\bar s_k$ are those of `friction_by_signal`. An arm whose next joint
+bends has its weight elsewhere; a tendon that runs through this joint pulls on it.
 """
 
 from __future__ import annotations

@@ -1,13 +1,15 @@
 """The page of the effects, ``docs/effects.md``: a section for each, generated from the catalogue.
 
     python -m pam_antagonist.model.effects.page NAME ...     prints the sections of these effects
+    python -m pam_antagonist.model.effects.page --hooks      prints where an effect may act, and on what it may depend
     python -m pam_antagonist.model.effects.page --write docs/effects.md
 
-The text between a pair of marks ``<!-- begin X -->`` and ``<!-- end X -->`` is generated; the rest is written by hand.
+The text between ``<!-- begin effects -->`` and ``<!-- end effects -->`` is generated; the rest is written by hand.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,9 +20,7 @@ from pam_antagonist.model.effects.hooks import HOOKS, QUANTITIES, Hook
 from pam_antagonist.model.effects.registry import CATALOGUE
 
 _OWN = __package__ or ""
-_NO_STATE = "No added state.\n"
 _AT = {"possible": "may", "needed": "must", "none": "cannot"}
-_PARTS = {"air": "the pressures", "balance": "the torque that the motion needs"}
 
 
 def section(effect: Effect) -> str:
@@ -29,17 +29,13 @@ def section(effect: Effect) -> str:
     if effect.module.startswith(f"{_OWN}."):
         where = f"[`effects/{effect.name}.py`](../{effect.module.replace('.', '/')}.py)"
     law = "" if "```math" in effect.notes else f"*Law* {effect.law}.\n\n"
-    states = _table(("added state", "", "unit", "comes with", "initial std", "noise a √s"), map(_state, effect.states))
-    sealed = effect.sealed
-    usual = {item.name: item.scale for item in effect.parameters}
-    shown = f"shows it in {_PARTS[sealed.part]}" if sealed.part else f"does not show it: {sealed.reason}"
+    parameters = _table(("parameter", "", "neutral", "allowed", "meaning"), map(_parameter, effect.parameters))
+    states = [f"*State* {line}.\n\n" for line in map(_line, _merged(map(_state, effect.states)))]
     return (
-        f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}"
-        + _table(("parameter", "", "unit", "neutral", "from", "to", "meaning"), map(_parameter, effect.parameters))
-        + f"\n{states if effect.states else _NO_STATE}\n"
-        f"*Source* {effect.source}.\n\n*Signature* {effect.signature}\n\n"
-        f"*In a report* {effect.in_words(None, usual)}.\n\n*Which recording shows it* {effect.experiment}.\n\n"
-        f"*A sealed joint* {shown}.\n"
+        f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
+        + "".join(states)
+        + f"*Signature* {effect.signature}\n\n"
+        f"*Recording* {effect.experiment}.\n"
     )
 
 
@@ -51,23 +47,37 @@ def sections(effects: Iterable[Effect]) -> str:
 def page(text: str, catalogue: Mapping[str, Effect]) -> str:
     """A page with its marked parts generated anew."""
     own = [effect for effect in catalogue.values() if effect.module.startswith(f"{_OWN}.")]
+    begin, end = "<!-- begin effects -->\n", "<!-- end effects -->"
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise BadInput(f"page of the effects: expected one part between {begin.strip()} and {end}")
+    before, rest = text.split(begin)
+    return f"{before}{begin}\n{sections(own)}\n{end}{rest.split(end)[1]}"
+
+
+def hooks() -> str:
+    """Where an effect may act, and on what it may depend, in Markdown."""
     titles = ("hook", "at each", "the function returns", "unit", "which the model", "states of the effect")
-    hooks = _table(titles, map(_hook, HOOKS.values()))
-    quantities = _table(("quantity", "unit", ""), ((f"`{n}`", unit, what) for n, (unit, what) in QUANTITIES.items()))
-    for name, content in (("effects", sections(own)), ("hooks", hooks), ("quantities", quantities)):
-        begin, end = f"<!-- begin {name} -->\n", f"<!-- end {name} -->"
-        if text.count(begin) != 1 or text.count(end) != 1:
-            raise BadInput(f"page of the effects: expected one part between {begin.strip()} and {end}")
-        before, rest = text.split(begin)
-        text = f"{before}{begin}\n{content}\n{end}{rest.split(end)[1]}"
-    return text
+    known = ((f"`{name}`", unit, what) for name, (unit, what) in QUANTITIES.items())
+    return _table(titles, map(_hook, HOOKS.values())) + "\n" + _table(("quantity", "unit", ""), known)
 
 
 def _table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     def line(cells: Sequence[str]) -> str:
         return f"|{'|'.join(f' {cell} ' if cell else ' ' for cell in cells)}|\n"
 
-    return line(titles) + f"|{'|'.join('---' for _ in titles)}|\n" + "".join(map(line, rows))
+    return line(titles) + f"|{'|'.join('---' for _ in titles)}|\n" + "".join(map(line, _merged(rows)))
+
+
+def _merged(rows: Iterable[Sequence[str]]) -> Iterable[Sequence[str]]:
+    """Rows that differ by a number only (of the muscle, of the signal) as one, with an ``i`` for the number."""
+    kept: dict[tuple[str, ...], list[Sequence[str]]] = {}
+    for row in rows:
+        number = re.search(r"\d(?=`)", row[0])
+        own = rf"((?<=[_,])|(?<=slope)|(?<=muscle |signal )){number[0]}" if number else r"(?!)"
+        key = tuple(re.sub(own, "i", cell) for cell in row)
+        kept.setdefault(key, []).append(row)
+    for key, same in kept.items():
+        yield same[0] if len(same) == 1 else (", ".join(row[0] for row in same), *key[1:])
 
 
 def _symbol(symbol: str) -> str:
@@ -75,14 +85,19 @@ def _symbol(symbol: str) -> str:
 
 
 def _parameter(item: EffectParameter) -> tuple[str, ...]:
-    numbers = (f"{value:g}" for value in (item.neutral, item.low, item.high))
-    return (f"`{item.name}`", _symbol(item.symbol), item.unit, *numbers, item.meaning)
+    allowed = f"{item.low:g} to {item.high:g} {item.unit.replace('-', '')}".rstrip()
+    return (f"`{item.name}`", _symbol(item.symbol), f"{item.neutral:g}", allowed, item.meaning)
 
 
 def _state(state: AddedState) -> tuple[str, ...]:
     noise = f"`{state.noise}`" if isinstance(state.noise, str) else f"{state.noise:g}"
     switches = " or ".join(f"`{name}`" for name in (state.switch, *state.further))
     return (f"`{state.name}`", _symbol(state.symbol), state.unit, switches, f"{state.initial_std:g}", noise)
+
+
+def _line(row: Sequence[str]) -> str:
+    name, symbol, unit, switches, std, noise = row
+    return f"{name} {symbol} [{unit}], with {switches}: initial std {std}, noise {noise} a √s"
 
 
 def _hook(hook: Hook) -> tuple[str, ...]:
@@ -99,6 +114,9 @@ def main(arguments: Sequence[str]) -> int:
     if arguments[:1] == ["--write"] and len(arguments) == 2:
         file = Path(arguments[1])
         file.write_text(page(file.read_text(encoding="utf-8"), CATALOGUE), encoding="utf-8")
+        return 0
+    if arguments == ["--hooks"]:
+        print(hooks(), end="")
         return 0
     unknown = [name for name in arguments if name not in CATALOGUE]
     if unknown:

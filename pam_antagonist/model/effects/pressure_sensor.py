@@ -6,13 +6,12 @@ y_i = (1 + g_i)\,P_i + o_i + s_i,\qquad
 ```
 
 The filter removes offset and gain from every reading (`sensor.pressure_behind`). The model alone is compared with
-readings (`sensor.reading`). Everything else is in true pressures.
+readings (`sensor.reading`).
 
-The drift $s$ is a slow error of the reading. It comes from the sensor, or from a chamber that warms, creeps or leaks.
-No law gives it: the model alone has $s = 0$, and a filter estimates it. It is a smooth random process (second-order
-Gauss–Markov). White noise $w$ of the density $n^2$ gives it the standard deviation $\sigma = n\,T^{3/2}/2$. With it the
-state `pressure` is the reading with its drift; the chamber's pressure is $P - s$. The valve's flow is taken at the
-reading.
+The drift $s$ is a slow error of the reading. No law gives it: the model alone has $s = 0$, and a filter estimates it.
+It is a smooth random process (second-order Gauss–Markov). White noise $w$ of the density $n^2$ gives it the standard
+deviation $\sigma = n\,T^{3/2}/2$. With it the state `pressure` is the reading with its drift; the chamber's pressure is
+$P - s$. The valve's flow is taken at the reading.
 """
 
 from __future__ import annotations

@@ -65,10 +65,10 @@ EFFECT = Effect(
     parameters=per_muscle("time", "s", 0.0, 0.2, 5e-3, "dead time of the regulator", symbol="T"),
     states=(
         *state_per_muscle(
-            "late_command", "Pa", "time", 500.0, 10.0, symbol="P#^*", rate=passing, steady_value=as_asked,
+            "late_command", "Pa", "time", 500.0, 10.0, symbol="P_#^*", rate=passing, steady_value=as_asked,
             lag=small_signal_lag,
         ),
-        *state_per_muscle("late_command_rate", "Pa/s", "time", 1e4, 1e3, symbol=r"\dot P#^*", rate=approaching),
+        *state_per_muscle("late_command_rate", "Pa/s", "time", 1e4, 1e3, symbol=r"\dot P_#^*", rate=approaching),
     ),
     hooks={"asked_pressure": delayed},
     sentence="the regulator of {muscle} hears its command late (regulator_dead_time)",

@@ -4,8 +4,8 @@ r"""The range of a pressure regulator.
 P_i^* = \min\big(\max(u_i,\, P_\mathrm{min}),\, P_\mathrm{max}\big).
 ```
 
-A command beyond the range is taken for the nearer end. Nodes send none: these are the limits to which commands are
-clamped. A bound of 0 is none.
+A command beyond the range is taken for the nearer end. Nodes clamp their commands to these limits. A bound of 0 is
+none.
 """
 
 from __future__ import annotations

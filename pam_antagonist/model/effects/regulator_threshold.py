@@ -53,7 +53,7 @@ EFFECT = Effect(
         "threshold", "Pa", 0.0, 1e5, 2e3, "reversal of the command that the regulator leaves out", symbol="b"
     ),
     states=state_per_muscle(
-        "regulator_goal", "Pa", "threshold", 500.0, 10.0, symbol="P#^*", rate=following, steady_value=in_the_middle
+        "regulator_goal", "Pa", "threshold", 500.0, 10.0, symbol="P_#^*", rate=following, steady_value=in_the_middle
     ),
     hooks={"asked_pressure": held},
     sentence="the regulator of {muscle} leaves out small reversals of its command (regulator_threshold)",

@@ -6,8 +6,8 @@ F_i \to \tfrac12\left(F_i + \sqrt{F_i^2 + w^2}\right) .
 
 $F_i$ is the whole contraction force, with what other effects add. A muscle is a braided tube, which buckles where it
 should push. Well above the width $w$ nothing changes. At $F_i = 0$ the muscle pulls with $w/2$. Where (6) would push by
-more than $w$, hardly any force is left. A smaller $w$ makes a sharper bend. Without the effect, $w = 0$, the force has
-no bound and may push (see [where it does](explanation/model.md#the-muscle-2-3-6-7)).
+more than $w$, hardly any force is left. Without the effect, $w = 0$, the force has no bound and may push (see [where it
+does](explanation/model.md#the-muscle-2-3-6-7)).
 """
 
 from __future__ import annotations

@@ -4,8 +4,7 @@ r"""Muscles whose strength goes with a signal, such as a temperature.
 F_i \to F_i \left(1 + \sum_k g_k (s_k - \bar s_k)\right)
 ```
 
-for both muscles. $s_k$ are the further signals that the rig file names (`signals`), in SI units, and $\bar s_k$ their
-values there. Where a signal is not measured, that value is taken. A warm rubber tube is softer.
+for both muscles. $s_k$ and $\bar s_k$ are those of `friction_by_signal`. A warm rubber tube is softer.
 """
 
 from __future__ import annotations

@@ -6,8 +6,7 @@ P_{tank} \to P_{tank} + s,\qquad
 m_{in,i} = A_{1i}\,\alpha_i\, q(P_{tank}+s, P_i).
 ```
 
-Air is drawn through the inflow orifice. Its area is $A_{1i}$ also where $A_0$ of (5) is the outflow area: in the steady
-state the net flow is zero, and its sign is random.
+Air is drawn through the inflow orifice, also where $A_0$ of (5) is the outflow area.
 
 A valve of this kind draws $m_{in}$ in the steady state as well, since as much flows out. So the supply does not recover
 completely: it stays low by $cT$ times this flow.

@@ -4,11 +4,11 @@ r"""A valve whose curve is shifted.
 \alpha_i = \min\big(\max(\kappa(u_i - \delta_i) + \rho_i,\, 0),\, 1\big).
 ```
 
-With $\delta_i > 0$ the curve of the rig file moves to the right: the valve needs a voltage that is higher by $\delta_i$
-(`test_effects_air.py`). An offset of the electronics of $-0.2$ V is $\delta = 0.2$ V. With $\rho_i > 0$ the curve moves
-up, within 0 and 1: the zero of spool or seat is displaced, and the valve is further open by $\rho_i$ at every voltage.
-On a straight part of the curve the two look the same, $\rho = -\kappa'\,\delta$. They differ where the slope of the
-curve changes. A valve with a lag (`valve_lag`) follows the shifted curve.
+With $\delta_i > 0$ the curve of the rig file moves to the right: the valve needs a voltage that is higher by
+$\delta_i$. With $\rho_i > 0$ the curve moves up, within 0 and 1: the zero of spool or seat is displaced, and the valve
+is further open by $\rho_i$ at every voltage. On a straight part of the curve the two look the same:
+$\rho = -\kappa'\,\delta$. They differ where the slope of the curve changes. A valve with a lag (`valve_lag`) follows
+the shifted curve.
 """
 
 from __future__ import annotations

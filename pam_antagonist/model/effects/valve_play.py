@@ -7,9 +7,8 @@ v_i \in \left[u_i - \tfrac12 b_i,\; u_i + \tfrac12 b_i\right],\qquad
 ```
 
 $v_i$ is the voltage that the position of the spool stands for. It stays while the command $u_i$ moves within the play.
-Beyond the play it follows the command at a distance of $b_i/2$. A command that goes to and fro by more than $b_i$ opens
-the valve along two branches of the curve, $b_i$ apart. $T$ is the shortest lag that a step of the integration can
-follow, so the speed does not matter. After a long rest the spool is in the middle of its play, $v_i = u_i$. Shift
+Beyond the play it follows the command at a distance of $b_i/2$. $T$ is the shortest lag that a step of the integration
+can follow, so the speed does not matter. After a long rest the spool is in the middle of its play, $v_i = u_i$. Shift
 and lag of the valve (`valve_offset`, `valve_lag`) come after the play.
 """
 

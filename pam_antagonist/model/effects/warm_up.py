@@ -4,11 +4,9 @@ r"""A force map that drifts with running time.
 F_i = F(l_i, P_i) - s_i\, w\,\big(F(l_i, P_i) - F(l_i, P_{out})\big),\qquad \dot w = (1 - w)/T,\qquad w(0) = 0 .
 ```
 
-The muscle loses the share $s_i$ of what the pressure adds to its force. A negative share is a gain. The pressure's part
-is the gauge pressure times a factor of the braid's geometry (Chou and Hannaford 1996). Bladder and braid take some of
-it, and their elasticity and friction change as the muscle warms and is worked in. The force at the atmosphere's
-pressure stays as it was identified. The clock starts with the recording. A muscle that is warm by then does not drift.
-The parts of `hysteresis` and `creep` do not drift.
+The muscle loses the share $s_i$ of what the pressure adds to its force. A negative share is a gain. The force at the
+atmosphere's pressure stays as it was identified. The clock starts with the recording. A muscle that is warm by then
+does not drift. The parts of `hysteresis` and `creep` do not drift.
 """
 
 from __future__ import annotations

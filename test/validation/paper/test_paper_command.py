@@ -85,19 +85,18 @@ def test_every_form_says_that_the_rig_is_virtual(report: Path) -> None:
         assert "the simulator of this package with declared mismatches" in path.read_text(encoding="utf-8"), path
 
 
-def test_markdown_has_every_table(report: Path) -> None:
+def test_markdown_has_the_numbers_beside_the_paper_and_the_report_every_table(report: Path) -> None:
     text = (report / "paper.md").read_text(encoding="utf-8")
     assert text.startswith(page.MARK)
     assert "## Static characteristics" in text and "## Proposition 1" in text
-    tables = [line for line in text.splitlines() if line.startswith("|")]
-    widths = {line.count("|") - line.count("\\|") for line in tables if "muscle 1, p_v1" in line}
-    assert widths == {5}, "a name and three numbers"
+    assert "| Force error of the fitted map" in text and "p_v1" not in text
+    assert "muscle 1, p_v1" in (report / "out/report.html").read_text(encoding="utf-8")
 
 
 def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None:
     assert sorted(path.name for path in report.iterdir()) == ["out", "paper", "paper.md"]
     text = (report / "paper.md").read_text(encoding="utf-8")
-    shown = re.findall(r"^\*\*(.+?)\.\*\* (.+)\n\n!\[(.+)\]\((.+)\)$", text, re.MULTILINE)
+    shown = re.findall(r"^!\[(.+)\]\((.+)\)$", text, re.MULTILINE)
     assert [place for *_, place in shown] == [
         "paper/static_1.png",
         "paper/static_2.png",
@@ -108,8 +107,7 @@ def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None
     html = (report / "out/report.html").read_text(encoding="utf-8")
     captions = [unescape(text) for text in re.findall(r"<figcaption>(.+?)</figcaption>", html)]
     assert [title for title, *_ in shown] == captions
-    assert all(title == alt and about for title, about, alt, _ in shown)
-    assert text.index("influence_1.png") > text.index("| Parameter × 1.5 |") > text.index("static_2.png")
+    assert text.index("influence_1.png") > text.index("## Proposition 1") > text.index("static_2.png")
     for file in (report / "paper").iterdir():
         content = file.read_bytes()
         assert content.startswith(b"\x89PNG") and 5_000 < len(content) < 120_000, file
