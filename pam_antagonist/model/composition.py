@@ -63,7 +63,7 @@ from pam_antagonist._jit import inlined
 from pam_antagonist.model.joint import quickest_lag
 from pam_antagonist.model.muscle import force as static_map
 from pam_antagonist.model.orifice import orifice_flow
-from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECTS, SUPPLY
+from pam_antagonist.model.parameters import ATMOSPHERE, LAWS_PRESENT, SIGNAL, STATELESS_EFFECTS, SUPPLY
 '''
 
 
@@ -73,7 +73,7 @@ class _Writer:
     def __init__(self, effects: Mapping[str, Effect]) -> None:
         self.effects = effects
         self.imports: dict[str, None] = {}
-        self.constants: dict[str, int] = {}
+        self.constants: dict[str, int | str] = {}
         self.functions: list[str] = []
 
     def parameter(self, effect: Effect, item: EffectParameter, of_muscle: bool) -> str:
@@ -105,7 +105,7 @@ class _Writer:
         self.imports[f"from {plain.__module__} import {plain.__name__} as {alias}"] = None
         items = {(item.family if of_muscle else item.name): item for item in effect.parameters}
         states = {(state.family if of_muscle else state.name): state for state in effect.states}
-        known = (*EVERYWHERE, *quantities)
+        known = (*EVERYWHERE, *quantities, *expressions)
         arguments, used, held = [], [], []
         for name in inspect.signature(plain).parameters:
             if (name in items) + (name in states) + (name in known) > 1:
@@ -125,6 +125,15 @@ class _Writer:
                 )
         return f"{alias}({', '.join(arguments)})", used, held
 
+    def table(self, law: int = 1) -> dict[str, str]:
+        """Expressions of the arguments that only functions of effects with tables have, from a law on."""
+        out = {"p": "p", "x": "x", "muscle": "i"}
+        for name, index in par.law_indices(law).items():
+            out[name] = f"{name}_{law}".upper()
+            # numba would compile a function anew for each literal.
+            self.constants[out[name]] = f"np.int64({index})"
+        return out
+
     def hook(self, hook: Hook, before: str = "") -> None:
         """Write the function of a hook. With ``before``, only the effects ahead of the named one act in it."""
         index = ["i"] if hook.of_muscle else []
@@ -133,11 +142,12 @@ class _Writer:
         title = f"{hook.name}_before_{before}" if before else hook.name
         lines = ["@inlined", f"def {title}({', '.join([hook.value, *index, *extra, *within, 'p'])}):"]
         lines.append(f"    value = {hook.value}")
-        stateless_lines, state_lines = [], []
+        stateless_lines, state_lines, table_lines = [], [], []
         ahead = itertools.takewhile(lambda effect: effect.name != before, self.effects.values())
         acting = [effect for effect in ahead if hook.name in effect.hooks]
         for effect in reversed(acting) if hook.name == "sensor_inverse" else acting:
             expressions = {hook.value: "value"} if hook.way == "replaces" else {}
+            expressions |= self.table() if effect.of_tables else {}
             text, used, held = self.call(
                 effect, effect.hooks[hook.name], hook.name, (hook.value, *hook.quantities), hook.of_muscle, expressions
             )
@@ -147,13 +157,15 @@ class _Writer:
                 raise BadInput(f"effect {effect.name!r}: {hook.name}: expected an effect that adds a state")
             change = {"adds": f"value + {text}", "subtracts": f"value - {text}", "replaces": text}[hook.way]
             change = f"max({change}, 0.0)" if hook.floor else change
-            if effect.states and hook.states != "none":
+            if effect.of_tables:
+                table_lines += ["    if p[LAWS_PRESENT] != 0.0:", f"        value = {change}"]
+            elif effect.states and hook.states != "none":
                 state_lines += self._with_states(effect, held, hook.of_muscle, f"value = {change}")
             else:
                 sizes = [item for item in used if item.is_size] or [item for item in effect.parameters if item.is_size]
                 guards = dict.fromkeys(f"{self.parameter(effect, item, hook.of_muscle)} != 0.0" for item in sizes)
                 stateless_lines += [f"if {' or '.join(guards)}:", f"    value = {change}"]
-        stateless = all(not effect.states for effect in acting)
+        stateless = all(not effect.states or effect.of_tables for effect in acting)
         if stateless_lines:
             indent = "    "
             if stateless or hook.states != "none":
@@ -162,7 +174,7 @@ class _Writer:
             lines += [indent + line for line in stateless_lines]
         if state_lines:
             lines += ["    if x is not None:", *(f"        {line}" for line in state_lines)]
-        self.functions.append("\n".join([*lines, "    return value"]))
+        self.functions.append("\n".join([*lines, *table_lines, "    return value"]))
 
     def _with_states(self, effect: Effect, held: Sequence[AddedState], of_muscle: bool, then: str) -> list[str]:
         """Lines that run only if the states are present."""
@@ -199,6 +211,8 @@ class _Writer:
                 held: list[AddedState] = []
                 if function is not None:
                     own = {key: text.format(effect=effect.name) for key, text in expressions.items()}
+                    if effect.of_tables:
+                        own |= self.table(state.law) | {"held": f"x[int({self.slot(state, of_muscle)})]"}
                     text, _, held = self.call(effect, function, where, quantities, of_muscle, own)
                 name = state.family
                 lines += [f"    {name}_at = {self.slot(state, of_muscle)}", f"    if {name}_at > 0.0:"]
@@ -328,6 +342,7 @@ muscle_rates: Any = _composed.muscle_rates
 joint_rates: Any = _composed.joint_rates
 muscle_steady: Any = _composed.muscle_steady
 joint_steady: Any = _composed.joint_steady
+opening: Any = _composed.opening
 small_signal_lags: Any = _composed.small_signal_lags
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def test_parameters(name):
         return [f"`{item.name}`", item.unit, *numbers, item.meaning]
 
     shown = [[cells[0], *cells[2:]] for cells in table(SECTIONS[name], "parameter")]
-    assert shown == [row(item) for item in CATALOGUE[name].parameters]
+    assert shown == ([] if CATALOGUE[name].of_tables else [row(item) for item in CATALOGUE[name].parameters])
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

@@ -33,10 +33,11 @@ def section(effect: Effect) -> str:
     sealed = effect.sealed
     usual = {item.name: item.scale for item in effect.parameters}
     shown = f"shows it in {_PARTS[sealed.part]}" if sealed.part else f"does not show it: {sealed.reason}"
+    numbers = ("parameter", "", "unit", "neutral", "from", "to", "meaning")
+    parameters = "" if effect.of_tables else _table(numbers, map(_parameter, effect.parameters)) + "\n"
     return (
         f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}"
-        + _table(("parameter", "", "unit", "neutral", "from", "to", "meaning"), map(_parameter, effect.parameters))
-        + f"\n{states if effect.states else _NO_STATE}\n"
+        + f"{parameters}{states if effect.states else _NO_STATE}\n"
         f"*Source* {effect.source}.\n\n*Signature* {effect.signature}\n\n"
         f"*In a report* {effect.in_words(None, usual)}.\n\n*Which recording shows it* {effect.experiment}.\n\n"
         f"*A sealed joint* {shown}.\n"
