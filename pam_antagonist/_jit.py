@@ -245,8 +245,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 def in_place(function: Callable[..., Any]) -> Any:
     """A kernel that works only on given arrays, and neither makes nor returns arrays.
 
-    So numba need not count references to arrays, which it does for each row that is taken. Without ``forceinline=False``,
-    numba would inline it wherever an :func:`inlined` function calls it first.
+    So numba need not count references to arrays, which it does for each row that is taken. It says that it is not
+    inlined: numba would else pass ``forceinline`` on to it from an :func:`inlined` function that calls it.
     """
     return _compiled(function, _nrt=False, forceinline=False)
 

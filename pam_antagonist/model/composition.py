@@ -65,7 +65,6 @@ _OWN = {
     **dict.fromkeys(("mass_loss", "muscle_rates", "muscle_steady"), _OF_MUSCLE),
     "open_rate": "(muscle_length, length_rate, wanted_open_rate, wanted_open_rate)",
     "contraction_force": "(muscle_length, length_rate, length_rate, length_rate)",
-    **dict.fromkeys(("coulomb_torque", "joint_torque"), "(joint_angle, joint_angle, joint_angle, joint_angle)"),
     **dict.fromkeys(("joint_rates", "joint_steady"), "(drawn_flow, drawn_flow, drawn_flow, drawn_flow)"),
 }
 """Argument ``own`` of learned laws: what is known where."""
@@ -79,13 +78,13 @@ from pam_antagonist.model.muscle import force as static_map
 from pam_antagonist.model.orifice import orifice_flow
 from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECTS, SUPPLY
 '''
-_NOW = '''FIRST, SECOND = np.int64(0), np.int64(1)
+_NOW = """FIRST, SECOND = np.int64(0), np.int64(1)
 
 
 @in_place
 def now(x, p):
     return x[0], x[1], chamber_pressure(x[2], FIRST, x, p), chamber_pressure(x[3], SECOND, x, p)
-'''
+"""
 
 
 class _Writer:
@@ -201,7 +200,11 @@ class _Writer:
                 indent = "        "
             lines += [indent + line for line in stateless_lines]
         if state_lines:
-            lines += ["    if x is not None:", *(f"        {line}" for line in state_lines)]
+            lines += [
+                "    if x is not None:",
+                "        if x.shape[0] > 4:",
+                *(f"            {line}" for line in state_lines),
+            ]
         if table_lines and within:
             table_lines = ["    if x is not None:", *(f"    {line}" for line in table_lines)]
         # Readings are corrected in the reverse order.

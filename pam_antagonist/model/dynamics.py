@@ -11,6 +11,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model import composition, flow, joint, lever_arm, muscle
 from pam_antagonist.model.parameters import (
+    BASE_STATES,
     INERTIA,
     LOCKED,
     STIFFNESS,
@@ -206,9 +207,7 @@ def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, 
     speed_1 = _length_rate(FIRST, cosine, velocity, p)
     speed_2 = _length_rate(SECOND, cosine, velocity, p)
     supply = p[SUPPLY] if effects is None else _supply_change(p[SUPPLY], None, p)
-    _, rate_1, _, _ = _air(
-        FIRST, alpha_1, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, effects
-    )
+    _, rate_1, _, _ = _air(FIRST, alpha_1, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, effects)
     _, rate_2, _, _ = _air(
         SECOND, alpha_2, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, effects
     )
@@ -264,11 +263,13 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
         )
         consumption += drawn
         dx[PRESSURE_1 + i] = _valve_pressure_rate(rate, i, sensed, chamber, passed, x, p)
-        _muscle_rates(
-            i, angle, velocity, sine, muscle_length, length_rate, u[i], wanted, sensed, chamber, passed, polytropic,
-            rate, x, dx, p,
-        )  # fmt: skip
-    _joint_rates(angle, velocity, sine, consumption, x, dx, p)
+        if x.shape[0] > BASE_STATES:
+            _muscle_rates(
+                i, angle, velocity, sine, muscle_length, length_rate, u[i], wanted, sensed, chamber, passed, polytropic,
+                rate, x, dx, p,
+            )  # fmt: skip
+    if x.shape[0] > BASE_STATES:
+        _joint_rates(angle, velocity, sine, consumption, x, dx, p)
     if p[LOCKED] != 0.0:
         dx[ANGLE] = 0.0
         dx[VELOCITY] = 0.0

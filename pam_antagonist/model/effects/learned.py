@@ -68,8 +68,8 @@ from pam_antagonist.model.effects.base import AddedState, Effect, EffectParamete
 LAWS, NODES = 4, 15
 """The most laws of a rig, and the most nodes of a law."""
 PLACES = {
-    "flow": "kg/s", "leak": "m2", "valve": "-", "sensor": "Pa", "force": "N", "strength": "-", "torque": "N m",
-    "friction": "N m", "exchange": "kg/s", "supply": "-",
+    "flow": "kg/s", "leak": "m2", "exchange": "kg/s", "force": "N", "strength": "-", "valve": "-", "sensor": "Pa",
+    "torque": "N m", "friction": "N m", "supply": "-",
 }  # fmt: skip
 """Places of a law, with the unit of its values. Their codes are 1, 2 and so on, as those of the other tables."""
 OF_JOINT = ("torque", "friction", "exchange", "supply")
@@ -87,7 +87,7 @@ MUSCLES = ("both", "1", "2", "joint")
 """Where a law acts; these codes begin at 0."""
 
 # numba would compile a function anew for each literal.
-FLOW, LEAK, VALVE, SENSOR, FORCE, STRENGTH, TORQUE, FRICTION, EXCHANGE, SUPPLY = map(np.int64, range(1, 11))
+FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, FRICTION, SUPPLY = map(np.int64, range(1, 11))
 JOINT = np.int64(2)
 """Index of the joint, in the place of a muscle's."""
 (
@@ -109,9 +109,9 @@ _LARGEST = 1e12
 _FADE = 2e3
 """[Pa] Difference of pressures within which a flow goes to 0, so that it never turns against it."""
 
-# In all functions, ``law`` is the index in ``p`` of the first law's codes, behind the number of laws; ``muscle`` is 0 or
-# 1, or JOINT; ``now`` is ψ [rad], ψ̇ [rad/s] and the pressures in both muscles [Pa]; ``own`` is of the muscle: length [m],
-# its rate [m/s], open rate that the voltage asks for [-], flow through the valve [kg/s].
+# In all functions, ``law`` is the index in ``p`` of the first law's codes, behind the number of laws; ``muscle`` is 0,
+# 1 or JOINT; ``now`` is ψ [rad], ψ̇ [rad/s] and the pressures in both muscles [Pa]; ``own`` is of the muscle: length and
+# its rate [m, m/s], open rate that the voltage asks for [-], flow through the valve [kg/s].
 
 
 @inlined
@@ -133,7 +133,7 @@ def _tabled(law, argument, p):
 
 
 @inlined
-def _argued(law, muscle, now, own, p):
+def _argued(law, muscle, now, own, p):  # noqa: C901 (a table of cases)
     """What a law depends on, before its operator [SI]; and the distance from its first node to the last one."""
     what = int(p[law + _ARGUMENT])
     angle, velocity, first, second = now
@@ -172,61 +172,82 @@ def _argued(law, muscle, now, own, p):
 
 
 @in_place
-def total(place, muscle, now, own, law, x, p):
-    """Sum of the laws at a place, in its unit."""
-    out = 0.0
+def _sums(place, muscle, now, own, law, x, p):
+    """Sums of the laws at a place and at the two whose codes follow, in their units."""
+    first_sum, second_sum, third_sum = 0.0, 0.0, 0.0
     for k in range(int(p[law - 1])):
         codes = law + k * SIZE
-        if p[codes + _PLACE] == place and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
-            argument, span = _argued(codes, muscle, now, own, p)
-            at = p[codes + STATE + muscle]
-            if p[codes + _OPERATOR] == _NONE:
-                value = _tabled(codes, argument, p)
-                rate = p[codes + _ARGUMENT] == _VELOCITY or p[codes + _ARGUMENT] == _LENGTH_RATE
-                if rate and FORCE <= place <= TORQUE:
-                    # Only against the motion. A muscle pulls: it works against it while it gets longer.
-                    against = -value if place == TORQUE else value
-                    value = value if against * argument >= 0.0 else 0.0
-                out += value
-            elif at > 0.0 and at < x.shape[0]:
+        further = p[codes + _PLACE] - place
+        side = JOINT if p[codes + _MUSCLE] == 3.0 else muscle
+        at = p[codes + STATE + side]
+        acts = p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == side + 1
+        if acts and 0.0 <= further <= 2.0 and at < x.shape[0]:
+            argument, span = _argued(codes, side, now, own, p)
+            entry = argument
+            if at > 0.0:
                 held = x[np.uint64(at)] * span
-                if p[codes + _OPERATOR] >= _HIGH_PASS:
-                    held = argument - held
-                out += _tabled(codes, held, p)
-    return out
+                entry = argument - held if p[codes + _OPERATOR] >= _HIGH_PASS else held
+            value = _tabled(codes, entry, p)
+            if at == 0.0:
+                value = _passive(codes, value, argument, p)
+            if further == 0.0:
+                first_sum += value
+            elif further == 1.0:
+                second_sum += value
+            else:
+                third_sum += value
+    return first_sum, second_sum, third_sum
+
+
+@inlined
+def _passive(law, value, rate, p):
+    """A value that depends on a rate, but 0 where it would drive the motion; others as they are."""
+    of_torque = p[law + _PLACE] == TORQUE
+    if p[law + _ARGUMENT] == _VELOCITY or p[law + _ARGUMENT] == _LENGTH_RATE:
+        if of_torque or p[law + _PLACE] == FORCE or p[law + _PLACE] == STRENGTH:
+            # A muscle pulls: it works against the motion while it gets longer.
+            against = -value if of_torque else value
+            value = value if against * rate >= 0.0 else 0.0
+    return value
 
 
 @in_place
 def _lost_air(chamber_pressure, orifice_flow, now, own, atmosphere, supply_pressure, muscle, law, x, p):
     """Mass flow out of a muscle beside the valve [kg/s]: places ``flow``, ``leak`` and ``exchange``."""
-    flow = total(FLOW, muscle, now, own, law, x, p)
-    left = supply_pressure - chamber_pressure if flow > 0.0 else chamber_pressure - atmosphere
-    lost = max(total(LEAK, muscle, now, own, law, x, p), 0.0) * orifice_flow
-    lost -= flow * min(max(left / _FADE, 0.0), 1.0)
-    flow = total(EXCHANGE, JOINT, now, own, law, x, p)
+    flow, area, passed = _sums(FLOW, muscle, now, own, law, x, p)
     _, _, first, second = now
-    left = first - second if flow > 0.0 else second - first
-    flow = flow * min(max(left / _FADE, 0.0), 1.0)
-    return lost + (flow if muscle == 0 else -flow)
+    left = supply_pressure - chamber_pressure if flow > 0.0 else chamber_pressure - atmosphere
+    drop = first - second if passed > 0.0 else second - first
+    passed = passed * min(max(drop / _FADE, 0.0), 1.0)
+    lost = max(area, 0.0) * orifice_flow - flow * min(max(left / _FADE, 0.0), 1.0)
+    return lost + (passed if muscle == 0 else -passed)
 
 
 @in_place
 def _moved_valve(value, now, own, muscle, law, x, p):
     """Open rate at which a valve stands [-], from the one without laws: place ``valve``."""
-    return min(max(value + total(VALVE, muscle, now, own, law, x, p), 0.0), 1.0)
+    change, _, _ = _sums(VALVE, muscle, now, own, law, x, p)
+    return min(max(value + change, 0.0), 1.0)
 
 
 @in_place
 def _further_force(static_force, passive_force, now, own, muscle, law, x, p):
     """Further contraction force [N]: places ``force`` and ``strength``."""
-    share = total(STRENGTH, muscle, now, own, law, x, p)
-    return total(FORCE, muscle, now, own, law, x, p) + share * (static_force - passive_force)
+    force, share, _ = _sums(FORCE, muscle, now, own, law, x, p)
+    return force + share * (static_force - passive_force)
+
+
+@inlined
+def _of_joint(place, now, law, x, p):
+    """Sum of the laws at a place of the joint: ``torque`` [N m], ``friction`` [N m]."""
+    value, _, _ = _sums(place, JOINT, now, now, law, x, p)
+    return value
 
 
 @inlined
 def _supply_shift(supply_pressure, now, law, x, p):
     """Change of the supply's pressure [Pa]: place ``supply``."""
-    return max(total(SUPPLY, JOINT, now, now, law, x, p), -0.9) * supply_pressure
+    return max(_of_joint(SUPPLY, now, law, x, p), -0.9) * supply_pressure
 
 
 @in_place
@@ -321,8 +342,8 @@ EFFECT = Effect(
         "supply_change": _supply_shift,
         "mass_loss": _lost_air,
         "contraction_force": _further_force,
-        "coulomb_torque": total,
-        "joint_torque": total,
+        "coulomb_torque": _of_joint,
+        "joint_torque": _of_joint,
         "sensor_reading": _shown,
         "sensor_inverse": _pressure_behind,
         "muscle_rates": _rates,
