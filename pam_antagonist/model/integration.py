@@ -15,7 +15,7 @@ from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, 
 from pam_antagonist.model.parameters import BASE_STATES, LAWS_PRESENT, LONGEST_STEP, PLAIN, STOP
 
 STAGES = 4
-"""Stages of a Runge-Kutta step. A step with added states needs scratch of STAGES + 1 rows."""
+"""Stages of a Runge-Kutta step. A step with added states or learned laws needs scratch of STAGES + 1 rows."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _open_rate, _external_torque = flow.open_rate, dynamics.external_torque
