@@ -126,7 +126,8 @@ def _by_default(rig: Rig) -> set[str]:
     names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in _coefficients(rig) if rig.value(f"muscle_{i}.force.{c}")}
     names |= set(_FRICTION[rig.model.friction])
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
-    present = {name for name, item in EFFECT_PARAMETERS.items() if item.is_size and rig.value(name)}
+    sizes = [name for name, item in EFFECT_PARAMETERS.items() if item.is_size and not item.fixed]
+    present = {name for name in sizes if rig.value(name)}
     if rig.drive == "regulator":
         # No air passes a valve of the model. Range, dead zone and largest rate are fitted in a separate step.
         names -= {name for name in _FLOW if name != "gas.polytropic_volume"}

@@ -11,6 +11,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model import composition, flow, joint, lever_arm, muscle
 from pam_antagonist.model.parameters import (
+    BASE_STATES,
     INERTIA,
     LOCKED,
     STIFFNESS,
@@ -129,7 +130,7 @@ def _stopped(angle, velocity, p):
 
 
 @inlined
-def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, x, p, effects):
+def _air(i, alpha, wanted, pressure, chamber, muscle_length, length_rate, supply, x, p, effects):
     """Equations (3) to (5) of one muscle.
 
     Returns:
@@ -137,7 +138,7 @@ def _air(i, alpha, pressure, chamber, muscle_length, length_rate, supply, x, p, 
     """
     volume, volume_slope = _volume(i, muscle_length, p)
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
-    net = passed if effects is None else _mass_loss(passed, i, chamber, x, p)
+    net = passed if effects is None else _mass_loss(passed, i, chamber, muscle_length, length_rate, wanted, x, p)
     polytropic = _pressure_rate(chamber, volume, volume_slope * length_rate, net, p)
     rate = polytropic if effects is None else _cooling(polytropic, i, chamber, x, p)
     return polytropic, rate, passed, drawn
@@ -206,8 +207,10 @@ def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, 
     speed_1 = _length_rate(FIRST, cosine, velocity, p)
     speed_2 = _length_rate(SECOND, cosine, velocity, p)
     supply = p[SUPPLY] if effects is None else _supply_change(p[SUPPLY], None, p)
-    _, rate_1, _, _ = _air(FIRST, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, effects)
-    _, rate_2, _, _ = _air(SECOND, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, effects)
+    _, rate_1, _, _ = _air(FIRST, alpha_1, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, effects)
+    _, rate_2, _, _ = _air(
+        SECOND, alpha_2, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, effects
+    )
     if p[LOCKED] != 0.0:
         return 0.0, 0.0, rate_1, rate_2
     if effects is None:
@@ -254,17 +257,19 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
         spool = _spool_voltage(u[i], i, x, p)
         if spool != u[i]:
             wanted = _open_rate(i, spool, p)
-        alpha = _held_open_rate(wanted, i, x, p)
+        alpha = _held_open_rate(wanted, i, muscle_length, length_rate, x, p)
         polytropic, rate, passed, drawn = _air(
-            i, alpha, sensed, chamber, muscle_length, length_rate, supply, x, p, WITH_EFFECTS
+            i, alpha, wanted, sensed, chamber, muscle_length, length_rate, supply, x, p, WITH_EFFECTS
         )
         consumption += drawn
         dx[PRESSURE_1 + i] = _valve_pressure_rate(rate, i, sensed, chamber, passed, x, p)
-        _muscle_rates(
-            i, angle, velocity, sine, muscle_length, length_rate, u[i], wanted, sensed, chamber, passed, polytropic,
-            rate, x, dx, p,
-        )  # fmt: skip
-    _joint_rates(angle, velocity, sine, consumption, x, dx, p)
+        if x.shape[0] > BASE_STATES:
+            _muscle_rates(
+                i, angle, velocity, sine, muscle_length, length_rate, u[i], wanted, sensed, chamber, passed, polytropic,
+                rate, x, dx, p,
+            )  # fmt: skip
+    if x.shape[0] > BASE_STATES:
+        _joint_rates(angle, velocity, sine, consumption, x, dx, p)
     if p[LOCKED] != 0.0:
         dx[ANGLE] = 0.0
         dx[VELOCITY] = 0.0

@@ -27,8 +27,10 @@ from typing_extensions import override
 
 from pam_antagonist.model import parameters as par
 
-_SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt")
+_SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt", "place", "law")
 """Arguments that are the same in all lanes, whatever function has them."""
+_STRUCTURAL_ARGUMENTS = ("law",)
+"""Arguments that are indices of parameters that are the same in all lanes."""
 _BUILT_IN = ("abs", "min", "max", "range", "int", "float")
 _HEADER = '''"""The equations for lanes; written by pam_antagonist.model.lane_form, which explains it."""
 
@@ -117,7 +119,7 @@ class _Function:
         # Names that have the same value in all lanes.
         self.shared = set(_SHARED_ARGUMENTS) & set(self.arguments)
         # Names of indices of parameters that are the same in all lanes.
-        self.structural: set[str] = set()
+        self.structural = set(_STRUCTURAL_ARGUMENTS) & set(self.arguments)
         self.counter = itertools.count(1)
         # Of each loop with a return, from the outermost: the mask of the lanes that have no result yet.
         self.going: list[str] = []
@@ -324,7 +326,7 @@ class _Function:
 
     def is_structural(self, index: ast.expr) -> bool:
         """Whether an index is that of a parameter that has the same value in all lanes."""
-        for node in ast.walk(index):
+        for node in _outside_of_entries(index):
             if isinstance(node, ast.Name):
                 value = self.function.__globals__.get(node.id)
                 if node.id in self.structural and node.id in self.locals:
@@ -443,10 +445,20 @@ def _returns_last(body: Sequence[ast.stmt]) -> list[ast.stmt]:
             if rest and _always_returns(here):
                 out.append(ast.copy_location(ast.If(node.test, here, _returns_last([*node.orelse, *rest])), node))
                 return out
+            if rest and any(_returns([node])):
+                raise NoLaneForm(f"line {node.lineno}: a branch that ends the function in some of its cases only")
             out.append(ast.copy_location(ast.If(node.test, here, other), node))
         else:
             out.append(node)
     return out
+
+
+def _outside_of_entries(node: ast.AST) -> Iterator[ast.AST]:
+    """Parts of an expression, without what stands within entries of arrays: their values are no indices."""
+    yield node
+    if not isinstance(node, ast.Subscript):
+        for part in ast.iter_child_nodes(node):
+            yield from _outside_of_entries(part)
 
 
 def _always_returns(body: Sequence[ast.stmt]) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
+from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, learned, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.subsonic import TERMS, series
 
@@ -125,10 +125,18 @@ SIGNAL = SUBSONIC + TERMS
 """First of the further signals on which effects may depend; the value is 0 where a signal is not measured."""
 SLOT = SIGNAL + SIGNALS
 """First of the slots for ``effects.ADDED_STATES``: each holds the index in the state, or 0 for an absent state."""
-CURVE = SLOT + len(ADDED_STATES)
+LAWS_PRESENT = SLOT + len(ADDED_STATES)
+"""Number of learned laws whose values are not all 0."""
+LAW = LAWS_PRESENT + 1
+"""First of the codes of these laws, one after another, a copy of the named ones: they are the same in all lanes."""
+LAWS_IN = {hook: LAW + learned.LAWS * learned.SIZE + k for k, hook in enumerate(learned.EFFECT.hooks)}
+"""Indices of whether laws act in a function of the effects, by its name."""
+CURVE = max(LAWS_IN.values()) + 1
 CURVE_SIZE = 1 + 2 * MAX_KNOTS
 SIZE = CURVE + 2 * CURVE_SIZE
 
+LAW_NUMBERS = INDEX[parameter_path("learned", "law1_place")]
+"""First of the named numbers of the learned laws."""
 SLOT_OF: Mapping[str, int] = {state.name: SLOT + k for k, (_, state) in enumerate(ADDED_STATES)}
 """Index of each added state's slot, by the state's name."""
 _SWITCHES = [
@@ -171,9 +179,28 @@ def refresh(p: np.ndarray) -> np.ndarray:
     p[SLOT : SLOT + len(present)] = np.where(present, BASE_STATES - 1 + np.cumsum(present), 0)
     count = BASE_STATES + int(present.sum())
     p[STATES] = count
+    _copy_laws(p)
     own = p[FORCE_FORM] == 0.0 and p[FRICTION_LAW] == 0.0
-    p[PLAIN] = float(own and p[STATELESS_EFFECTS] == 0.0 and count == BASE_STATES)
+    p[PLAIN] = float(own and p[STATELESS_EFFECTS] == p[LAWS_PRESENT] == 0.0 and count == BASE_STATES)
     return p
+
+
+def _copy_laws(p: np.ndarray) -> None:
+    """Write the codes of the laws that are present, whose values are not all 0, where all lanes find them."""
+    p[LAWS_PRESENT:CURVE] = 0.0
+    numbers = p[LAW_NUMBERS : LAW_NUMBERS + learned.LAWS * learned.NUMBERS].reshape(learned.LAWS, learned.NUMBERS)
+    for k in np.flatnonzero((numbers[:, 0] != 0.0) & numbers[:, -learned.NODES :].any(axis=1)):
+        codes = p[LAW + int(p[LAWS_PRESENT]) * learned.SIZE :][: learned.SIZE]
+        codes[: learned.STATE] = numbers[k, : learned.STATE]
+        slot = SLOT_OF[f"law{k + 1}_memory_1"]
+        codes[learned.STATE : learned.SIGNAL] = p[slot : slot + learned.SIGNAL - learned.STATE]
+        codes[learned.SIGNAL] = SIGNAL + max(codes[2] - learned.FIRST_SIGNAL, 0.0)
+        codes[learned.TABLE] = LAW_NUMBERS + k * learned.NUMBERS
+        p[LAWS_PRESENT] += 1.0
+        place = list(learned.PLACES)[int(codes[0]) - 1]
+        for hook, index in LAWS_IN.items():
+            acts = place in learned.IN_HOOKS[hook] if hook in learned.IN_HOOKS else codes[learned.STATE :][:3].any()
+            p[index] = max(p[index], float(acts))
 
 
 def set_curve(p: np.ndarray, valve: int, voltage: np.ndarray, open_rate: np.ndarray) -> None:

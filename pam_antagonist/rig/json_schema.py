@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.rig import learned
 from pam_antagonist.rig.schema import Rig
 
 
@@ -35,6 +36,9 @@ def rig_json_schema() -> dict[str, Any]:
 
 def _effect(name: str) -> dict[str, Any]:
     effect = CATALOGUE[name]
+    if effect.of_tables:
+        laws = dict.fromkeys(learned.LAWS, learned.LAW_SCHEMA)
+        return {"type": "object", "description": effect.meaning, "additionalProperties": False, "properties": laws}
     return {
         "type": "object",
         "description": effect.meaning,

@@ -10,6 +10,7 @@ from typing import Any
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.paths import config_dir
+from pam_antagonist.rig import learned
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.schema import Rig
 from pam_antagonist.strict_yaml import names, read_mapping, unknown, validated
@@ -74,11 +75,23 @@ def as_rig(rig: Rig | str | Path, regulators: bool = False) -> Rig:
 
 def checked(content: dict[str, Any], where: str) -> Rig:
     """The rig with a content, which is checked."""
-    rig = validated(Rig, content, where, _SWITCHES)
+    rig = validated(Rig, _with_numbers(content, where), where, _SWITCHES)
     complaint = _half_linear(content, rig) or unphysical(rig)
     if complaint:
         raise BadInput(f"{where}: {complaint}")
     return rig
+
+
+def _with_numbers(content: dict[str, Any], where: str) -> dict[str, Any]:
+    """The content with its learned laws as numbers."""
+    effects, signals = content.get("effects"), content.get("signals")
+    if not isinstance(effects, dict) or not isinstance(effects.get("learned"), dict):
+        return content
+    try:
+        numbers = learned.as_numbers(effects["learned"], list(signals) if isinstance(signals, dict) else [])
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from None
+    return {**content, "effects": {**effects, "learned": numbers}}
 
 
 def with_value(rig: Rig, name: str, value: Any) -> Rig:

@@ -12,6 +12,7 @@ from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.base import SIGNALS
+from pam_antagonist.rig import learned
 from pam_antagonist.rig.schema import Rig, limits
 
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
@@ -148,6 +149,9 @@ def _bad_effects(rig: Rig) -> str:
         complaint = _too_quick(name, values)
         if complaint:
             return complaint
+    complaint = learned.complaint_about(rig.effects.get("learned", {}), list(rig.signals))
+    if complaint:
+        return complaint
     pushes = rig.effects.get(DISTURBANCE, {})
     if "onset" in pushes and "prior" not in pushes:
         return (

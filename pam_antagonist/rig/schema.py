@@ -17,7 +17,7 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.strict_yaml import Strict, unknown
 
 
@@ -336,12 +336,11 @@ class Rig(Strict):
         try:
             if head == "effects":
                 effect, item = rest
-                known = next(entry for entry in CATALOGUE[effect].parameters if entry.name == item)
-                return float(self.effects.get(effect, {}).get(item, known.neutral))
+                return float(self.effects.get(effect, {}).get(item, _NEUTRAL[name]))
             for part in (head, *rest):
                 node = getattr(node, part)
             return math.inf if node is None else float(node)
-        except (AttributeError, KeyError, StopIteration, TypeError, ValueError):
+        except (AttributeError, KeyError, TypeError, ValueError):
             raise BadInput(f"rig {self.name}: {unknown(name, par.INDEX)}; expected the name of a number") from None
 
     def with_value(self, name: str, value: Any) -> Rig:
@@ -394,7 +393,14 @@ class Rig(Strict):
         if not abs(lock_angle) <= bound:
             raise BadInput(f"lock angle {lock_angle:g} rad: expected within ±{bound:g} rad")
         p = np.zeros(par.SIZE)
-        for name, index in par.INDEX.items():
+        p[_EFFECTS] = list(_NEUTRAL.values())
+        for effect, values in self.effects.items():
+            for item, value in values.items():
+                path = parameter_path(effect, item)
+                if path not in _NEUTRAL:
+                    raise BadInput(f"rig {self.name}: {unknown(path, _NEUTRAL)}; expected the parameter of an effect")
+                p[par.INDEX[path]] = value
+        for name, index in _BASE.items():
             p[index] = min(self.sample_period, par.LONGEST_STEP) if name == "friction.time_step" else self.value(name)
         p[par.LOCKED] = float(joint == "locked")
         p[par.PULLEY] = float(self.geometry.kind == "pulley")
@@ -415,6 +421,13 @@ class Rig(Strict):
         if name not in self.tunings:
             raise BadInput(f"tuning {name!r} of rig {self.name}: expected one of {', '.join(sorted(self.tunings))}")
         return self.tunings[name]
+
+
+_NEUTRAL = {
+    parameter_path(effect.name, item.name): item.neutral for effect in CATALOGUE.values() for item in effect.parameters
+}
+_EFFECTS = [par.INDEX[name] for name in _NEUTRAL]
+_BASE = {name: index for name, index in par.INDEX.items() if name not in _NEUTRAL}
 
 
 @cache

@@ -12,6 +12,8 @@ from pydantic import BaseModel
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects.learned import LAWS
+from pam_antagonist.rig.learned import Law, law_of
 from pam_antagonist.rig.load import load_rig
 from pam_antagonist.rig.schema import Rig
 
@@ -64,22 +66,38 @@ def _model(model: BaseModel, depth: int) -> list[str]:
     for name, field in fields.items():
         description = getattr(getattr(field, "field_info", field), "description", None) or ""
         if name == "effects" and depth == 0:
-            lines += _effects(model.effects, description)  # type: ignore[attr-defined]
+            lines += _effects(model.effects, description, list(model.signals))  # type: ignore[attr-defined]
             continue
         lines += _entry(name, getattr(model, name), description, depth)
     return lines
 
 
-def _effects(effects: Mapping[str, Mapping[str, float]], description: str) -> list[str]:
-    """The effects of a rig, each number with its meaning and unit from the catalogue."""
+def _effects(effects: Mapping[str, Mapping[str, float]], description: str, signals: Sequence[str]) -> list[str]:
+    """The effects of a rig, each number with its meaning and unit from the catalogue; learned laws in words."""
     if not effects:
         return _entry("effects", effects, description, 0)
     lines = ["", _line("effects:", f"# {description}")]
     for name, values in effects.items():
         lines.append(_line(f"  {name}:", f"# {CATALOGUE[name].meaning}"))
+        if CATALOGUE[name].of_tables:
+            for number in range(1, LAWS + 1):
+                lines += _law(law_of(values, number, signals), number)
+            continue
         known = {item.name: item for item in CATALOGUE[name].parameters}
         for key, value in values.items():
             lines += _entry(key, value, f"{known[key].meaning} [{known[key].unit}]", 2)
+    return lines
+
+
+def _law(law: Law | None, number: int) -> list[str]:
+    """A learned law of a rig, with units."""
+    if law is None:
+        return []
+    unit = law.argument_unit
+    units = {"time": "[s]", "width": f"[{unit}]", "nodes": f"[{unit}]; constant outside", "values": f"[{law.unit}]"}
+    lines = [_line(f"    law{number}:", f"# {law.in_words()}")]
+    for key, value in law.content().items():
+        lines += _entry(key, value, units.get(key, ""), 3)
     return lines
 
 

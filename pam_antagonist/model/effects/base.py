@@ -48,6 +48,7 @@ class EffectParameter:
         scale: a typical value, for searches.
         meaning: in words.
         symbol: as in the documentation's equation, in LaTeX.
+        fixed: whether no fit moves it unless it is asked to.
     """
 
     name: str
@@ -58,6 +59,7 @@ class EffectParameter:
     scale: float
     meaning: str
     symbol: str = ""
+    fixed: bool = False
 
     @property
     def is_size(self) -> bool:
@@ -210,6 +212,8 @@ class Effect:
             course in time.
         tested_with: ways of driving a joint with which it is a candidate: ``valve`` by voltages, ``command`` by the
             pressures commanded to regulators, ``regulator`` by the measured pressures that these hold.
+        of_tables: whether its laws are tables with named parts (:mod:`~pam_antagonist.model.effects.learned`). Its
+            functions may ask for the whole parameter vector, and documents show no single numbers.
         module: its module; the registry fills it in.
         notes: text of its documentation beside the tables, in Markdown: the module's docstring without its first
             line; the registry fills it in.
@@ -232,6 +236,7 @@ class Effect:
     needs_angle: bool = False
     deterministic: bool = True
     tested_with: tuple[str, ...] = ("valve",)
+    of_tables: bool = False
     module: str = ""
     notes: str = ""
 

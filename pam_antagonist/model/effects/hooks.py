@@ -38,6 +38,7 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "muscle_torque": ("N m", "τ of equation (9), and the torque from outside where it is known"),
     "pressure": ("Pa", "pressure at a sensor"),
     "reading": ("Pa", "what a sensor shows"),
+    "now": ("rad, rad/s, Pa, Pa", "ψ, ψ̇ and the pressures in both muscles of the state, as one tuple"),
     "first_pressure": ("Pa", "pressure in muscle 1"),
     "second_pressure": ("Pa", "pressure in muscle 2"),
     **{
@@ -73,10 +74,11 @@ class Hook:
 
 
 _JOINT = ("joint_angle", "joint_velocity", "travel")
-_FRICTION = (*_JOINT, "first_pressure", "second_pressure")
-_LOSS = ("chamber_pressure", "orifice_flow")
+_FRICTION = (*_JOINT, "first_pressure", "second_pressure", "now")
+_LENGTH = ("muscle_length", "length_rate", "now")
+_LOSS = ("chamber_pressure", "orifice_flow", *_LENGTH, "wanted_open_rate")
 _LINE = ("valve_pressure", "chamber_pressure", "valve_flow")
-_FORCE = ("muscle_length", "length_rate", "chamber_pressure", "passive_force")
+_FORCE = (*_LENGTH, "chamber_pressure", "passive_force")
 
 HOOKS: dict[str, Hook] = {
     hook.name: hook
@@ -84,9 +86,9 @@ HOOKS: dict[str, Hook] = {
         Hook("spool_voltage", "voltage for which the spool stands", "V", "replaces", "valve_voltage", states="needed"),
         Hook("voltage_shift", "shift of the curve along the voltage", "V", "subtracts", "valve_voltage", states="none"),
         Hook("open_rate_shift", "change of the open rate", "-", "adds", "wanted_open_rate", states="none"),
-        Hook("open_rate", "open rate at which the valve stands", "-", "replaces", "wanted_open_rate", states="needed"),
+        Hook("open_rate", "open rate of the valve", "-", "replaces", "wanted_open_rate", _LENGTH, states="needed"),
         Hook("asked_pressure", "pressure that the regulator goes by", "Pa", "replaces", "asked_pressure"),
-        Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", of_muscle=False),
+        Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", ("now",), False),
         Hook("chamber_pressure", "pressure in the muscle", "Pa", "replaces", "valve_pressure", states="needed"),
         Hook("mass_loss", "mass flow out of the muscle past the valve", "kg/s", "subtracts", "valve_flow", _LOSS),
         Hook("cooling", "what dP/dt loses", "Pa/s", "subtracts", "polytropic_rate", ("chamber_pressure",)),
@@ -95,7 +97,7 @@ HOOKS: dict[str, Hook] = {
         Hook("muscle_force", "force that the muscle passes on", "N", "replaces", "muscle_force", states="none"),
         Hook("coulomb_torque", "further Coulomb torque", "N m", "adds", "coulomb_torque", _FRICTION, False, floor=True),
         Hook("disturbance_torque", "torque from outside", "N m", "adds", "muscle_torque", (), False, states="needed"),
-        Hook("joint_torque", "torque on the joint", "N m", "adds", "muscle_torque", _JOINT, False),
+        Hook("joint_torque", "torque on the joint", "N m", "adds", "muscle_torque", (*_JOINT, "now"), False),
         Hook("sensor_reading", "what the pressure sensor shows", "Pa", "replaces", "pressure", states="none"),
         Hook("sensor_inverse", "the pressure behind a reading", "Pa", "replaces", "reading", states="none"),
     )
@@ -104,15 +106,15 @@ HOOKS: dict[str, Hook] = {
 
 MUSCLE_RATE = (
     *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "asked_pressure", "wanted_open_rate",
-    "valve_pressure", "chamber_pressure", "valve_flow", "polytropic_rate", "chamber_rate",
+    "valve_pressure", "chamber_pressure", "valve_flow", "polytropic_rate", "chamber_rate", "now",
 )  # fmt: skip
 """What the derivative of a muscle's state may ask for."""
-JOINT_RATE = (*_JOINT, "drawn_flow")
+JOINT_RATE = (*_JOINT, "drawn_flow", "now")
 """What the derivative of a state of the whole joint may ask for."""
 MUSCLE_STEADY = (
     *_JOINT, "muscle_length", "length_rate", "static_force", "valve_voltage", "asked_pressure", "wanted_open_rate",
-    "valve_pressure", "chamber_pressure", "valve_flow",
+    "valve_pressure", "chamber_pressure", "valve_flow", "now",
 )  # fmt: skip
 """What the steady value of a muscle's state may ask for."""
-JOINT_STEADY = ("drawn_flow",)
+JOINT_STEADY = ("drawn_flow", "now")
 """What the steady value of a state of the whole joint may ask for."""

@@ -29,7 +29,8 @@ def section(effect: Effect) -> str:
     if effect.module.startswith(f"{_OWN}."):
         where = f"[`effects/{effect.name}.py`](../{effect.module.replace('.', '/')}.py)"
     law = "" if "```math" in effect.notes else f"*Law* {effect.law}.\n\n"
-    parameters = _table(("parameter", "", "neutral", "allowed", "meaning"), map(_parameter, effect.parameters))
+    numbers = ("parameter", "", "neutral", "allowed", "meaning")
+    parameters = "" if effect.of_tables else _table(numbers, map(_parameter, effect.parameters))
     states = [f"*State* {line}.\n\n" for line in map(_line, _merged(map(_state, effect.states)))]
     return (
         f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
