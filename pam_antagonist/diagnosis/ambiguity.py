@@ -20,14 +20,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import explained, found_calibrations, thresholds
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis import found_calibrations, thresholds
+from pam_antagonist.diagnosis.hypotheses import Ranking
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
-from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
 from pam_antagonist.inference.calibration import CALIBRATIONS
-from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
@@ -42,18 +41,16 @@ _TIME_CONSTANTS = (0.125, 0.25, 0.5, 1.0)
 """Time constants of a loss that decays, in durations of the fitted part."""
 
 
-def near_candidates(selection: Selection) -> tuple[str, ...]:
+def near_candidates(ranking: Ranking) -> tuple[str, ...]:
     """Candidates of the first round that do as well as the chosen one, by evidence and on held-out data."""
-    if not selection.model.effects:
-        return ()
-    first = [tried for tried in selection.tried if tried.round == 1 and tried.shares is not None]
-    best = next((tried for tried in first if tried.effect == selection.model.effects[0]), None)
-    return () if best is None else explained.near(best, first)
+    first = [tried for tried in ranking.tried if tried.round == 1 and tried.shares is not None]
+    best = next((tried for tried in first if tried.effect in ranking.model.effects[:1]), None)
+    return () if best is None else best.near(first)
 
 
-def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) -> tuple[Ambiguity, ...]:
+def ambiguities(base: Model, model: Model) -> tuple[Ambiguity, ...]:
     """Comparisons of found effects with their rivals on equal terms."""
-    driven = [experiment for experiment in experiments if isinstance(experiment, AngleDriven)]
+    driven = [experiment for experiment in model.experiments if isinstance(experiment, AngleDriven)]
     part = driven[0].part if driven else None
     if part == BALANCE:
         compared = _loops(driven, model.fits, model.effects)

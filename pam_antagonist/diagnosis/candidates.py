@@ -1,4 +1,4 @@
-"""Candidates beside a model: their evidence to first order (the score test), and the results of full fits.
+"""Score tests: the evidence for candidates beside a model to first order, before any fit.
 
 A score test asks what a candidate would explain of a residual beside the base parameters with their priors. The
 residual is regressed on how a finite size of the effect changes it. That takes one simulation a size and shape, no fit.
@@ -12,56 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.diagnosis.models import price
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
-from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, held_residual, prior_cost
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, prior_cost
 from pam_antagonist.inference.likelihood import Equations, Scale, Step
 from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """One explanation of all recordings.
-
-    Attributes:
-        effects: names of the effects in it, in the order in which they came.
-    """
-
-    effects: tuple[str, ...]
-    fits: tuple[Fitted, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class TriedCandidate:
-    """A candidate in one round of the selection.
-
-    Attributes:
-        delta_bic: evidence of the fitted part after a full fit; None where the score was too low for one.
-        held_out_evidence: evidence of the held-out part, where no parameter has a price; None likewise.
-        shares: of the held-out and of the fitted excess that it removes (:mod:`explained`); None likewise.
-        muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
-        share: of the excess without effects, fitted and held out together, that it removes; None likewise.
-    """
-
-    effect: str
-    round: int
-    score: float
-    delta_bic: float | None = None
-    held_out_evidence: float | None = None
-    shares: tuple[float, float] | None = None
-    model: Model | None = None
-    muscles: tuple[float, float] | None = None
-    share: float | None = None
-    taken: bool = False
-
-    @property
-    def standing(self) -> float:
-        """Evidence of both parts, by which candidates are compared; those without a full fit come last."""
-        if self.delta_bic is None or self.held_out_evidence is None:
-            return -np.inf
-        return self.delta_bic + self.held_out_evidence
 
 
 @dataclass(frozen=True)
@@ -77,36 +35,6 @@ class Score:
     gain: float
     start: Mapping[str, float]
     muscles: tuple[float, float] | None = None
-
-
-def price(before: Fitted, parameters: int) -> float:
-    """What the Bayesian information criterion charges: k log n, with the independent values counted."""
-    return parameters * float(np.log(max(before.scale.values(before.residual), np.e)))
-
-
-def evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
-    """Evidence for a model with more free parameters in one recording (ΔBIC), on the scale of the one with fewer."""
-    scale = before.scale
-    gain = cost_of(experiment, before.point, before.residual, scale)
-    gain -= cost_of(experiment, after.point, after.residual, scale)
-    visible = sum(1 for k in range(after.effect.shape[2]) if np.any(after.effect[:, :, k]))
-    known = sum(1 for k in range(before.effect.shape[2]) if np.any(before.effect[:, :, k]))
-    return scale.share * gain - price(before, visible - known)
-
-
-def held_out_evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
-    """Evidence for a model on the held-out part of a recording. Nothing was fitted there: no parameter has a price."""
-    return likelier(before.scale, *(held_residual(experiment, fitted) for fitted in (before, after)))
-
-
-def likelier(scale: Scale, before: Floats, after: Floats) -> float:
-    """Twice the log likelihood ratio of two residuals where nothing was fitted.
-
-    Args:
-        before: residual (B, C) of that model.
-        after: residual (B, C) of the one with more.
-    """
-    return scale.share * float(scale.misfits(before).sum() - scale.misfits(after).sum())
 
 
 _Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
