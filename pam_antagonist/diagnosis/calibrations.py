@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from typing_extensions import override
 
-from pam_antagonist.diagnosis import far_calibrations, thresholds
-from pam_antagonist.diagnosis.common_values import of_calibration
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.catalogue_effects import as_configured
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.hypotheses import Hypothesis, Ranking, TriedCandidate, Work
-from pam_antagonist.diagnosis.models import Model, evidence, evidence_of, given, in_threads, without
+from pam_antagonist.diagnosis.models import Model, evidence, evidence_of, given, in_threads, of_calibration, without
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
@@ -29,6 +32,12 @@ _EDGE = 1e-3
 """A calibration nearer to a bound than this share of its range is at the bound."""
 _STAMP_STD = 12.0**-0.5
 """[sample periods] Standard deviation of a stamp's error, which is uniform over one sample period."""
+_TRIED = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Values that are tried beside the base as configured, in scales of the calibration, in either direction."""
+_NEAR = 0.05
+"""Tolerance of the best value at which a fit begins, in scales of the calibration."""
+_FITTED = 2
+"""Calibrations of a recording that are fitted from there, those with the best scores."""
 
 
 class Calibration(Hypothesis):
@@ -90,7 +99,7 @@ def _tried(now: Ranking, number: int) -> list[TriedCandidate]:
         return _with(experiment, before, {one.path: 0.0 for one in free}, free)
 
     done = dict(zip(tasks, in_threads(near, ((which,) for which in tasks), model.jobs), strict=True))
-    far = in_threads(far_calibrations.fits, ((*model.pairs[r], can[r]) for r in noisy), model.jobs)
+    far = in_threads(_from_afar, ((*model.pairs[r], can[r]) for r in noisy), model.jobs)
     for r, each in zip(noisy, far, strict=True):
         for name, fit in each.items():
             gains = [evidence(*model.pairs[r], one) for one in (done[name, r], fit)]
@@ -101,6 +110,74 @@ def _tried(now: Ranking, number: int) -> list[TriedCandidate]:
         fits = [within.get((name, r)) for r in range(len(model.fits))]
         out.append(TriedCandidate(name, number, np.nan).fitted(now.first, model, fits, model.effects))
     return out
+
+
+class _Score(NamedTuple):
+    cost: float
+    value: float
+    candidate: Candidate
+
+
+def _from_afar(experiment: Experiment, fitted: Fitted, candidates: Sequence[Candidate]) -> dict[str, Fitted]:
+    """The calibrations that do best beside the base as configured, fitted from there, by name.
+
+    A zero of 2°, or a clock that is 50 ms early, biases base parameters that are fitted without it. A fit that begins
+    there may not find the way back. So each calibration is tried in several sizes beside the base as configured.
+    """
+    start = as_configured(experiment, fitted)
+    none = _cost(experiment, start, start.point, start.residual)
+    scores = (_score(experiment, start, candidate) for candidate in candidates)
+    chosen = sorted((score for score in scores if score.cost < none), key=lambda score: score.cost)[:_FITTED]
+
+    def fit(score: _Score) -> Fitted:
+        point = _moved(start.point, score.candidate, _refined(experiment, start, score))
+        found = refit(experiment, point, (*fitted.free, *score.candidate.free), start.base, renewals=2, beside=start)
+        return best_of_starts(experiment, found, 0)
+
+    return {score.candidate.effect: fit(score) for score in chosen}
+
+
+def _score(experiment: Experiment, start: Fitted, candidate: Candidate) -> _Score:
+    """The best of the tried values of a calibration."""
+    (number,) = candidate.free
+    values = [way * size * number.item.scale for size in _TRIED for way in (-1.0, 1.0)]
+    points = {
+        value: _moved(start.point, candidate, value) for value in values if number.item.low <= value <= number.item.high
+    }
+    changes = experiment.differences(start.point, start.residual, points.values())
+    scores = (
+        _Score(_cost(experiment, start, point, start.residual + change), value, candidate)
+        for (value, point), change in zip(points.items(), changes, strict=True)
+    )
+    return min(scores, key=lambda score: score.cost)
+
+
+def _refined(experiment: Experiment, start: Fitted, score: _Score) -> float:
+    """The best value between the neighbours of the one that was tried."""
+    low, high = sorted((0.5 * score.value, 2.0 * score.value))
+
+    def cost(value: float) -> float:
+        point = _moved(start.point, score.candidate, float(value))
+        return _cost(experiment, start, point, experiment.near(point, start.point, start.residual))
+
+    found = minimize_scalar(
+        cost,
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": _NEAR * score.candidate.free[0].item.scale},
+    )
+    return float(found.x) if found.fun < score.cost else score.value
+
+
+def _moved(point: Point, candidate: Candidate, value: float) -> Point:
+    return Point(point.theta, {**point.effects, **{free.path: value for free in candidate.free}})
+
+
+def _cost(experiment: Experiment, start: Fitted, point: Point, residual: NDArray[np.float64]) -> float:
+    """What is left to first order once the base parameters have moved to their best: twice a negative log posterior."""
+    theta, scale = point.theta, start.scale
+    step = Equations.of(residual, start.base, start.effect).solved(scale, experiment.prior, theta, rounds=4)
+    return float(scale.misfits_of(step.squares, len(residual)).sum()) + prior_cost(experiment, theta + step.theta)
 
 
 def _hidden(model: Model, number: int) -> list[TriedCandidate]:

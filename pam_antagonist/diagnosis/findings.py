@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.common_values import contradict, of_size
-from pam_antagonist.diagnosis.models import HELD, Model, evidence_of, further_share, price, without
+from pam_antagonist.diagnosis.models import HELD, Model, contradict, evidence_of, further_share, of_size, price, without
 from pam_antagonist.diagnosis.result import FoundEffect, Size, SizeProfile
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pam_antagonist.diagnosis import findings, thresholds
-from pam_antagonist.diagnosis.candidates import Score, score_all
+from pam_antagonist.diagnosis.catalogue_effects import Score, score_all
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
 from pam_antagonist.diagnosis.models import Model, explains, in_threads
 from pam_antagonist.inference.experiment import Experiment
