@@ -20,17 +20,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import found_calibrations, thresholds
+from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.hypotheses import Ranking
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
+from pam_antagonist.diagnosis.search import about
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
-from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
-from pam_antagonist.model.effects import CATALOGUE, EffectParameter, experiment_between, parameter_path
+from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -65,18 +65,10 @@ def distinguishing_experiments(
     """For each effect and calibration that is as likely as a found one, what to record."""
     out = {}
     for other in ambiguous:
-        if other in CALIBRATIONS:
-            out[other] = found_calibrations.experiment(other)
-            continue
-        if not found and calibrated:
-            out[other] = found_calibrations.experiment(calibrated[0])
-            continue
-        effect = CATALOGUE[other]
-        if DRIVEN in conditions:
-            out[other] = effect.sealed.experiment or effect.experiment
-            continue
-        out[other] = (experiment_between(other, found[0]) if found else None) or effect.experiment
-        if len(set(conditions)) == 1:
+        # A calibration is measured without a model, the one that was found as well as a rival.
+        told = calibrated[0] if about(other).is_effect and calibrated and not found else other
+        out[other] = about(told).experiment(told, next(iter(found), None), DRIVEN in conditions)
+        if about(told).is_effect and DRIVEN not in conditions and len(set(conditions)) == 1:
             missing = "locked" if "free" in conditions else "free"
             out[other] += f"; or add a recording with the joint {missing}"
     return out

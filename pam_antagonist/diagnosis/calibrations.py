@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from typing_extensions import override
 
-from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.catalogue_effects import as_configured
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.hypotheses import Hypothesis, Ranking, TriedCandidate, Work
@@ -81,6 +81,26 @@ class Calibration(Hypothesis):
             return _with(experiment, fitted, values, [free for free in extended.free if free.path == dotted])
 
         return replace(now.base.map(alone, chosen.fits), effects=()), chosen
+
+    @override
+    def knows(self, name: str) -> bool:
+        """Whether it is a calibration."""
+        return name in calibration.CALIBRATIONS
+
+    @override
+    def sentence(self, name: str, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
+        """Its value in words, without a standard deviation."""
+        return found_calibrations.in_words(FoundCalibration(name, values[name], 0.0, "", 0.0, {}))
+
+    @override
+    def instead(self, name: str, sealed: bool = False) -> str:
+        """What a report says of a calibration that does as well as what was found."""
+        return f"{found_calibrations.alternative(name)} would explain the data as well"
+
+    @override
+    def experiment(self, name: str, found: str | None = None, sealed: bool = False) -> str:
+        """How to measure it without a model."""
+        return found_calibrations.experiment(name)
 
 
 def _tried(now: Ranking, number: int) -> list[TriedCandidate]:

@@ -24,6 +24,7 @@ from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobi
 from pam_antagonist.inference.likelihood import Equations, Scale, Step
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import STARTS, best_of_starts
+from pam_antagonist.model.effects import CATALOGUE, experiment_between
 
 _REFITTED = 5
 """Candidates a round that are fitted in full simulation: those with the best scores."""
@@ -68,6 +69,28 @@ class CatalogueEffect(Hypothesis):
         """The effect in all recordings that do not rule it out, with derivatives at its own point."""
         assert best.model is not None
         return now.base, shared(best.model.map(relinearised))
+
+    @override
+    def knows(self, name: str) -> bool:
+        """Whether the catalogue has it."""
+        return name in CATALOGUE
+
+    @override
+    def sentence(self, name: str, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
+        """As its file says."""
+        return CATALOGUE[name].in_words(muscle, values, sealed)
+
+    @override
+    def instead(self, name: str, sealed: bool = False) -> str:
+        """Likewise; some are told apart by their sealed form only."""
+        return CATALOGUE[name].sealed.instead or f"{CATALOGUE[name].title} would explain the data as well"
+
+    @override
+    def experiment(self, name: str, found: str | None = None, sealed: bool = False) -> str:
+        """Likewise."""
+        effect = CATALOGUE[name]
+        between = effect.sealed.experiment if sealed else experiment_between(name, found) if found else None
+        return between or effect.experiment
 
 
 @dataclass(frozen=True, eq=False)

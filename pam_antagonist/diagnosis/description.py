@@ -25,12 +25,11 @@ from pam_antagonist.diagnosis.result import (
     PartVerdict,
     Verdict,
 )
+from pam_antagonist.diagnosis.search import about
 from pam_antagonist.identification.sealed_tuning import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
-from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
 _T = TypeVar("_T")
@@ -271,7 +270,7 @@ def _own_rigs(
 def in_words(effect: FoundEffect, sealed: bool = False) -> str:
     """An effect in words."""
     values = {name: value for name, (value, _, _) in effect.parameters.items()}
-    words = CATALOGUE[effect.name].in_words(effect.muscle, values, sealed)
+    words = about(effect.name).sentence(effect.name, effect.muscle, values, sealed)
     begin, end = (
         None if time is None else f"{time:.1f} ± {max(std or 0.0, 0.1):.1f} s"
         for time, std in ((effect.onset_s, effect.onset_std_s), (effect.end_s, effect.end_std_s))
@@ -305,7 +304,7 @@ def sentence(
     each = [_errors(own, mean_pressure) for own in errors.all]
     configured, recalibrated, extended = map(_listed, each)
     beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
-    others = "; ".join(_instead(name) for name in ambiguous)
+    others = "; ".join(about(name).instead(name) for name in ambiguous)
     doubts = f" The recordings do not exclude another explanation: {others}." if others else ""
     if verdict == "none":
         return (
@@ -347,13 +346,6 @@ def sentence(
         f"{configured} as configured and {recalibrated} after recalibration, well above the sensors' noise.{closest}"
         f"{beside}"
     )
-
-
-def _instead(name: str) -> str:
-    if name in CALIBRATIONS:
-        return f"{found_calibrations.alternative(name)} would explain the data as well"
-    effect = CATALOGUE[name]
-    return effect.sealed.instead or f"{effect.title} would explain the data as well"
 
 
 def _errors(own: Errors, mean_pressure: bool) -> list[tuple[float, str]]:

@@ -16,7 +16,7 @@ from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.profile import effect_profile
-from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,9 @@ def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str,
     for effect in model.effects:
         sizes, shapes = _sizes_and_shapes(model, effect)
         if not sizes:
-            # No recording needs any of it: all of its sizes are 0.
+            # No recording needs any of it: all of its sizes are 0. What is in no catalogue may have no size.
+            if effect not in CATALOGUE:
+                effects.append(FoundEffect(effect, None, {}, gains[effect], shares[effect], tuple(names)))
             continue
         where = {muscle: {s.recording for seen in group.values() for s in seen} for muscle, group in sizes.items()}
         shown = [{muscle for muscle in where if r in where[muscle]} for r in range(len(names))]

@@ -1,7 +1,8 @@
 """What a model may lack, as hypotheses with one interface, and what trying one of them gives.
 
 A search (:mod:`search`) asks every hypothesis of a table in turn what it would make of the present model, takes the
-best answer that is worth it, and asks again. An effect of the catalogue and a calibration are hypotheses.
+best answer that is worth it, and asks again. An effect of the catalogue and a calibration are hypotheses. Another
+package adds its own by an entry point of the group ``pam_antagonist.hypotheses``, the name of a class.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class TriedCandidate:
 
         Args:
             first: model without any effect, whose excess counts.
-            before: model without the candidate.
+            before: model without the candidate, of recordings as the candidate sees them.
             fits: None for a recording in which the candidate was not fitted.
             effects: of the model with it.
         """
@@ -172,7 +173,9 @@ class Ranking:
 
 
 class Hypothesis(ABC):
-    """Something that recordings may show and a model lacks, in one kind.
+    """A kind of thing that recordings may show and a model lacks.
+
+    A model that it proposes may have other parameters, or see the recordings in another way (other experiments).
 
     Attributes:
         is_effect: whether it is an effect, whose place is in the extended model only; what is no effect is a correction
@@ -194,6 +197,29 @@ class Hypothesis(ABC):
         """Whether one of its candidates may go into the model."""
         return tried.is_worth_taking
 
-    @abstractmethod
     def take(self, now: Ranking, best: TriedCandidate) -> tuple[Model, Model]:
         """The models without and with effects, with a candidate that was chosen."""
+        assert best.model is not None
+        return (now.base if self.is_effect else best.model), best.model
+
+    @abstractmethod
+    def knows(self, name: str) -> bool:
+        """Whether a candidate of this name is one of its own."""
+
+    @abstractmethod
+    def sentence(self, name: str, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
+        """What a report says where it was found.
+
+        Args:
+            muscle: 1 or 2, or None for both.
+            values: of its parameters, by name.
+            sealed: whether the joint is sealed.
+        """
+
+    @abstractmethod
+    def instead(self, name: str, sealed: bool = False) -> str:
+        """What a report says where it would explain the data as well as what was found."""
+
+    @abstractmethod
+    def experiment(self, name: str, found: str | None = None, sealed: bool = False) -> str:
+        """What to record, to tell it from what was found."""

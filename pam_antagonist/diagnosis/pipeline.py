@@ -12,7 +12,7 @@ from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.judgement import judge
 from pam_antagonist.diagnosis.preparation import Settings, Timings, prepare
 from pam_antagonist.diagnosis.result import Diagnosis
-from pam_antagonist.diagnosis.search import HYPOTHESES, search
+from pam_antagonist.diagnosis.search import hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -68,7 +68,7 @@ def diagnose(
         base = by_itself_or_in_turn(group)
         check_same_rig(group.held_out, base)
         timings.end("recalibration")
-        ranking = search(base, Work(settings.about(group), settings.checkpoint), HYPOTHESES)
+        ranking = search(base, Work(settings.about(group), settings.checkpoint), hypotheses())
         timings.end("selection")
         judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.checkpoint)))
         timings.end("judgement")

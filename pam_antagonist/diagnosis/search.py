@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.metadata import entry_points
 
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.calibrations import Calibration
@@ -13,14 +14,23 @@ from pam_antagonist.diagnosis.models import Model
 
 EFFECTS: tuple[Hypothesis, ...] = (CatalogueEffect(),)
 """What is looked for where calibrations are known already."""
-HYPOTHESES: tuple[Hypothesis, ...] = (*EFFECTS, Calibration())
-"""What is looked for in recordings as they were made; of equals the first one is taken."""
+GROUP = "pam_antagonist.hypotheses"
+
+
+def hypotheses() -> tuple[Hypothesis, ...]:
+    """What is looked for in recordings as they were made; of equals the first one is taken."""
+    return (*EFFECTS, Calibration(), *(point.load()() for point in entry_points(group=GROUP)))
+
+
+def about(name: str) -> Hypothesis:
+    """The hypothesis that speaks for an effect or a calibration."""
+    return next(one for one in hypotheses() if one.knows(name))
 
 
 def search(
     base: Model,
     work: Work,
-    hypotheses: Sequence[Hypothesis] = EFFECTS,
+    asked: Sequence[Hypothesis] = EFFECTS,
     first: Model | None = None,
     most: int = thresholds.MOST_EFFECTS,
 ) -> Ranking:
@@ -28,6 +38,7 @@ def search(
 
     Args:
         base: the recalibrated model, or one with effects that stay in it.
+        asked: hypotheses, in order.
         first: the model before an effect that the recordings already contain, which then counts as the first one;
             default: the base model.
         most: effects at most, with those that are in the model already.
@@ -36,7 +47,7 @@ def search(
     begin = 2 if first is not None and not base.effects else 1
     now = Ranking(base, base, start=first)
     while (number := len(now.model.effects) + begin) <= most:
-        found = {hypothesis: hypothesis.propose(now, number, work) for hypothesis in hypotheses}
+        found = {hypothesis: hypothesis.propose(now, number, work) for hypothesis in asked}
         worth = [(one, by) for by, each in found.items() for one in each if by.is_worth_taking(one)]
         best, by = max(worth, key=lambda pair: pair[0].standing, default=(None, None))
         now = _noted(now, found, best)

@@ -115,7 +115,7 @@ def firmness(model: Model, without: Mapping[str, Model]) -> dict[str, Firmness]:
     shown += [(name, r) for name, recordings in differ.items() for r in recordings]
 
     def linear(name: str, r: int) -> Linear:
-        return Linear.of(_whole(model.experiments[r]), fits[name].fits[r])
+        return Linear.of(_whole(fits[name].experiments[r]), fits[name].fits[r])
 
     def held(name: str, r: int, k: int) -> Floats:
         return starts[name, r].on(splits[r][k].fitted).residual[splits[r][k].held]

@@ -39,7 +39,11 @@ def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
     """
     if not guesses_curves(rig):
         return ()
-    return tuple(dict.fromkeys(name for name in effects if _OF_STEADY_PRESSURES & set(CATALOGUE[name].hooks)))
+    return tuple(dict.fromkeys(name for name in effects if _changes_steady_pressures(name)))
+
+
+def _changes_steady_pressures(name: str) -> bool:
+    return name in CATALOGUE and not _OF_STEADY_PRESSURES.isdisjoint(CATALOGUE[name].hooks)
 
 
 def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:

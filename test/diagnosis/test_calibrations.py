@@ -13,7 +13,7 @@ from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, found_ca
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.rig_choice import choose
-from pam_antagonist.diagnosis.search import HYPOTHESES, search
+from pam_antagonist.diagnosis.search import hypotheses, search
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import best_of_starts
@@ -106,7 +106,7 @@ def test_a_zero_to_which_the_base_parameters_have_bent_is_found(rig, zero, names
     experiments = (ValveDriven(rig, trial, len(trial) * 2 // 3 // 25 * 25),)
     base = recalibrated(experiments)
     assert base.is_at_noise
-    chosen = search(base, Work(), HYPOTHESES)
+    chosen = search(base, Work(), hypotheses())
     assert calibrations.calibrations_of(chosen.model) == names
     if names:
         (found,) = calibrations.found(chosen)
@@ -127,7 +127,7 @@ def test_a_calibration_is_found_however_large_it_is(rig, recorded, wrong) -> Non
     experiments = (ValveDriven(rig, trial, len(trial) * 2 // 3 // 100 * 100),)
     base = recalibrated(experiments)
     assert not base.is_at_noise
-    chosen = search(base, Work(), HYPOTHESES, most=1)
+    chosen = search(base, Work(), hypotheses(), most=1)
     assert chosen.model.is_at_noise
     (found,) = calibrations.found(chosen)
     assert {found.name: found.value} == {name: pytest.approx(value, rel=0.06) for name, value in wrong.items()}
@@ -150,7 +150,7 @@ def test_a_zero_to_which_base_and_effect_have_bent_is_found(rig) -> None:
     free = next(candidate.free for candidate in experiment.candidates({}) if candidate.effect == "leak")
     start = Point(experiment.origin.theta, {f"effects.leak.{name}": value for name, value in leak.items()})
     base = Model((experiment,), (best_of_starts(experiment, refit(experiment, start, free), 0),), ("leak",))
-    chosen = search(base, Work(), HYPOTHESES)
+    chosen = search(base, Work(), hypotheses())
     assert chosen.model.effects == ("leak",)
     assert calibrations.calibrations_of(chosen.model) == ("encoder_zero",)
     (found,) = calibrations.found(chosen)
