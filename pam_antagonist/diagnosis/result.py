@@ -55,7 +55,7 @@ class FoundEffect:
         muscle: 1 or 2; None for both, and for an effect that belongs to neither.
         parameters: by name.
         delta_bic: evidence for it: what the model loses without it, the price of its parameters paid.
-        holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it; None for a
+        holdout_gain: share of the held-out excess over noise (:mod:`models`) that goes with it; None for a
             disturbance torque in recordings of which nothing is held out.
         recordings: names of the recordings that show it.
         notes: what a user should know about it.
@@ -243,7 +243,7 @@ class Diagnosis(Shown):
         experiment: what would distinguish them, by effect.
         ambiguities: comparisons of found effects with others on equal terms.
         ranking: all candidates of all rounds, with their models.
-        share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes; None if that
+        share: share of the held-out excess over noise (:mod:`models`) that the extended model removes; None if that
             is a disturbance torque in recordings of which nothing is held out.
         parts: the verdict on each part of the joint that was judged by itself.
         errors: of the three models, on each recording with its own values.
