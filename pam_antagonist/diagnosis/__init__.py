@@ -3,25 +3,24 @@
 :mod:`pipeline` runs five steps. Their modules, in the order in which they run:
 
 1. Prepare. :mod:`preparation` makes experiments of the recordings and groups them.
-2. Recalibrate. :mod:`selection` fits the base parameters of each group; :mod:`splits` says which parts are held out.
-   :mod:`agreement` refuses recordings of different rigs.
-3. Select. :mod:`selection` takes effects one by one: :mod:`candidates` scores and fits each, :mod:`explained` decides
-   how much it explains. :mod:`calibrations` and :mod:`far_calibrations` test zeros, scales and late stamps likewise.
-4. Judge. :mod:`judgement` has the verdict on a group. :mod:`stretches`, :mod:`change_point` and :mod:`onset` find
-   effects that begin during a recording, :mod:`disturbance` and :mod:`disturbance_search` a torque that comes and goes,
-   :mod:`sticking` friction of a joint that sticks. :mod:`findings` names the effects, with muscle and size, and
+2. Recalibrate. :mod:`splits` says what is held out and fits the base parameters of each group; a model of all of its
+   recordings is a ``Model`` (:mod:`models`). :mod:`agreement` refuses recordings of different rigs.
+3. Search. :mod:`search` asks each of the :mod:`hypotheses` what it would make of the model, and takes the best answer:
+   :mod:`catalogue_effects` are effects of the catalogue, :mod:`calibrations` zeros, scales and late stamps.
+4. Judge. :mod:`judgement` has the rules of the verdict on a group, in one table. :mod:`change_point` and :mod:`onset`
+   find effects that begin during a recording, :mod:`disturbance` and :mod:`disturbance_search` a torque that comes and
+   goes, :mod:`sticking` friction of a joint that sticks. :mod:`findings` names the effects, with muscle and size, and
    :mod:`splits` says how firm they are.
 5. Describe. :mod:`description` makes the :class:`Diagnosis`: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
    :mod:`found_calibrations` the corrections that a user enters, :mod:`rig_choice` the rig files.
 
-All of them use :mod:`thresholds`. :mod:`common_values` has the mean of a number over several recordings. :mod:`result`
-and :mod:`errors` hold the data that are passed on. :mod:`checkpoint` keeps finished candidates on disk.
+All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on. :mod:`checkpoint`
+keeps finished candidates on disk.
 
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
-:mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` and :mod:`episode_lines` for
-parameters that drift. A rig of data sheets is diagnosed by :mod:`from_pressures`, in the part of the model in which an
-effect acts.
+:mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` for parameters that drift. A
+rig of data sheets is diagnosed by :mod:`from_pressures`, in the part of the model in which an effect acts.
 """
 
 from pam_antagonist.diagnosis.pipeline import diagnose

@@ -12,12 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import calibrations, thresholds
-from pam_antagonist.diagnosis.candidates import Model, evidence
-from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.diagnosis.models import Model, evidence, in_threads
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference import calibration
@@ -40,13 +38,10 @@ def own_rig(experiment: Experiment, point: Point, start: Rig | None = None) -> R
     return with_effects(moved(here.rig, here.changes(point)), point.effects)
 
 
-def common_rig(
-    experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float], start: Rig | None = None
-) -> Rig:
+def common_rig(model: Model, effects: Mapping[str, float], start: Rig | None = None) -> Rig:
     """The rig with base parameters for all recordings, each weighted by how well it determines them."""
-    if len(experiments) == 1:
-        return own_rig(experiments[0], model.fits[0].point, start)
-    return own_rig(experiments[0], common_point(experiments, model, effects), start)
+    point = model.fits[0].point if len(model.fits) == 1 else common_point(model, effects)
+    return own_rig(model.experiments[0], point, start)
 
 
 def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
@@ -57,12 +52,12 @@ def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
     return rig.replaced(sensors=tuned.sensors, tunings=tuned.tunings, effects={**rig.effects, **random})
 
 
-def common_point(experiments: Sequence[Experiment], model: Model, effects: Mapping[str, float]) -> Point:
+def common_point(model: Model, effects: Mapping[str, float]) -> Point:
     """The base parameters and effects of :func:`common_rig` as a point; a recording adds only its own start to it."""
-    first = experiments[0]
+    first = model.experiments[0]
     count = len(first.directions)
     theta = np.zeros(first.size)
-    if len(experiments) == 1:
+    if len(model.fits) == 1:
         theta[:count] = model.fits[0].point.theta[:count]
         return Point(theta, dict(model.fits[0].point.effects))
     information, pull = np.diag(first.prior[:count]), np.zeros(count)
@@ -105,7 +100,7 @@ def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:
     return rig.replaced(effects={**rig.effects, **kept})
 
 
-def check_same_rig(group: Group, base: Model, jobs: int) -> None:
+def check_same_rig(held_out: Sequence[Experiment], base: Model) -> None:
     """Refuse a held-out recording whose own base parameters are far from those of the fitted ones.
 
     The fits of this check are used for nothing else.
@@ -115,9 +110,9 @@ def check_same_rig(group: Group, base: Model, jobs: int) -> None:
         whole = replace(other, fitted=other.trial.whole_blocks(len(other.trial)), judged=(), seed=0)
         return refit(whole, whole.origin)
 
-    fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(own)(other) for other in group.held_out)
-    for other, theirs in zip(group.held_out, fits, strict=True):
-        for experiment, fitted in zip(group.experiments, base.fits, strict=True):
+    fits = in_threads(own, ((other,) for other in held_out), base.jobs)
+    for other, theirs in zip(held_out, fits, strict=True):
+        for experiment, fitted in base.pairs:
             same_condition = experiment.trial.joint == other.trial.joint
             apart = farthest_apart(experiment, theirs, fitted) if same_condition else None
             if apart is not None:
@@ -127,12 +122,11 @@ def check_same_rig(group: Group, base: Model, jobs: int) -> None:
                 )
 
 
-def base_contradictions(experiments: Sequence[Experiment], base: Model) -> list[str]:
+def base_contradictions(base: Model) -> list[str]:
     """Base parameters in which recordings of the same joint condition differ more than one rig does from day to day."""
     warnings = []
-    pairs = list(zip(experiments, base.fits, strict=True))
-    for k, (one, fitted) in enumerate(pairs):
-        for other, theirs in pairs[:k]:
+    for k, (one, fitted) in enumerate(base.pairs):
+        for other, theirs in base.pairs[:k]:
             if one.trial.joint != other.trial.joint:
                 continue
             apart = farthest_apart(one, fitted, theirs)
@@ -144,13 +138,7 @@ def base_contradictions(experiments: Sequence[Experiment], base: Model) -> list[
     return warnings
 
 
-def effect_contradictions(
-    experiments: Sequence[Experiment],
-    model: Model,
-    found: Sequence[FoundEffect],
-    values: Mapping[str, float],
-    jobs: int,
-) -> list[str]:
+def effect_contradictions(model: Model, found: Sequence[FoundEffect], values: Mapping[str, float]) -> list[str]:
     """Effects that some recordings show and others rule out.
 
     A recording that does not show an effect may be unable to show it. It rules the effect out if the others' value
@@ -158,19 +146,17 @@ def effect_contradictions(
     """
     names = [effect.name for effect in found]
     tasks = [
-        (effect, r)
+        (effect, *pair)
         for effect in found
         if effect.name != DISTURBANCE and names.count(effect.name) == 1
-        for r, experiment in enumerate(experiments)
-        if experiment.trial.name not in effect.recordings
+        for pair in model.pairs
+        if pair[0].trial.name not in effect.recordings
     ]
-    losses = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(_loss)(experiments[r], model.fits[r], f"effects.{effect.name}.", values) for effect, r in tasks
-    )
+    losses = in_threads(_loss, ((*pair, f"effects.{effect.name}.", values) for effect, *pair in tasks), model.jobs)
     return [
         f"the recordings contradict each other: {' and '.join(effect.recordings)} shows {effect.name}, "
-        f"{experiments[r].trial.name} rules it out (evidence {loss:.0f} against it)"
-        for (effect, r), loss in zip(tasks, losses, strict=True)
+        f"{experiment.trial.name} rules it out (evidence {loss:.0f} against it)"
+        for (effect, experiment, _), loss in zip(tasks, losses, strict=True)
         if loss > thresholds.STRONG
     ]
 

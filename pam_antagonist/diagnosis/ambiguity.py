@@ -20,18 +20,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import explained, found_calibrations, thresholds
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.hypotheses import Ranking
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
-from pam_antagonist.diagnosis.selection import Selection
+from pam_antagonist.diagnosis.search import about
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
-from pam_antagonist.inference.calibration import CALIBRATIONS
-from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
-from pam_antagonist.model.effects import CATALOGUE, EffectParameter, experiment_between, parameter_path
+from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -42,18 +41,16 @@ _TIME_CONSTANTS = (0.125, 0.25, 0.5, 1.0)
 """Time constants of a loss that decays, in durations of the fitted part."""
 
 
-def near_candidates(selection: Selection) -> tuple[str, ...]:
+def near_candidates(ranking: Ranking) -> tuple[str, ...]:
     """Candidates of the first round that do as well as the chosen one, by evidence and on held-out data."""
-    if not selection.model.effects:
-        return ()
-    first = [tried for tried in selection.tried if tried.round == 1 and tried.shares is not None]
-    best = next((tried for tried in first if tried.effect == selection.model.effects[0]), None)
-    return () if best is None else explained.near(best, first)
+    first = [tried for tried in ranking.tried if tried.round == 1 and tried.shares is not None]
+    best = next((tried for tried in first if tried.effect in ranking.model.effects[:1]), None)
+    return () if best is None else best.near(first)
 
 
-def ambiguities(experiments: Sequence[Experiment], base: Model, model: Model) -> tuple[Ambiguity, ...]:
+def ambiguities(base: Model, model: Model) -> tuple[Ambiguity, ...]:
     """Comparisons of found effects with their rivals on equal terms."""
-    driven = [experiment for experiment in experiments if isinstance(experiment, AngleDriven)]
+    driven = [experiment for experiment in model.experiments if isinstance(experiment, AngleDriven)]
     part = driven[0].part if driven else None
     if part == BALANCE:
         compared = _loops(driven, model.fits, model.effects)
@@ -68,18 +65,10 @@ def distinguishing_experiments(
     """For each effect and calibration that is as likely as a found one, what to record."""
     out = {}
     for other in ambiguous:
-        if other in CALIBRATIONS:
-            out[other] = found_calibrations.experiment(other)
-            continue
-        if not found and calibrated:
-            out[other] = found_calibrations.experiment(calibrated[0])
-            continue
-        effect = CATALOGUE[other]
-        if DRIVEN in conditions:
-            out[other] = effect.sealed.experiment or effect.experiment
-            continue
-        out[other] = (experiment_between(other, found[0]) if found else None) or effect.experiment
-        if len(set(conditions)) == 1:
+        # A calibration is measured without a model, the one that was found as well as a rival.
+        told = calibrated[0] if about(other).is_effect and calibrated and not found else other
+        out[other] = about(told).experiment(told, next(iter(found), None), DRIVEN in conditions)
+        if about(told).is_effect and DRIVEN not in conditions and len(set(conditions)) == 1:
             missing = "locked" if "free" in conditions else "free"
             out[other] += f"; or add a recording with the joint {missing}"
     return out

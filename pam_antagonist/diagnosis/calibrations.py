@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from typing_extensions import override
 
-from pam_antagonist.diagnosis import explained, far_calibrations, thresholds
-from pam_antagonist.diagnosis.candidates import Model, TriedCandidate, evidence
-from pam_antagonist.diagnosis.common_values import of_calibration
+from pam_antagonist.diagnosis import found_calibrations, thresholds
+from pam_antagonist.diagnosis.catalogue_effects import as_configured
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
+from pam_antagonist.diagnosis.hypotheses import Hypothesis, Ranking, TriedCandidate, Work
+from pam_antagonist.diagnosis.models import Model, evidence, evidence_of, given, in_threads, of_calibration, without
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
@@ -27,65 +32,191 @@ _EDGE = 1e-3
 """A calibration nearer to a bound than this share of its range is at the bound."""
 _STAMP_STD = 12.0**-0.5
 """[sample periods] Standard deviation of a stamp's error, which is uniform over one sample period."""
+_TRIED = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Values that are tried beside the base as configured, in scales of the calibration, in either direction."""
+_NEAR = 0.05
+"""Tolerance of the best value at which a fit begins, in scales of the calibration."""
+_FITTED = 2
+"""Calibrations of a recording that are fitted from there, those with the best scores."""
 
 
-def tried(
-    experiments: Sequence[Experiment], first: Sequence[explained.Residuals], model: Model, number: int, jobs: int
-) -> list[TriedCandidate]:
-    """Calibrations fitted beside a model, in every recording above its noise; the best first. Each is one number."""
-    in_threads = Parallel(n_jobs=jobs, prefer="threads")
-    before = explained.remaining_residuals(experiments, model.fits)
+class Calibration(Hypothesis):
+    """A zero or scale of a sensor, or stamps that are late. Each is one number, in every recording."""
+
+    is_effect = False
+
+    @override
+    def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
+        """Calibrations beside a model above noise, or those that a model at the noise hides; the best first."""
+        found = _hidden(now.model, number) if now.model.is_at_noise else _tried(now, number)
+        return sorted(found, key=lambda candidate: -candidate.standing)
+
+    @override
+    def is_worth_taking(self, tried: TriedCandidate) -> bool:
+        """Whether one may be taken; beside a model at the noise it is proposed only then."""
+        return tried.shares is None or tried.is_worth_taking or tried.ends_at_noise
+
+    @override
+    def take(self, now: Ranking, best: TriedCandidate) -> tuple[Model, Model]:
+        """Both models with a calibration.
+
+        The sensors are the same in all recordings. So recordings that do not show the calibration get its value too,
+        where that costs nothing.
+        """
+        assert best.model is not None
+        dotted = calibration.path(best.effect)
+        shown = [fitted for fitted in best.model.fits if dotted in fitted.point.effects]
+        value = of_calibration([_value(fitted, dotted) for fitted in shown])[0]
+
+        def everywhere(experiment: Experiment, fitted: Fitted) -> Fitted:
+            known = dotted in fitted.point.effects
+            return relinearised(experiment, fitted) if known else given(experiment, fitted, {dotted: value})
+
+        chosen = replace(best.model.map(everywhere), effects=now.model.effects)
+        if not chosen.effects:
+            return chosen, chosen
+
+        def alone(experiment: Experiment, fitted: Fitted, extended: Fitted) -> Fitted:
+            values = {p: v for p, v in extended.point.effects.items() if p == dotted}
+            return _with(experiment, fitted, values, [free for free in extended.free if free.path == dotted])
+
+        return replace(now.base.map(alone, chosen.fits), effects=()), chosen
+
+    @override
+    def knows(self, name: str) -> bool:
+        """Whether it is a calibration."""
+        return name in calibration.CALIBRATIONS
+
+    @override
+    def sentence(self, name: str, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
+        """Its value in words, without a standard deviation."""
+        return found_calibrations.in_words(FoundCalibration(name, values[name], 0.0, "", 0.0, {}))
+
+    @override
+    def instead(self, name: str, sealed: bool = False) -> str:
+        """What a report says of a calibration that does as well as what was found."""
+        return f"{found_calibrations.alternative(name)} would explain the data as well"
+
+    @override
+    def experiment(self, name: str, found: str | None = None, sealed: bool = False) -> str:
+        """How to measure it without a model."""
+        return found_calibrations.experiment(name)
+
+
+def _tried(now: Ranking, number: int) -> list[TriedCandidate]:
+    """Calibrations fitted beside a model, in every recording above its noise."""
+    model = now.model
     noisy = [
-        max(e.times_noise(np.concatenate(left))) >= thresholds.AT_NOISE
-        for e, left in zip(experiments, before, strict=True)
-    ]
-    can = [
-        experiment.calibrations(fitted.point.effects)
-        for experiment, fitted in zip(experiments, model.fits, strict=True)
-    ]
-    tasks = {(candidate.effect, r): candidate for r, each in enumerate(can) for candidate in each if noisy[r]}
+        r for r, ((experiment, _), left) in enumerate(zip(model.pairs, model.left, strict=True))
+        if max(experiment.times_noise(np.concatenate(left))) >= thresholds.AT_NOISE
+    ]  # fmt: skip
+    can = [experiment.calibrations(fitted.point.effects) for experiment, fitted in model.pairs]
+    tasks = {(candidate.effect, r): candidate for r in noisy for candidate in can[r]}
 
-    def fitted(r: int, candidate: Candidate) -> Fitted:
-        start = {free.path: 0.0 for free in candidate.free}
-        return _with(experiments[r], model.fits[r], start, candidate.free)
+    def near(which: tuple[str, int]) -> Fitted:
+        experiment, before = model.pairs[which[1]]
+        free = tasks[which].free
+        return _with(experiment, before, {one.path: 0.0 for one in free}, free)
 
-    fits = in_threads(delayed(fitted)(r, candidate) for (_, r), candidate in tasks.items())
-    done = dict(zip(tasks, fits, strict=True))
-    far = [r for r, is_noisy in enumerate(noisy) if is_noisy]
-    others = in_threads(delayed(far_calibrations.fits)(experiments[r], model.fits[r], can[r]) for r in far)
-    for r, other in zip(far, others, strict=True):
-        for name, fit in other.items():
-            gains = [evidence(experiments[r], model.fits[r], one) for one in (done[name, r], fit)]
+    done = dict(zip(tasks, in_threads(near, ((which,) for which in tasks), model.jobs), strict=True))
+    far = in_threads(_from_afar, ((*model.pairs[r], can[r]) for r in noisy), model.jobs)
+    for r, each in zip(noisy, far, strict=True):
+        for name, fit in each.items():
+            gains = [evidence(*model.pairs[r], one) for one in (done[name, r], fit)]
             done[name, r] = fit if gains[1] > gains[0] else done[name, r]
-    done = {(name, r): fit for (name, r), fit in done.items() if _is_within(fit, name)}
+    within = {which: fit for which, fit in done.items() if _is_within(fit, which[0])}
     out = []
     for name in dict.fromkeys(name for name, _ in tasks):
-        each = [done.get((name, r)) for r in range(len(experiments))]
-        candidate = TriedCandidate(name, number, np.nan)
-        out.append(explained.with_fits(candidate, experiments, first, before, model, model.effects, each))
-    return sorted(out, key=lambda candidate: -candidate.standing)
+        fits = [within.get((name, r)) for r in range(len(model.fits))]
+        out.append(TriedCandidate(name, number, np.nan).fitted(now.first, model, fits, model.effects))
+    return out
 
 
-def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: int) -> list[TriedCandidate]:
-    """Calibrations that biased parameters of a model at the noise hide, the best first.
+class _Score(NamedTuple):
+    cost: float
+    value: float
+    candidate: Candidate
+
+
+def _from_afar(experiment: Experiment, fitted: Fitted, candidates: Sequence[Candidate]) -> dict[str, Fitted]:
+    """The calibrations that do best beside the base as configured, fitted from there, by name.
+
+    A zero of 2°, or a clock that is 50 ms early, biases base parameters that are fitted without it. A fit that begins
+    there may not find the way back. So each calibration is tried in several sizes beside the base as configured.
+    """
+    start = as_configured(experiment, fitted)
+    none = _cost(experiment, start, start.point, start.residual)
+    scores = (_score(experiment, start, candidate) for candidate in candidates)
+    chosen = sorted((score for score in scores if score.cost < none), key=lambda score: score.cost)[:_FITTED]
+
+    def fit(score: _Score) -> Fitted:
+        point = _moved(start.point, score.candidate, _refined(experiment, start, score))
+        found = refit(experiment, point, (*fitted.free, *score.candidate.free), start.base, renewals=2, beside=start)
+        return best_of_starts(experiment, found, 0)
+
+    return {score.candidate.effect: fit(score) for score in chosen}
+
+
+def _score(experiment: Experiment, start: Fitted, candidate: Candidate) -> _Score:
+    """The best of the tried values of a calibration."""
+    (number,) = candidate.free
+    values = [way * size * number.item.scale for size in _TRIED for way in (-1.0, 1.0)]
+    points = {
+        value: _moved(start.point, candidate, value) for value in values if number.item.low <= value <= number.item.high
+    }
+    changes = experiment.differences(start.point, start.residual, points.values())
+    scores = (
+        _Score(_cost(experiment, start, point, start.residual + change), value, candidate)
+        for (value, point), change in zip(points.items(), changes, strict=True)
+    )
+    return min(scores, key=lambda score: score.cost)
+
+
+def _refined(experiment: Experiment, start: Fitted, score: _Score) -> float:
+    """The best value between the neighbours of the one that was tried."""
+    low, high = sorted((0.5 * score.value, 2.0 * score.value))
+
+    def cost(value: float) -> float:
+        point = _moved(start.point, score.candidate, float(value))
+        return _cost(experiment, start, point, experiment.near(point, start.point, start.residual))
+
+    found = minimize_scalar(
+        cost,
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": _NEAR * score.candidate.free[0].item.scale},
+    )
+    return float(found.x) if found.fun < score.cost else score.value
+
+
+def _moved(point: Point, candidate: Candidate, value: float) -> Point:
+    return Point(point.theta, {**point.effects, **{free.path: value for free in candidate.free}})
+
+
+def _cost(experiment: Experiment, start: Fitted, point: Point, residual: NDArray[np.float64]) -> float:
+    """What is left to first order once the base parameters have moved to their best: twice a negative log posterior."""
+    theta, scale = point.theta, start.scale
+    step = Equations.of(residual, start.base, start.effect).solved(scale, experiment.prior, theta, rounds=4)
+    return float(scale.misfits_of(step.squares, len(residual)).sum()) + prior_cost(experiment, theta + step.theta)
+
+
+def _hidden(model: Model, number: int) -> list[TriedCandidate]:
+    """Calibrations that biased parameters of a model at the noise hide.
 
     The residual is noise, so every block of it counts, or as many as its memory leaves. The evidence includes the
     priors: with the calibration, base parameters move back to them.
     """
-    pairs = list(zip(experiments, model.fits, strict=True))
     tasks = [
         (r, candidate)
-        for r, (experiment, now) in enumerate(pairs)
+        for r, (experiment, now) in enumerate(model.pairs)
         for candidate in experiment.calibrations(now.point.effects)
         if candidate.effect not in _IMITATED
     ]
-    in_threads = Parallel(n_jobs=jobs, prefer="threads")
-    gains = in_threads(delayed(_first_order)(*pairs[r], candidate) for r, candidate in tasks)
+    gains = in_threads(_first_order, ((*model.pairs[r], candidate) for r, candidate in tasks), model.jobs)
     tasks = [task for task, gain in zip(tasks, gains, strict=True) if gain > thresholds.STRONG]
 
-    def fitted(r: int, candidate: Candidate | None) -> Fitted:
-        experiment, now = pairs[r]
-        more = () if candidate is None else candidate.free
+    def fitted(r: int, more: Sequence[FreeEffectParameter]) -> Fitted:
+        experiment, now = model.pairs[r]
         point = Point(now.point.theta, {**now.point.effects, **{free.path: 0.0 for free in more}})
         return refit(
             experiment, point, (*now.free, *more), renewals=3, blocks_per_error=now.scale.blocks_per_error, beside=now
@@ -93,22 +224,23 @@ def hidden(experiments: Sequence[Experiment], model: Model, number: int, jobs: i
 
     # The gain of a further fit without a calibration is no evidence for one.
     noted = list(dict.fromkeys(r for r, _ in tasks))
-    plain = dict(zip(noted, in_threads(delayed(fitted)(r, None) for r in noted), strict=True))
-    done = dict(zip(((c.effect, r) for r, c in tasks), in_threads(delayed(fitted)(*t) for t in tasks), strict=True))
+    plain = dict(zip(noted, in_threads(fitted, ((r, ()) for r in noted), model.jobs), strict=True))
+    fits = in_threads(fitted, ((r, candidate.free) for r, candidate in tasks), model.jobs)
+    done = {(candidate.effect, r): fit for (r, candidate), fit in zip(tasks, fits, strict=True)}
     out = []
     for name in dict.fromkeys(name for name, _ in done):
-        fits, total, held = list(model.fits), 0.0, 0.0
-        for r, (experiment, _) in enumerate(pairs):
+        chosen, total, held = list(model.fits), 0.0, 0.0
+        for r, (experiment, _) in enumerate(model.pairs):
             new = done.get((name, r))
             if new is None or not _is_within(new, name) or not _is_certain(new, name):
                 continue
             gain, later = _posterior_gain(experiment, plain[r], new)
             if gain > 0.0:
-                fits[r], total, held = new, total + gain, held + later
+                chosen[r], total, held = new, total + gain, held + later
         if total + held >= thresholds.TAKEN and min(total, held) >= thresholds.POSITIVE:
-            now = Model(model.effects, tuple(fits))
-            out.append(TriedCandidate(name, number, np.nan, total, held, (0.0, 0.0), now))
-    return sorted(out, key=lambda candidate: -candidate.standing)
+            changed = replace(model, fits=tuple(chosen))
+            out.append(TriedCandidate(name, number, np.nan, total, held, model=changed))
+    return out
 
 
 def _first_order(experiment: Experiment, fitted: Fitted, candidate: Candidate) -> float:
@@ -156,100 +288,37 @@ def _with(
     return best_of_starts(experiment, found, 0)
 
 
-def taken(
-    experiments: Sequence[Experiment], base: Model, model: Model, best: Model, name: str, jobs: int
-) -> tuple[Model, Model]:
-    """The model without effects and the chosen one, both with a calibration that is worth taking.
-
-    The sensors are the same in all recordings. So recordings that do not show the calibration get its value too, where
-    that costs nothing.
-    """
-    dotted = calibration.path(name)
-    shown = [fitted for fitted in best.fits if dotted in fitted.point.effects]
-    value = of_calibration([_value(fitted, dotted) for fitted in shown])[0]
-
-    def given(experiment: Experiment, fitted: Fitted) -> Fitted:
-        if dotted in fitted.point.effects:
-            return relinearised(experiment, fitted)
-        point = Point(fitted.point.theta, {**fitted.point.effects, dotted: value})
-        pace = fitted.scale.blocks_per_error
-        other = refit(experiment, point, fitted.free, renewals=2, blocks_per_error=pace, beside=fitted)
-        return other if evidence(experiment, fitted, other) >= -thresholds.POSITIVE else fitted
-
-    in_threads = Parallel(n_jobs=jobs, prefer="threads")
-    chosen = Model(
-        model.effects, tuple(in_threads(delayed(given)(*p) for p in zip(experiments, best.fits, strict=True)))
-    )
-    if not model.effects:
-        return chosen, chosen
-
-    def alone(experiment: Experiment, fitted: Fitted, extended: Fitted) -> Fitted:
-        values = {p: v for p, v in extended.point.effects.items() if p == dotted}
-        return _with(experiment, fitted, values, [free for free in extended.free if free.path == dotted])
-
-    triples = zip(experiments, base.fits, chosen.fits, strict=True)
-    return Model((), tuple(in_threads(delayed(alone)(*each) for each in triples))), chosen
-
-
-def needed(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> tuple[Model, Model]:
+def needed(base: Model, model: Model) -> tuple[Model, Model]:
     """Both models without calibrations at a bound, and without what is not significant beside the others."""
     for name in calibrations_of(model):
         if not all(_is_within(fitted, name) for fitted in (*base.fits, *model.fits)):
-            prefix = calibration.path(name)
-            base, model = (without(experiments, each, prefix, jobs) for each in (base, model))
-    while model.effects:
-        names = calibrations_of(model)
-        if not names:
-            break
+            base, model = (without(each, calibration.path(name), finer=True) for each in (base, model))
+    while model.effects and (names := calibrations_of(model)):
         prefixes = [*(calibration.path(name) for name in names), *(f"effects.{name}." for name in model.effects)]
-        smaller = [without(experiments, model, prefix, jobs) for prefix in prefixes]
-        lost = [_lost(experiments, other, model) for other in smaller[: len(names)]]
-        lost += [explained.evidence_of(experiments, other, model) for other in smaller[len(names) :]]
+        smaller = [without(model, prefix, finer=True) for prefix in prefixes]
+        lost = [_lost(other, model) for other in smaller[: len(names)]]
+        lost += [evidence_of(other, model) for other in smaller[len(names) :]]
         least = int(np.argmin(lost))
         if lost[least] >= thresholds.STRONG:
             break
         model = smaller[least]
         if least < len(names):
-            base = without(experiments, base, prefixes[least], jobs)
+            base = without(base, prefixes[least], finer=True)
     return base, model if model.effects else base
 
 
-def _lost(experiments: Sequence[Experiment], smaller: Model, model: Model) -> float:
+def _lost(smaller: Model, model: Model) -> float:
     """Evidence for a model against one without a calibration; it includes the priors where both leave only noise."""
-    if not (explained.at_noise(experiments, smaller) and explained.at_noise(experiments, model)):
-        return explained.evidence_of(experiments, smaller, model)
-    total = 0.0
-    for experiment, before, after in zip(experiments, smaller.fits, model.fits, strict=True):
-        if len(before.free) < len(after.free):
-            total += _posterior_gain(experiment, before, after)[0]
-    return total
+    if not (smaller.is_at_noise and model.is_at_noise):
+        return evidence_of(smaller, model)
+    pairs = zip(model.experiments, smaller.fits, model.fits, strict=True)
+    return sum(_posterior_gain(*each)[0] for each in pairs if len(each[1].free) < len(each[2].free))
 
 
-def carried_on(experiments: Sequence[Experiment], model: Model, jobs: int) -> Model:
+def carried_on(model: Model) -> Model:
     """A model fitted to convergence: calibrations are so certain that the last steps of a fit matter."""
-
-    def one(experiment: Experiment, fitted: Fitted) -> Fitted:
-        needs = any(calibration.is_calibration(free.path) for free in fitted.free)
-        return settled(experiment, fitted) if needs else fitted
-
-    pairs = zip(experiments, model.fits, strict=True)
-    return Model(model.effects, tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*pair) for pair in pairs)))
-
-
-def without(experiments: Sequence[Experiment], model: Model, prefix: str, jobs: int) -> Model:
-    """A model without the parameters whose dotted paths have a prefix, everything else fitted anew."""
-
-    def one(experiment: Experiment, fitted: Fitted) -> Fitted:
-        kept = {name: value for name, value in fitted.point.effects.items() if not name.startswith(prefix)}
-        if len(kept) == len(fitted.point.effects):
-            return fitted
-        free = tuple(free for free in fitted.free if not free.path.startswith(prefix))
-        return best_of_starts(experiment, refit(experiment, Point(fitted.point.theta, kept), free, beside=fitted), 0)
-
-    pairs = zip(experiments, model.fits, strict=True)
-    fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*pair) for pair in pairs)
-    names = tuple(name for name in model.effects if not prefix.startswith(f"effects.{name}."))
-    return Model(names, tuple(fits))
+    calibrated = [any(calibration.is_calibration(free.path) for free in fitted.free) for fitted in model.fits]
+    return model.map(lambda experiment, fitted, needs: settled(experiment, fitted) if needs else fitted, calibrated)
 
 
 def calibrations_of(model: Model) -> tuple[str, ...]:
@@ -265,18 +334,14 @@ def common(model: Model) -> dict[str, float]:
     }
 
 
-def found(
-    experiments: Sequence[Experiment],
-    models: Sequence[Model],
-    weighed: Sequence[TriedCandidate],
-    rivals: Mapping[str, tuple[str, ...]],
-) -> tuple[FoundCalibration, ...]:
+def found(ranking: Ranking, judged: Model | None = None) -> tuple[FoundCalibration, ...]:
     """The calibrations that recordings need, each with its value; uncertain ones are left out.
 
     Args:
-        models: of the recordings, the selection's model last; the first in which a calibration is free has its value.
-        rivals: for each that was taken, what the recordings cannot distinguish from it.
+        judged: the model of the verdict, which has the values where a calibration is free in it.
     """
+    models = (ranking.model,) if judged is None else (judged, ranking.model)
+    experiments = ranking.model.experiments
 
     @cache
     def well(number: int, r: int) -> Fitted:
@@ -284,9 +349,9 @@ def found(
         return well_known(experiments[r], models[number].fits[r])
 
     out = []
-    for name in calibrations_of(models[-1]):
+    for name in calibrations_of(ranking.model):
         number, seen = next((m, values) for m, model in enumerate(models) if (values := _seen(model, name)))
-        gain = next(item.delta_bic or 0.0 for item in weighed if item.effect == name and item.taken)
+        gain = next(item.delta_bic or 0.0 for item in ranking.calibrations if item.effect == name and item.taken)
         # A stamp is off by a part of a sample, whatever a fit says.
         stamped = {r: experiments[r].trial.dt * _STAMP_STD if name.startswith("delay_") else 0.0 for r in seen}
         value, std = of_calibration([(own, float(np.hypot(error, stamped[r]))) for r, (own, error) in seen.items()])
@@ -301,7 +366,7 @@ def found(
         if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
             continue
         unit = calibration.CALIBRATIONS[name].unit
-        out.append(FoundCalibration(name, value, std, unit, gain, by_recording, rivals.get(name, ())))
+        out.append(FoundCalibration(name, value, std, unit, gain, by_recording, ranking.rivals.get(name, ())))
     return tuple(out)
 
 

@@ -1,22 +1,24 @@
-"""The part of a recording in which a model leaves more than noise: when something begins, and when it ends.
+"""Where a recording is above noise: stretches of a channel, and the part in which something begins and ends.
 
-A model is first fitted to parts of the recording. The one that explains most of the rest as well is at the noise where
-nothing has begun. The part above noise is then found by its likelihood: noise before and after it, another variance of
-each channel within. The model is fitted again to what is outside of it, which shows the part more clearly. There are
-several such parts if several things begin and end.
+To find a part, a model is fitted to pieces of the recording. The one that explains most of the rest as well is at the
+noise where nothing has begun. The part above noise is then found by its likelihood: noise before and after it, another
+variance of each channel within. The model is fitted again to what is outside of it, which shows the part more clearly.
+There are several such parts if several things begin and end.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.stretches import clearest, fitted_to_all
+from pam_antagonist.diagnosis.models import in_threads
 from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, effect_jacobian, refit
 from pam_antagonist.inference.likelihood import Equations
 from pam_antagonist.inference.point import Point, Span
@@ -38,6 +40,85 @@ _BUFFER = 1.0
 _LEAST_REST = 0.2
 """Least share of a recording at its noise: the base parameters are fitted to it."""
 _ROUNDS = 4
+_LAST_ROUNDS = 6
+"""Rounds of a fit that starts near its end."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of one channel that is above noise.
+
+    Attributes:
+        begin_s: [s].
+        end_s: [s].
+        times_noise: root mean square of the residual there, over its noise.
+        evidence: against noise, with the price of all stretches that were looked at.
+    """
+
+    recording: str
+    channel: str
+    begin_s: float
+    end_s: float
+    times_noise: float
+    evidence: float
+
+
+def stretches_above_noise(pairs: Iterable[tuple[Experiment, Point]], jobs: int) -> tuple[Stretch, ...]:
+    """The clearest stretch above noise of every recording that has one even with the base fitted to all of it.
+
+    The verdict `none` is about all data, so the base parameters are fitted to the whole recording before it is tested.
+    The stretch is taken from the model as it is: the base fitted to all data may hide what is wrong.
+    """
+
+    def one(experiment: Experiment, point: Point) -> Stretch | None:
+        found = clearest(experiment, replace(experiment, judged=()).residual(point, whole=True))
+        if found is None:
+            return None
+        fitted = fitted_to_all(experiment, point)
+        return found if clearest(experiment, fitted.residual) is not None else None
+
+    return tuple(stretch for stretch in in_threads(one, pairs, jobs) if stretch is not None)
+
+
+def fitted_to_all(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter] = ()) -> Fitted:
+    """A model fitted to all of a recording, held out or not, as a model that is right: every block counts."""
+    alone = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), split=None, judged=())
+    return refit(alone, point, free, rounds=_LAST_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
+
+
+def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
+    """The stretch with the strongest evidence against noise; None where there is none with strong evidence.
+
+    Twice the log likelihood ratio of a stretch with n independent values of noise is n (m − 1 − log m). m is its mean
+    square over that of the noise, the latter taken as large as it may be. Begin, length and channel are chosen, so
+    twice the logarithm of the number of choices is the price (Bonferroni).
+
+    Args:
+        residual: of all of it (B, C).
+    """
+    seconds = 1.0 / experiment.trial.block_s
+    lengths = [round(length * seconds) for length in thresholds.STRETCHES if round(length * seconds) < len(residual)]
+    lengths.append(len(residual))
+    squares = np.vstack([np.zeros(residual.shape[1]), np.cumsum((residual / experiment.noise) ** 2, axis=0)])
+    best: tuple[float, int, int, int, float] = (0.0, 0, 0, 0, 0.0)
+    looks = 0
+    for length in lengths:
+        begin = np.unique(np.append(np.arange(0, len(residual) - length, max(length // 2, 1)), len(residual) - length))
+        mean = (squares[begin + length] - squares[begin]) / length
+        ratio = np.maximum(mean / thresholds.AT_NOISE**2, 1.0)
+        gain = length / experiment.noise_memory * (ratio - 1.0 - np.log(ratio))
+        looks += gain.size
+        row, channel = divmod(int(np.argmax(gain)), gain.shape[1])
+        if gain[row, channel] > best[0]:
+            best = float(gain[row, channel]), int(begin[row]), length, int(channel), float(mean[row, channel])
+    most, begin_block, length, channel, mean_square = best
+    evidence = most - 2.0 * float(np.log(looks))
+    if evidence < thresholds.STRONG:
+        return None
+    return Stretch(
+        experiment.trial.name, experiment.titles[channel].title, begin_block / seconds,
+        (begin_block + length) / seconds, float(np.sqrt(mean_square)), evidence,
+    )  # fmt: skip
 
 
 class Change(NamedTuple):

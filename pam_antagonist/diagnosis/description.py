@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from joblib import Parallel, delayed
-
 from pam_antagonist.diagnosis import ambiguity, found_calibrations, held_out, rig_choice, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
-from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
+from pam_antagonist.diagnosis.hypotheses import TriedCandidate
+from pam_antagonist.diagnosis.models import Model, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings
 from pam_antagonist.diagnosis.remaining import describe as describe_remaining
 from pam_antagonist.diagnosis.result import (
@@ -26,12 +25,11 @@ from pam_antagonist.diagnosis.result import (
     PartVerdict,
     Verdict,
 )
+from pam_antagonist.diagnosis.search import about
 from pam_antagonist.identification.sealed_tuning import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
-from pam_antagonist.inference.calibration import CALIBRATIONS
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
 _T = TypeVar("_T")
@@ -46,23 +44,13 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         judged: the verdict on each group of them, the strongest effect first.
     """
     jobs, progress = settings.jobs, settings.progress
-    ended = [_with_held_out_end(prepared, j, jobs) for j in judged]
+    ended = [_with_held_out_end(j) for j in judged]
     compared = tuple(c for end, j in zip(ended, judged, strict=True) for c in held_out.compare(*end, j.values))
-    rivals = tuple(
-        rival
-        for j in judged
-        if j.verdict == "effect"
-        for rival in ambiguity.ambiguities(j.group.experiments, j.base, j.model)
-    )
+    rivals = tuple(rival for j in judged if j.verdict == "effect" for rival in ambiguity.ambiguities(j.base, j.model))
     effects = _effects(prepared, judged, rivals)
     ambiguous = _ambiguous(judged, rivals)
     calibrated = tuple(_named(prepared, j, item) for j in judged for item in j.calibrations)
-    profiles = [
-        item
-        for j in judged
-        if settings.profiles
-        for item in profile_sizes(j.group.experiments, j.model, j.effects, jobs, progress)
-    ]
+    profiles = [item for j in judged if settings.profiles for item in profile_sizes(j.model, j.effects, progress)]
     timings.end("profiles")
     common = {name: _common_rig(prepared, judged, name == "extended") for name in ("recalibrated", "extended")}
     tunings = _tunings(prepared, common, bool(effects), settings)
@@ -77,12 +65,11 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     }
     of_one_rig = rig_choice.rig_errors(prepared, models, rigs, compared, entries, settings)
     timings.end("errors")
-    remaining = tuple(
-        item for j in judged if j.verdict != "none" for item in describe_remaining(j.group.experiments, j.model)
-    )
+    remaining = tuple(item for j in judged if j.verdict != "none" for item in describe_remaining(j.model))
     timings.end("remaining residual")
     verdict, share = _overall(judged)
-    ranking = tuple(_ranked(j, tried) for j in judged for tried in j.selection.tried)
+    extended = _all(j.model for j in judged)
+    ranking = tuple(_ranked(j, tried) for j in judged for tried in j.ranking.tried)
     reference = held_out.static_map(prepared)
     return Diagnosis(
         verdict=verdict,
@@ -97,7 +84,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
             ranking,
             reference,
             prepared.angle_driven,
-            any(isinstance(experiment, MeasuredMotion) for j in judged for experiment in j.group.experiments),
+            any(isinstance(experiment, MeasuredMotion) for experiment in extended.experiments),
         ),
         effects=effects,
         calibrations=calibrated,
@@ -117,10 +104,10 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         by_recording=entries,
         reference=reference,
         remaining=remaining,
-        unseen=warnings.unseen(_as_judged(prepared, judged), {j.group.name: j.base for j in judged}, jobs),
+        unseen=warnings.unseen(prepared, map(_throughout, judged)),
         warnings=(
             *prepared.notes,
-            *warnings.guessed_curves(judged[0].group.experiments[0].rig, [item.name for item in effects]),
+            *warnings.guessed_curves(extended.experiments[0].rig, [item.name for item in effects]),
             *(warning for j in judged for warning in j.warnings),
             *warnings.few_sweeps(prepared),
             *_either_muscle(judged),
@@ -132,37 +119,36 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         rig_extended=rigs["extended"],
         own=_own_rigs(prepared, compared, tunings),
         base_friction_removed=prepared.friction_removed,
-        experiments=tuple(experiment for j in judged for experiment in j.group.experiments),
-        recalibrated=Model((), tuple(fitted for j in judged for fitted in j.base.fits)),
-        extended=Model(
-            tuple(name for j in judged for name in j.model.effects), tuple(f for j in judged for f in j.model.fits)
-        ),
+        recalibrated=_all(j.base for j in judged),
+        extended=extended,
         compared=compared,
         seconds=timings.seconds,
     )
 
 
-def _with_held_out_end(prepared: Prepared, judged: Judged, jobs: int) -> tuple[Group, Model, Model]:
+def _with_held_out_end(judged: Judged) -> tuple[Group, Model, Model]:
     """A group with its end held out, as prepared; models that were fitted to all data are fitted again to the rest."""
-    if not any(experiment.splits for experiment in judged.group.experiments):
-        return judged.group, judged.base, judged.model
-    group = next(group for group in prepared.groups if group.name == judged.group.name)
+    group = judged.group
+    if not any(experiment.splits for experiment in judged.model.experiments):
+        return group, judged.base, judged.model
 
     def again(model: Model) -> Model:
-        pairs = zip(group.experiments, model.fits, strict=True)
-        fits = Parallel(n_jobs=jobs, prefer="threads")(delayed(refit)(e, f.point, f.free) for e, f in pairs)
-        return Model(model.effects, tuple(fits))
+        prepared = replace(model, experiments=group.experiments)
+        return prepared.map(lambda experiment, fitted: refit(experiment, fitted.point, fitted.free))
 
     return group, again(judged.base), again(judged.model)
 
 
-def _as_judged(prepared: Prepared, judged: Sequence[Judged]) -> Prepared:
-    """The recordings with their final splits, and all effects throughout."""
-    groups = (
-        replace(j.group, experiments=tuple(replace(experiment, spans={}) for experiment in j.group.experiments))
-        for j in judged
-    )
-    return replace(prepared, groups=tuple(groups))
+def _all(models: Iterable[Model]) -> Model:
+    """The models of all groups as one."""
+    columns = zip(*((model.experiments, model.fits, model.effects) for model in models), strict=True)
+    return Model(*(tuple(itertools.chain(*each)) for each in columns))
+
+
+def _throughout(judged: Judged) -> Model:
+    """The model without effects, of recordings in which all effects act throughout."""
+    experiments = tuple(replace(experiment, spans={}) for experiment in judged.model.experiments)
+    return replace(judged.base, experiments=experiments)
 
 
 def _overall(judged: Sequence[Judged]) -> tuple[Verdict, float | None]:
@@ -206,9 +192,9 @@ def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[Fo
 
 def _ambiguous(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[str, ...]:
     """Effects that would do as well as a found one."""
-    near = [name for j in judged if j.verdict == "effect" for name in ambiguity.near_candidates(j.selection)]
+    near = [name for j in judged if j.verdict == "effect" for name in ambiguity.near_candidates(j.ranking)]
     near += [
-        name for j in judged if j.verdict == "effect" for e in j.effects for name in j.selection.rivals.get(e.name, ())
+        name for j in judged if j.verdict == "effect" for e in j.effects for name in j.ranking.rivals.get(e.name, ())
     ]
     near += [name for j in judged for item in j.calibrations for name in item.rivals]
     found = {name for j in judged for name in (*j.model.effects, *(item.name for item in j.calibrations))}
@@ -218,7 +204,7 @@ def _ambiguous(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[s
 
 def _ranked(judged: Judged, tried: TriedCandidate) -> TriedCandidate:
     """A candidate that says whether it is in the final model."""
-    chosen = judged.selection.model.effects
+    chosen = judged.ranking.model.effects
     selected = tried.model is not None and tried.model.effects == chosen[: tried.round]
     return replace(tried, taken=judged.verdict == "effect" and selected and tried.effect in judged.model.effects)
 
@@ -227,7 +213,7 @@ def _either_muscle(judged: Sequence[Judged]) -> list[str]:
     """Warnings of effects with one size in both muscles that one muscle alone would explain nearly as well."""
     out = []
     for j in judged:
-        driven = [e for e in j.group.experiments if isinstance(e, AngleDriven) and e.part == AIR]
+        driven = [e for e in j.model.experiments if isinstance(e, AngleDriven) and e.part == AIR]
         for effect in j.effects if driven else ():
             alone = ambiguity.either_muscle(driven, j.model.fits, effect.name)
             if alone is not None:
@@ -243,7 +229,7 @@ def _common_rig(prepared: Prepared, judged: Sequence[Judged], extended: bool) ->
     rig = prepared.base
     for j in judged:
         model, values = (j.model, j.values) if extended else (j.base, {})
-        rig = common_rig(j.group.experiments, model, values, rig)
+        rig = common_rig(model, values, rig)
     return rig
 
 
@@ -263,9 +249,8 @@ def _tunings(prepared: Prepared, common: Mapping[str, Rig], has_effects: bool, s
     def report(text: str) -> None:
         settings.progress(f"tuning the estimators, {min(next(tried), most)} of at most {most}")
 
-    best = Parallel(n_jobs=settings.jobs, prefer="threads")(
-        delayed(tuned)(common[name], named, 1.0 - settings.holdout, report, _TUNINGS) for name in names
-    )
+    tasks = [(common[name], named, 1.0 - settings.holdout, report, _TUNINGS) for name in names]
+    best = in_threads(tuned, tasks, settings.jobs)
     rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
     return {"extended": rigs["recalibrated"], **rigs}
 
@@ -285,7 +270,7 @@ def _own_rigs(
 def in_words(effect: FoundEffect, sealed: bool = False) -> str:
     """An effect in words."""
     values = {name: value for name, (value, _, _) in effect.parameters.items()}
-    words = CATALOGUE[effect.name].in_words(effect.muscle, values, sealed)
+    words = about(effect.name).sentence(effect.name, effect.muscle, values, sealed)
     begin, end = (
         None if time is None else f"{time:.1f} ± {max(std or 0.0, 0.1):.1f} s"
         for time, std in ((effect.onset_s, effect.onset_std_s), (effect.end_s, effect.end_std_s))
@@ -319,7 +304,7 @@ def sentence(
     each = [_errors(own, mean_pressure) for own in errors.all]
     configured, recalibrated, extended = map(_listed, each)
     beside = f" The recordings need a calibration: {'; '.join(calibrated)}." if calibrated else ""
-    others = "; ".join(_instead(name) for name in ambiguous)
+    others = "; ".join(about(name).instead(name) for name in ambiguous)
     doubts = f" The recordings do not exclude another explanation: {others}." if others else ""
     if verdict == "none":
         return (
@@ -361,13 +346,6 @@ def sentence(
         f"{configured} as configured and {recalibrated} after recalibration, well above the sensors' noise.{closest}"
         f"{beside}"
     )
-
-
-def _instead(name: str) -> str:
-    if name in CALIBRATIONS:
-        return f"{found_calibrations.alternative(name)} would explain the data as well"
-    effect = CATALOGUE[name]
-    return effect.sealed.instead or f"{effect.title} would explain the data as well"
 
 
 def _errors(own: Errors, mean_pressure: bool) -> list[tuple[float, str]]:

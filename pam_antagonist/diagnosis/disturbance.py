@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.diagnosis import explained, thresholds
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.models import Model, Residuals, removed, share_of
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, refit
 from pam_antagonist.inference.likelihood import in_mean_squares
@@ -149,11 +150,11 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
     disturbed = replace(experiment, trial=replace(trial, external=known + samples))
     beside = refit(_without_angle_in_episodes(disturbed, torque), point, fitted.free, renewals=2)
-    before = explained.remaining_residuals([experiment], [fitted])
+    (before,) = Model((experiment,), (fitted,)).left
     left = disturbed.residual(beside.point, whole=True)
-    after = [explained.Residuals(disturbed.held(left), disturbed.fitted_rows(left[: disturbed.fitted // trial.block]))]
-    squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before[0], after[0], strict=True)]
-    held = explained.held_share([experiment], before, after) if len(before[0].held) else None
+    after = Residuals(disturbed.held(left), disturbed.fitted_rows(left[: disturbed.fitted // trial.block]))
+    squares = [in_mean_squares(*pair, experiment.noise) for pair in zip(before, after, strict=True)]
+    gone = removed(experiment, before, before, after)
     width = trial.block_count(_SMOOTHED)
     steps = np.diff(torque[::width])
     return Disturbance(
@@ -162,8 +163,8 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
         torque=torque,
         active=float(np.mean(torque != 0.0)),
         recurring=_recurring(seen, torque != 0.0, _angle(experiment), trial.block_count(_APART)),
-        shares=(held, explained.whole_share([experiment], before, after)),
-        squares=explained.share_of(squares),
+        shares=(share_of(gone[:1]) if len(before.held) else None, share_of(gone)),
+        squares=share_of(squares),
         noise=float(np.sqrt(np.mean(steps**2) / (width * trial.block_s))),
     )
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import explained, findings, thresholds
-from pam_antagonist.diagnosis.candidates import Model, evidence, price
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis import findings, thresholds
 from pam_antagonist.diagnosis.disturbance import estimate
+from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.models import Model, evidence, explains, in_threads, price, recalibrated
 from pam_antagonist.diagnosis.result import FoundEffect, Size
-from pam_antagonist.diagnosis.selection import recalibrate, select
+from pam_antagonist.diagnosis.search import search
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
@@ -50,16 +49,13 @@ class _Disturbed:
         left: recordings above noise in which no disturbance can show.
     """
 
-    experiments: tuple[Experiment, ...]
-    fits: tuple[Fitted, ...]
+    model: Model
     noises: tuple[float, ...]
     effect: FoundEffect
     left: tuple[int, ...]
 
 
-def explain(
-    experiments: Sequence[Experiment], base: Model, chosen: Model, jobs: int, progress: Callable[[str], None]
-) -> Explanation | None:
+def instead_of_effects(found: Ranking, work: Work) -> Explanation | None:
     """Explain all recordings by a disturbance, if it comes and goes and leaves little; else None.
 
     The disturbance is searched for beside the base model first, then beside effects. These are the effects that explain
@@ -67,64 +63,52 @@ def explain(
     may show that it had hidden.
 
     Args:
-        chosen: the model of the forward selection, which did not explain enough.
+        found: by the search for effects, whose model did not explain enough.
     """
-    disturbed = _find(experiments, base, jobs)
+    work.progress("looking for a disturbance torque")
+    disturbed = _find(found.base)
     if disturbed is not None and not disturbed.left:
-        recalibrated = Model((), disturbed.fits)
-        first = explained.remaining_residuals(experiments, base.fits)
-        model = select(disturbed.experiments, recalibrated, jobs, progress, Checkpoint(), first).model
-        return _explanation(disturbed, recalibrated, model, jobs)
-    apart = None if disturbed is None else _effects_elsewhere(experiments, base, disturbed.left, jobs, progress)
-    effects, known = (chosen, ()) if disturbed is None or apart is None else (apart, disturbed.left)
-    disturbed = _find(experiments, effects, jobs) if effects.effects else None
-    if disturbed is None or not all(r in known or _explains(experiments, base, effects, r) for r in disturbed.left):
+        base = disturbed.model
+        return _explanation(disturbed, base, search(base, Work(work.progress), first=found.base).model, found.base)
+    apart = None if disturbed is None else _effects_elsewhere(found.base, disturbed.left, work)
+    effects, known = (found.model, ()) if disturbed is None or apart is None else (apart, disturbed.left)
+    disturbed = _find(effects) if effects.effects else None
+    if disturbed is None:
         return None
-    return _beside_effects(disturbed, effects, jobs)
-
-
-def search(
-    experiments: Sequence[Experiment], base: Model, chosen: Model, verdict: str, jobs: int,
-    progress: Callable[[str], None],
-) -> Explanation | None:  # fmt: skip
-    """A disturbance that explains what effects do not, or beside effects that do; None where there is none."""
-    if verdict == "none":
+    others = [[r] for r in disturbed.left if r not in known]
+    if not all(explains(found.base.of(one), effects.of(one)) for one in others):
         return None
-    progress("looking for a disturbance torque")
-    if verdict == "effect":
-        return beside(experiments, chosen, jobs)
-    return explain(experiments, base, chosen, jobs, progress)
+    return _beside_effects(disturbed, effects)
 
 
-def beside(experiments: Sequence[Experiment], effects: Model, jobs: int) -> Explanation | None:
+def beside_effects(effects: Model, work: Work) -> Explanation | None:
     """A disturbance beside effects that are the explanation already, if the evidence for it is strong; else None."""
-    disturbed = _find(experiments, effects, jobs)
+    work.progress("looking for a disturbance torque")
+    disturbed = _find(effects)
     if disturbed is None or disturbed.effect.delta_bic < thresholds.DISTURBANCE_BESIDE:
         return None
-    return _beside_effects(disturbed, effects, jobs)
+    return _beside_effects(disturbed, effects)
 
 
-def _beside_effects(disturbed: _Disturbed, effects: Model, jobs: int) -> Explanation:
+def _beside_effects(disturbed: _Disturbed, effects: Model) -> Explanation:
     """A disturbance that was found beside effects, and these where they are still needed."""
-    return _explanation(
-        disturbed, recalibrate(disturbed.experiments, jobs, effects), Model(effects.effects, disturbed.fits), jobs
-    )
+    return _explanation(disturbed, recalibrated(disturbed.model.experiments, effects), disturbed.model, effects)
 
 
-def _explanation(disturbed: _Disturbed, recalibrated: Model, model: Model, jobs: int) -> Explanation:
-    """A disturbance, and the effects of a model beside it that are needed."""
+def _explanation(disturbed: _Disturbed, base: Model, model: Model, recorded: Model) -> Explanation:
+    """A disturbance, and the effects of a model beside it that are needed, in the recordings as they were made."""
     effects: tuple[FoundEffect, ...] = ()
     values: dict[str, float] = {}
     warnings: list[str] = []
     if model.effects:
-        model = findings.backward_elimination(disturbed.experiments, recalibrated, model, jobs)
-        (effects, values, warnings), _ = findings.found(disturbed.experiments, recalibrated, model, jobs)
+        model = findings.backward_elimination(base, model)
+        (effects, values, warnings), _ = findings.found(base, model)
     fits = tuple(
         _with_noise(fitted, noise) if noise else fitted
         for fitted, noise in zip(model.fits, disturbed.noises, strict=True)
     )
     return Explanation(
-        Model((*model.effects, DISTURBANCE), fits),
+        Model(recorded.experiments, fits, (*model.effects, DISTURBANCE)),
         tuple(sorted((*effects, disturbed.effect), key=lambda effect: -effect.delta_bic)),
         {**values, _NOISE: disturbed.effect.parameters["noise"][0]},
         disturbed.effect.holdout_gain,
@@ -132,40 +116,31 @@ def _explanation(disturbed: _Disturbed, recalibrated: Model, model: Model, jobs:
     )
 
 
-def _effects_elsewhere(
-    experiments: Sequence[Experiment], base: Model, still: Sequence[int], jobs: int, progress: Callable[[str], None]
-) -> Model | None:
+def _effects_elsewhere(base: Model, still: Sequence[int], work: Work) -> Model | None:
     """Effects that explain the recordings in which no disturbance can show, for all recordings; None if none do."""
-    apart = [experiments[r] for r in still]
-    recalibrated = Model((), tuple(base.fits[r] for r in still))
-    effects = select(apart, recalibrated, jobs, progress, Checkpoint()).model
-    if not explained.explains(apart, recalibrated, effects):
+    apart = base.of(still)
+    effects = search(apart, Work(work.progress)).model
+    if not explains(apart, effects):
         return None
     fits = dict(zip(still, effects.fits, strict=True))
-    shows = max(zip(apart, recalibrated.fits, effects.fits, strict=True), key=lambda seen: evidence(*seen))[2]
-    for r, experiment in enumerate(experiments):
+    triples = zip(apart.experiments, apart.fits, effects.fits, strict=True)
+    shows = max(triples, key=lambda seen: evidence(*seen))[2]
+    for r, experiment in enumerate(base.experiments):
         if r not in fits:
             # A disturbance biases a fit of the effects too. So their values are taken over until it is known.
             point = Point(base.fits[r].point.theta, shows.point.effects)
             fits[r] = refit(experiment, point, shows.free, rounds=0)
-    return Model(effects.effects, tuple(fits[r] for r in range(len(experiments))))
+    return Model(base.experiments, tuple(fits[r] for r in range(len(base.fits))), effects.effects)
 
 
-def _explains(experiments: Sequence[Experiment], base: Model, effects: Model, r: int) -> bool:
-    """Whether effects explain one recording by itself."""
-    return explained.explains(
-        experiments[r : r + 1], Model((), base.fits[r : r + 1]), Model(effects.effects, effects.fits[r : r + 1])
-    )
-
-
-def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Disturbed | None:
+def _find(model: Model) -> _Disturbed | None:
     """A disturbance in every recording above noise that can show one, if it explains all of them; else None."""
-    noisy = [r for r, (e, f) in enumerate(zip(experiments, model.fits, strict=True)) if _is_above_noise(e, f)]
-    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(estimate)(experiments[r], model.fits[r]) for r in noisy)
+    noisy = [r for r, pair in enumerate(model.pairs) if _is_above_noise(*pair)]
+    found = in_threads(estimate, (model.pairs[r] for r in noisy), model.jobs)
     seen, left, gained = {}, [], 0.0
-    now, fits = list(experiments), list(model.fits)
+    now, fits = list(model.experiments), list(model.fits)
     for r, one in zip(noisy, found, strict=True):
-        experiment, fitted = experiments[r], model.fits[r]
+        experiment, fitted = model.pairs[r]
         if one is None:
             left.append(r)
             continue
@@ -188,11 +163,11 @@ def _find(experiments: Sequence[Experiment], model: Model, jobs: int) -> _Distur
         {"noise": Size(noise, std, "N m/s^0.5")},
         gained,
         min((one.shares[0] for one in seen.values() if one.shares[0] is not None), default=None),
-        tuple(experiments[r].trial.name for r in seen),
+        tuple(model.experiments[r].trial.name for r in seen),
         (NOTE,),
     )
-    noises = tuple(seen[r].noise if r in seen else 0.0 for r in range(len(experiments)))
-    return _Disturbed(tuple(now), tuple(fits), noises, effect, tuple(left))
+    noises = tuple(seen[r].noise if r in seen else 0.0 for r in range(len(fits)))
+    return _Disturbed(replace(model, experiments=tuple(now), fits=tuple(fits)), noises, effect, tuple(left))
 
 
 def _is_above_noise(experiment: Experiment, fitted: Fitted) -> bool:

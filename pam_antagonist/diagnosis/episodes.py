@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.blas import one_blas_thread
-from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, course, forecast
-from pam_antagonist.diagnosis.episode_lines import StraightLines
+from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, StraightLines, course, forecast
 from pam_antagonist.diagnosis.thresholds import MARGIN
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
 from pam_antagonist.inference.episode_search import Tried, search, with_effect

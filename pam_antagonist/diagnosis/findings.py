@@ -7,20 +7,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model, price
-from pam_antagonist.diagnosis.common_values import contradict, of_size
-from pam_antagonist.diagnosis.explained import evidence_of, further_share, remaining_residuals
+from pam_antagonist.diagnosis.models import HELD, Model, contradict, evidence_of, further_share, of_size, price, without
 from pam_antagonist.diagnosis.result import FoundEffect, Size, SizeProfile
-from pam_antagonist.diagnosis.selection import refitted_without
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.profile import effect_profile
-from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
 
 @dataclass(frozen=True)
@@ -55,19 +51,12 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
         left = tuple(u for u in fitted.free if u is not weakest)
         effects = {path: value for path, value in fitted.point.effects.items() if path not in weakest.paths}
         smaller = refit(
-            experiment,
-            Point(fitted.point.theta, effects),
-            left,
-            fitted.base,
-            renewals=1,
-            blocks_per_error=fitted.scale.blocks_per_error,
-            beside=fitted,
-        )
+            experiment, Point(fitted.point.theta, effects), left, fitted.base, renewals=1,
+            blocks_per_error=fitted.scale.blocks_per_error, beside=fitted,
+        )  # fmt: skip
         scale = before.scale
-        lost = scale.share * (
-            cost_of(experiment, smaller.point, smaller.residual, scale)
-            - cost_of(experiment, fitted.point, fitted.residual, scale)
-        )
+        costs = [cost_of(experiment, fit.point, fit.residual, scale) for fit in (smaller, fitted)]
+        lost = scale.share * (costs[0] - costs[1])
         if lost > price(before, 1):
             return fitted
         fitted = smaller
@@ -78,59 +67,50 @@ def _strength(fitted: Fitted, free: FreeEffectParameter, std: float) -> float:
     return abs(value) / std if std > 0.0 else 0.0
 
 
-def backward_elimination(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> Model:
+def backward_elimination(base: Model, model: Model) -> Model:
     """A model without the effects and sizes that are not significant beside the others."""
     names = model.effects[:-1]
     while names:
-        without = refitted_without(experiments, model, names, jobs)
-        unneeded = [evidence_of(experiments, smaller, model) < thresholds.STRONG for smaller in without]
+        smaller = [without(model, f"effects.{name}.") for name in names]
+        unneeded = [evidence_of(one, model) < thresholds.STRONG for one in smaller]
         if not any(unneeded):
             break
         # The later models still contain the first unneeded effect.
         first = unneeded.index(True)
-        model, names = without[first], names[first + 1 :]
+        model, names = smaller[first], names[first + 1 :]
 
-    def leaner(experiment: Experiment, before: Fitted, fitted: Fitted) -> Fitted:
+    def leaner(experiment: Experiment, fitted: Fitted, before: Fitted) -> Fitted:
         for effect in model.effects:
             fitted = pruned(experiment, before, fitted, effect)
         return fitted
 
-    fits = Parallel(n_jobs=jobs, prefer="threads")(
-        delayed(leaner)(*each) for each in zip(experiments, base.fits, model.fits, strict=True)
-    )
-    return Model(model.effects, tuple(fits))
+    return model.map(leaner, base.fits)
 
 
-def found(experiments: Sequence[Experiment], base: Model, model: Model, jobs: int) -> tuple[Findings, dict[str, Model]]:
-    """The effects of a model, each with what would be lost without it; see :func:`found_effects`."""
-    gains, shares = {}, {}
-    whole, before = (remaining_residuals(experiments, m.fits) for m in (model, base))
+def found(base: Model, model: Model) -> tuple[Findings, dict[str, Model]]:
+    """The effects of a model, and the model without each; see :func:`found_effects`."""
     several = len(model.effects) > 1
-    smaller = refitted_without(experiments, model, model.effects, jobs) if several else [base] * len(model.effects)
-    for effect, without in zip(model.effects, smaller, strict=True):
-        gains[effect] = evidence_of(experiments, without, model)
-        lost = remaining_residuals(experiments, without.fits) if several else before
-        shares[effect] = further_share(experiments, before, lost, whole, fitted=False)
-    return found_effects(experiments, model, gains, shares), dict(zip(model.effects, smaller, strict=True))
+    smaller = {name: without(model, f"effects.{name}.") if several else base for name in model.effects}
+    gains = {name: evidence_of(one, model) for name, one in smaller.items()}
+    shares = {name: further_share(base, one, model, HELD) for name, one in smaller.items()}
+    return found_effects(model, gains, shares), smaller
 
 
-def found_effects(
-    experiments: Sequence[Experiment],
-    model: Model,
-    gains: Mapping[str, float],
-    shares: Mapping[str, float],
-) -> Findings:
+def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str, float]) -> Findings:
     """The effects of a model."""
-    names = [experiment.trial.name for experiment in experiments]
-    found = Findings((), {}, [])
+    names = [experiment.trial.name for experiment in model.experiments]
+    values: dict[str, float] = {}
+    contradictions: list[str] = []
     effects: list[FoundEffect] = []
     for effect in model.effects:
         sizes, shapes = _sizes_and_shapes(model, effect)
         if not sizes:
-            # No recording needs any of it: all of its sizes are 0.
+            # No recording needs any of it: all of its sizes are 0. What is in no catalogue may have no size.
+            if effect not in CATALOGUE:
+                effects.append(FoundEffect(effect, None, {}, gains[effect], shares[effect], tuple(names)))
             continue
         where = {muscle: {s.recording for seen in group.values() for s in seen} for muscle, group in sizes.items()}
-        shown = [{muscle for muscle in where if r in where[muscle]} for r in range(len(experiments))]
+        shown = [{muscle for muscle in where if r in where[muscle]} for r in range(len(names))]
         visible = [muscles for muscles in shown if muscles]
         apart = len(visible) > 1 and any(a.isdisjoint(b) for a in visible for b in visible)
         if apart:
@@ -139,7 +119,7 @@ def found_effects(
                 for name, muscles in zip(names, shown, strict=True)
                 if muscles
             )
-            found.contradictions.append(f"the recordings show {effect} on different muscles ({which})")
+            contradictions.append(f"the recordings show {effect} on different muscles ({which})")
         muscles = sorted(m for m in sizes if m is not None)
         if apart:
             parts: list[_Part] = [(muscle, sizes[muscle]) for muscle in muscles]
@@ -153,14 +133,13 @@ def found_effects(
             for free, seen in numbers.items():
                 if seen:
                     mean, std = of_size([(s.value, s.std) for s in seen])
-                    parameters |= dict.fromkeys(
-                        (path.split(".")[2] for path in free.paths), Size(mean, std, free.item.unit)
-                    )
-                    found.values.update(dict.fromkeys(free.paths, mean))
-            found.contradictions.extend(_differences(effect, numbers, names))
+                    size = Size(mean, std, free.item.unit)
+                    parameters |= dict.fromkeys((path.split(".")[2] for path in free.paths), size)
+                    values |= dict.fromkeys(free.paths, mean)
+            contradictions += _differences(effect, numbers, names)
             there = tuple(names[r] for r in sorted(recordings))
             effects.append(FoundEffect(effect, muscle, parameters, gains[effect], shares[effect], there))
-    return found._replace(effects=tuple(effects))
+    return Findings(tuple(effects), values, contradictions)
 
 
 def _sizes_and_shapes(model: Model, effect: str) -> tuple[dict[int | None, _Numbers], _Numbers]:
@@ -225,14 +204,10 @@ def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> lis
 
 
 def profile_sizes(
-    experiments: Sequence[Experiment],
-    model: Model,
-    found: Sequence[FoundEffect],
-    jobs: int,
-    progress: Callable[[str], None],
+    model: Model, found: Sequence[FoundEffect], progress: Callable[[str], None]
 ) -> tuple[SizeProfile, ...]:
     """Profiles of the found sizes, each in the recording that shows it first."""
-    names = [experiment.trial.name for experiment in experiments]
+    names = [experiment.trial.name for experiment in model.experiments]
     result = []
     for effect in found:
         if effect.name == DISTURBANCE:
@@ -244,21 +219,16 @@ def profile_sizes(
             if r is None:
                 continue
             progress(f"profile of {parameter.path}")
-            profile = effect_profile(experiments[r], model.fits[r], parameter, jobs)
+            profile = effect_profile(*model.pairs[r], parameter, model.jobs)
             # Friction above a level may explain as much as friction at that level.
             open_ended = profile.loss[-1] < 0.5 and profile.value[-1] > profile.best + profile.std
+            values, rise = tuple(profile.value.tolist()), tuple((2.0 * profile.loss).tolist())
             result.append(
                 SizeProfile(
-                    parameter.path.removeprefix("effects."),
-                    names[r],
-                    profile.best,
-                    profile.std,
-                    parameter.item.unit,
-                    tuple(profile.value.tolist()),
-                    tuple((2.0 * profile.loss).tolist()),
-                    profile.flat or bool(open_ended),
+                    parameter.path.removeprefix("effects."), names[r], profile.best, profile.std, parameter.item.unit,
+                    values, rise, profile.flat or bool(open_ended),
                 )
-            )
+            )  # fmt: skip
     return tuple(result)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pam_antagonist.diagnosis.common_values import contradict
+from pam_antagonist.diagnosis.models import contradict
 from pam_antagonist.recording.corrections import Corrections
 
 

@@ -10,13 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import found_calibrations, residual_statistics
 from pam_antagonist.diagnosis.agreement import common_point, own_rig, with_tuning
-from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, Innovations, ModelErrors, Sliding, errors_of, total_of
+from pam_antagonist.diagnosis.models import Model, in_threads
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared
 from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison, RecordingEntry
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics
@@ -47,10 +46,10 @@ def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float
             "fitted" if group.held_out else "both",
             number,
         )
-        for experiment, number, old, new in zip(group.experiments, group.numbers, base.fits, model.fits, strict=True)
+        for experiment, number, old, new in zip(model.experiments, group.numbers, base.fits, model.fits, strict=True)
     ]
     if group.held_out:
-        old, new = (common_point(group.experiments, m, values) for m, values in ((base, {}), (model, effects)))
+        old, new = (common_point(m, values) for m, values in ((base, {}), (model, effects)))
         for number, other in enumerate(group.held_out, len(group.experiments)):
             points = (other.origin, other.started(old), other.started(new))
             out.append(HeldOutComparison(other.free_run, dict(zip(MODELS, points, strict=True)), "held out", number))
@@ -89,9 +88,7 @@ def by_recording(
         rigs = {name: with_tuning(rig_of(prepared, parts, name), tuned.get(name)) for name in MODELS}
         return _entry(prepared.trials[number].name, prepared.recordings[number], parts, rigs, estimator)
 
-    return tuple(
-        Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(number) for number in range(len(prepared.recordings)))
-    )
+    return tuple(in_threads(one, ((number,) for number in range(len(prepared.recordings))), jobs))
 
 
 def _entry(
@@ -239,7 +236,7 @@ def estimator_errors(recording: Recording, experiment: Experiment, rig: Rig) -> 
 
 
 def deciding_evidence(
-    prepared: Prepared, group: Group, base: Model, model: Model, effects: Mapping[str, float], jobs: int
+    prepared: Prepared, group: Group, base: Model, model: Model, effects: Mapping[str, float]
 ) -> float | None:
     """Evidence of the estimator's innovations where nothing but pressures was measured; None where anything else was.
 
@@ -248,7 +245,7 @@ def deciding_evidence(
     """
     if any(e.trial.has(c) for e in (*group.experiments, *group.held_out) for c in (ANGLE, TORQUE)):
         return None
-    return innovation_evidence(prepared, compare(group, base, model, effects), jobs)
+    return innovation_evidence(prepared, compare(group, base, model, effects), model.jobs)
 
 
 def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison], jobs: int) -> float:
@@ -269,7 +266,7 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
         if part.judges
         for sign, model in ((1.0, "extended"), (-1.0, "recalibrated"))
     ]
-    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(likelihood)(*task) for _, *task in tasks)
+    found = in_threads(likelihood, (task for _, *task in tasks), jobs)
     return 2.0 * sum(sign * value for (sign, *_), value in zip(tasks, found, strict=True))
 
 

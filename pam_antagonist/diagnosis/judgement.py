@@ -1,15 +1,17 @@
-"""The verdict on a group of recordings: effects, a disturbance torque, nothing, or something unexplained."""
+"""The verdict on a group of recordings, by a table of rules in order."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 from pam_antagonist.diagnosis import (
     agreement,
     calibrations,
+    change_point,
     disturbance_search,
-    explained,
     findings,
     found_calibrations,
     held_out,
@@ -19,163 +21,207 @@ from pam_antagonist.diagnosis import (
     thresholds,
     warnings,
 )
-from pam_antagonist.diagnosis.candidates import Model
-from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
+from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share
+from pam_antagonist.diagnosis.preparation import Group, Prepared
 from pam_antagonist.diagnosis.result import Judged, Splits, Verdict
-from pam_antagonist.diagnosis.selection import Selection
-from pam_antagonist.diagnosis.stretches import Stretch, above_noise
+from pam_antagonist.inference.measured_motion import along_motion
 
 
-def judge(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
-    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained."""
-    judged = _judged(prepared, group, selection, settings)
-    found = calibrations.found(
-        group.experiments, (judged.model, selection.model), selection.calibrations, selection.rivals
-    )
-    notes = (*found_calibrations.differences(found), *warnings.at_bounds(judged.group.experiments, judged.model))
-    return replace(judged, calibrations=found, warnings=(*judged.warnings, *notes))
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A group of recordings, and what the search for effects that act throughout found in them."""
+
+    prepared: Prepared
+    group: Group
+    ranking: Ranking
+    work: Work
+
+    @cached_property
+    def so_far(self) -> Verdict:
+        """The verdict by effects that act throughout alone."""
+        if explains(self.ranking.base, self.ranking.model):
+            return "effect"
+        wrong = self.ranking.base.has_significant_excess or bool(self.stretches)
+        return "unexplained" if wrong else "none"
+
+    @cached_property
+    def stretches(self) -> tuple[change_point.Stretch, ...]:
+        """Stretches, fitted or held out, in which a model without effects that need none leaves more than noise."""
+        base = self.ranking.base
+        if explains(base, self.ranking.model) or base.has_significant_excess:
+            return ()
+        self.work.progress("whether all data are at their noise")
+        own = ((experiment, fitted.point) for experiment, fitted in base.pairs)
+        others = ((other, other.origin) for other in self.group.held_out)
+        return tuple(s for pairs in (own, others) for s in change_point.stretches_above_noise(pairs, base.jobs))
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """Warnings about the model without effects."""
+        base = self.ranking.base
+        return (
+            *warnings.above_noise(self.stretches),
+            *warnings.implausible(base),
+            *agreement.base_contradictions(base),
+        )
+
+    @cached_property
+    def along_motion(self) -> Judged | None:
+        """The verdict by friction of a joint that sticks; None if it does not explain what is left."""
+        found = sticking.friction_along_motion(self.ranking, self.work)
+        if found is None:
+            return None
+        held = tuple(along_motion(other) for other in self.group.held_out)
+        moving = replace(self, group=replace(self.group, held_out=held), ranking=found)
+        judged = _by_effects(moving, (warnings.along_motion(found.base, found.model), *self.notes))
+        return judged if judged.verdict == "effect" else None
+
+    def judged(self, verdict: Verdict, share: float | None, notes: Sequence[str] = ()) -> Judged:
+        """A verdict without effects."""
+        base = self.ranking.base
+        return Judged(self.group, base, self.ranking, verdict, share, base, warnings=(*notes, *self.notes))
 
 
-def _judged(prepared: Prepared, group: Group, selection: Selection, settings: Settings) -> Judged:
-    jobs, progress = settings.jobs, settings.progress
-    verdict, share = _verdict(group, selection)
-    models, store = (selection.recalibrated, selection.model), settings.checkpoint
-    changing = onset.search(group, *models, jobs, progress, store, to_noise=_explained_well(group, selection))
-    if changing is not None and _verdict(changing.group, changing.selection)[0] == "effect":
-        group, selection = changing.group, changing.selection
-        verdict, share = _verdict(group, selection)
-    else:
-        changing = None
-    experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
-    stretches = _above_noise(group, base, settings) if verdict == "none" else ()
-    if stretches:
-        verdict = "unexplained"
-    base_warnings = (
-        *warnings.above_noise(stretches),
-        *warnings.implausible(experiments, base),
-        *agreement.base_contradictions(experiments, base),
-    )
-    found = None
-    if changing is None:
-        found = disturbance_search.search(experiments, base, chosen, verdict, jobs, progress)
-    if found is not None:
-        # A law that predicts held-out data has priority over a torque that may have any course.
-        stuck = _stuck(prepared, group, selection, base_warnings, settings) if verdict == "unexplained" else None
-        if stuck is not None and not explained.explains_in_part(stuck.group.experiments, stuck.base, stuck.model):
-            return stuck
-        removed = share if verdict == "effect" else found.share
-        notes = (*base_warnings, *found.warnings)
-        return Judged(group, base, selection, "effect", removed, found.model, found.effects, found.values, notes)
-    if verdict == "effect":
-        judged = _by_effects(prepared, group, selection, share, base_warnings, settings)
-        return judged if changing is None else onset.dated(judged, changing)
-    if verdict == "unexplained":
-        stuck = _stuck(prepared, group, selection, base_warnings, settings)
-        if stuck is not None:
-            return stuck
-        parts = onset.parts_above_noise(group, base, jobs)
-        base_warnings = (*warnings.changes(parts), *base_warnings)
-        first = explained.leader(selection.tried)
-        if first is not None and first.model is not None:
-            one = replace(selection, model=first.model)
-            judged = _by_effects(prepared, group, one, _share(group, one), base_warnings, settings)
-            if judged.verdict == "effect":
-                return judged
-    return Judged(group, base, selection, verdict, share, base, warnings=base_warnings)
+# The rules.
 
 
-def _stuck(
-    prepared: Prepared, group: Group, selection: Selection, base_warnings: Sequence[str], settings: Settings
-) -> Judged | None:
-    """The verdict by friction of a joint that sticks, if it explains what no effect does in a free run; else None."""
-    found = sticking.search(group, selection, settings)
-    if found is None:
+def _begins_or_ends(case: Case) -> Judged | None:
+    found = onset.begin_and_end(case.group, case.ranking, case.work)
+    if found is None or not explains(found.ranking.base, found.ranking.model):
         return None
-    moving, tried = found
-    note = warnings.along_motion(moving.experiments, tried.recalibrated, tried.model)
-    judged = _by_effects(prepared, moving, tried, _share(moving, tried), (note, *base_warnings), settings)
+    changing = replace(case, ranking=found.ranking)
+    notes = (*warnings.implausible(found.ranking.base), *agreement.base_contradictions(found.ranking.base))
+    return onset.dated(_by_effects(changing, notes), found)
+
+
+def _nothing(case: Case) -> Judged:
+    return case.judged("none", case.ranking.share)
+
+
+def _disturbance_beside(case: Case) -> Judged | None:
+    return _by_disturbance(case, disturbance_search.beside_effects(case.ranking.model, case.work), case.ranking.share)
+
+
+def _effects(case: Case) -> Judged:
+    return _by_effects(case, case.notes)
+
+
+def _friction_explains(case: Case) -> Judged | None:
+    judged = case.along_motion
+    return None if judged is None or explains_in_part(judged.base, judged.model) else judged
+
+
+def _disturbance(case: Case) -> Judged | None:
+    found = disturbance_search.instead_of_effects(case.ranking, case.work)
+    return _by_disturbance(case, found, None if found is None else found.share)
+
+
+def _friction_in_part(case: Case) -> Judged | None:
+    return case.along_motion
+
+
+def _leader(case: Case) -> Judged | None:
+    first = case.ranking.leader
+    if first is None or first.model is None:
+        return None
+    notes = (*_changes(case), *case.notes)
+    judged = _by_effects(replace(case, ranking=replace(case.ranking, model=first.model)), notes)
     return judged if judged.verdict == "effect" else None
 
 
-def _explained_well(group: Group, selection: Selection) -> bool:
-    """Whether effects that act throughout explain the recordings well.
+def _unexplained(case: Case) -> Judged:
+    return case.judged("unexplained", case.ranking.share, _changes(case))
 
-    If so, effects that begin or end are accepted only if they leave nothing but noise. The residual of an effect of
-    another form may come and go as well.
+
+class Rule(NamedTuple):
+    """A rule of the verdict.
+
+    Attributes:
+        so_far: verdict by effects that act throughout under which it is asked; None: under any.
+        verdict: by this rule; None if it does not hold, and the next one is asked.
     """
-    models = selection.recalibrated, selection.model
-    explains = explained.explains(group.experiments, *models)
-    return explains and not explained.explains_in_part(group.experiments, *models)
+
+    so_far: Verdict | None
+    verdict: Callable[[Case], Judged | None]
+    reason: str
 
 
-def _verdict(group: Group, selection: Selection) -> tuple[Verdict, float]:
-    """The verdict by effects alone, and the share of the held-out excess that they remove."""
-    experiments, base, chosen = group.experiments, selection.recalibrated, selection.model
-    share = _share(group, selection)
-    if explained.explains(experiments, base, chosen):
-        return "effect", share
-    return ("unexplained" if explained.has_significant_excess(experiments, base.fits) else "none"), share
+RULES = (
+    Rule(None, _begins_or_ends, "what begins late bends the choice of what acts throughout, so it is asked first"),
+    Rule("none", _nothing, "no stretch of any recording is above noise, fitted or held out"),
+    Rule("effect", _disturbance_beside, "what effects leave may come and go; the evidence for it has to be strong"),
+    Rule("effect", _effects, "those that are needed beside each other and that most splits support"),
+    Rule("unexplained", _friction_explains, "a law that predicts held-out data comes before a torque of any course"),
+    Rule("unexplained", _disturbance, "a torque that comes and goes explains all, alone or beside effects"),
+    Rule("unexplained", _friction_in_part, "as good as nothing else explains, where the joint sticks"),
+    Rule("unexplained", _leader, "one effect in another form than its law has no rival that imitates as much"),
+    Rule("unexplained", _unexplained, "nothing of the catalogue explains enough"),
+)
+"""The rules in order: the first one that holds decides."""
 
 
-def _share(group: Group, selection: Selection) -> float:
-    """The share of the held-out excess that the chosen effects remove."""
-    models = selection.recalibrated, selection.model
-    before, after = (explained.remaining_residuals(group.experiments, model.fits) for model in models)
-    return explained.held_share(group.experiments, before, after) if selection.model.effects else 0.0
+def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work) -> Judged:
+    """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained."""
+    case = Case(prepared, group, ranking, work)
+    asked = (rule.verdict(case) for rule in RULES if rule.so_far is None or rule.so_far == case.so_far)
+    judged = next(one for one in asked if one is not None)
+    found = calibrations.found(ranking, judged.model)
+    notes = (*found_calibrations.differences(found), *warnings.at_bounds(judged.model))
+    return replace(judged, calibrations=found, warnings=(*judged.warnings, *notes))
 
 
-def _above_noise(group: Group, base: Model, settings: Settings) -> tuple[Stretch, ...]:
-    """Stretches of any recording, fitted or held out, in which the model without effects leaves more than noise."""
-    settings.progress("whether all data are at their noise")
-    points = [fitted.point for fitted in base.fits]
-    found = above_noise(group.experiments, points, settings.jobs)
-    return (*found, *above_noise(group.held_out, [other.origin for other in group.held_out], settings.jobs))
+def _changes(case: Case) -> list[str]:
+    return warnings.changes(onset.parts_above_noise(case.group, case.ranking.base))
 
 
-def _by_effects(
-    prepared: Prepared,
-    group: Group,
-    selection: Selection,
-    share: float,
-    base_warnings: Sequence[str],
-    settings: Settings,
-) -> Judged:
+def _by_disturbance(case: Case, found: disturbance_search.Explanation | None, share: float | None) -> Judged | None:
+    """The verdict by a disturbance torque, with effects beside it where there are any."""
+    if found is None:
+        return None
+    notes = (*case.notes, *found.warnings)
+    return Judged(
+        case.group, case.ranking.base, case.ranking, "effect", share, found.model, found.effects, found.values, notes
+    )
+
+
+def _by_effects(case: Case, base_notes: Sequence[str]) -> Judged:
     """The verdict by the effects that are needed. Where pressures alone were measured, the innovations must agree."""
-    experiments, base, jobs = group.experiments, selection.recalibrated, settings.jobs
-    settings.progress("which effects are needed")
-    needed = findings.backward_elimination(experiments, base, selection.model, jobs)
-    model, found, firm, notes = _firm(group, base, needed, settings)
+    group, ranking, base, share = case.group, case.ranking, case.ranking.base, case.ranking.share
+    case.work.progress("which effects are needed")
+    needed = findings.backward_elimination(base, ranking.model)
+    model, found, firm, notes = _firm(base, needed, case.work)
     dropped = len(model.effects) < len(needed.effects)
     if dropped:
-        before, after = (explained.remaining_residuals(experiments, m.fits) for m in (base, model))
-        share = explained.held_share(experiments, before, after)
-    if not found.effects or (dropped and not explained.explains(experiments, base, model)):
-        return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *base_warnings))
+        share = held_share(base, model)
+    nothing = Judged(group, base, ranking, "unexplained", 0.0, base)
+    if not found.effects or (dropped and not explains(base, model)):
+        return replace(nothing, warnings=(*notes, *base_notes))
     notes += found.contradictions
-    gained = held_out.deciding_evidence(prepared, group, base, model, found.values, jobs)
+    gained = held_out.deciding_evidence(case.prepared, group, base, model, found.values)
     if gained is not None:
         taken = gained >= thresholds.STRONG
-        notes.append(warnings.decided_by_innovations(selection.model.effects, gained, taken))
+        notes.append(warnings.decided_by_innovations(ranking.model.effects, gained, taken))
         if not taken:
-            return Judged(group, base, selection, "unexplained", 0.0, base, warnings=(*notes, *base_warnings))
-    if explained.explains_in_part(experiments, base, model):
+            return replace(nothing, warnings=(*notes, *base_notes))
+    if explains_in_part(base, model):
         notes.insert(0, warnings.explained_in_part([effect.name for effect in found.effects]))
-    contradictions = agreement.effect_contradictions(experiments, model, found.effects, found.values, jobs)
+    contradictions = agreement.effect_contradictions(model, found.effects, found.values)
     return Judged(
-        group, base, selection, "effect", share, model, found.effects, found.values,
-        (*notes, *base_warnings, *contradictions), firm,
+        group, base, ranking, "effect", share, model, found.effects, found.values,
+        (*notes, *base_notes, *contradictions), firm,
     )  # fmt: skip
 
 
 def _firm(
-    group: Group, base: Model, model: Model, settings: Settings
+    base: Model, model: Model, work: Work
 ) -> tuple[Model, findings.Findings, dict[str, splits.Firmness], list[str]]:
     """The effects that most splits support: their model, what they are, what the splits say, and what was dropped."""
-    experiments, jobs, notes = group.experiments, settings.jobs, []
+    notes: list[str] = []
     while True:
-        found, without = findings.found(experiments, base, model, jobs)
-        settings.progress("whether other splits agree")
-        firm = splits.firmness(experiments, model, without, jobs)
+        found, without = findings.found(base, model)
+        work.progress("whether other splits agree")
+        firm = splits.firmness(model, without)
         weakest = min(firm, key=lambda name: (firm[name].agree, sum(firm[name].evidence)))
         if firm[weakest].is_firm:
             break

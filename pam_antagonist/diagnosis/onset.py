@@ -7,23 +7,21 @@ likelihood of all data then refines begin and end. The same is repeated for what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 
-from pam_antagonist.diagnosis import change_point, explained, thresholds
-from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis import change_point, thresholds
+from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
+from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, in_threads
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect, Judged
-from pam_antagonist.diagnosis.selection import Selection, select
+from pam_antagonist.diagnosis.search import search
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, Linear, Near, cost_of, refit, relinearised
 from pam_antagonist.inference.point import THROUGHOUT, Point, Span
 from pam_antagonist.inference.starts import MAY_BE_NOISE
@@ -38,7 +36,7 @@ _STEP, _LEAST_STEP = 0.8, 0.02
 """[s] First and last step of the search for an edge."""
 _WIDEST = 0.1
 """Largest uncertainty of an edge, as a share of the recording."""
-_SELECTIONS = 2
+_SEARCHES = 2
 _FAR = 1.0
 """[s] Effects are selected once more if an edge turns out to be farther away than this. What was lost while an effect
 acted comes back slowly, so that its end looks late."""
@@ -74,57 +72,50 @@ class _Refined(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Changing:
-    """A selection in recordings that change.
+    """A search in recordings that change.
 
     Attributes:
-        group: the recordings, each with the spans of its effects and with blocks held out in turn.
+        ranking: of models of the recordings, each with the spans of its effects and with blocks held out in turn.
         dates: of each recording, when each effect acts that begins or ends, by its name.
     """
 
-    group: Group
-    selection: Selection
+    ranking: Ranking
     dates: tuple[Mapping[str, Dated], ...]
 
 
-def search(
-    group: Group,
-    base: Model,
-    chosen: Model,
-    jobs: int,
-    progress: Callable[[str], None],
-    checkpoint: Checkpoint,
-    to_noise: bool = False,
-) -> Changing | None:
+def begin_and_end(group: Group, found: Ranking, work: Work) -> Changing | None:
     """Effects that begin or end during the recordings, if they explain what others do not; else None.
 
+    Where effects that act throughout explain the recordings well, others are accepted only if they leave nothing but
+    noise: the residual of an effect of another form may come and go as well. A search that stays far above noise is
+    ended early then.
+
     Args:
-        chosen: the model of the selection of effects that act throughout.
-        to_noise: whether only effects are accepted that leave nothing but noise. A search that stays far above it is
-            ended early then.
+        found: by the search for effects that act throughout.
     """
-    experiments = group.experiments
-    if not _can_change(group) or at_noise(experiments, chosen):
+    chosen = found.model
+    if not _can_change(group) or is_all_noise(chosen):
         return None
-    progress("whether something begins or ends during the recordings")
+    to_noise = explains(found.base, chosen) and not explains_in_part(found.base, chosen)
+    work.progress("whether something begins or ends during the recordings")
     best = None
     # Something may begin beside what acts throughout; but what begins bends the choice of what acts throughout.
-    for start in (base, chosen) if chosen.effects else (base,):
-        found = _beside(group, start, jobs, progress, checkpoint, to_noise)
-        if found is None or not _better(experiments, chosen, found):
+    for start in (found.base, chosen) if chosen.effects else (found.base,):
+        changing = _beside(start, work, to_noise)
+        if changing is None or not _better(chosen, changing):
             continue
-        if at_noise(found.group.experiments, found.selection.model):
-            return found
-        best = found if best is None else best
+        if is_all_noise(changing.ranking.model):
+            return changing
+        best = changing if best is None else best
     return None if to_noise else best
 
 
-def parts_above_noise(group: Group, model: Model, jobs: int) -> dict[str, tuple[Span, ...]]:
+def parts_above_noise(group: Group, model: Model) -> dict[str, tuple[Span, ...]]:
     """The parts of each recording in which it leaves its noise, by its name; without those that do not begin or end."""
     if not _can_change(group):
         return {}
-    pairs = zip(group.experiments, model.fits, strict=True)
-    found = Parallel(n_jobs=jobs, prefer="threads")(delayed(change_point.parts_above_noise)(*pair) for pair in pairs)
-    return {e.trial.name: parts for e, parts in zip(group.experiments, found, strict=True) if parts}
+    found = model.each(change_point.parts_above_noise)
+    return {e.trial.name: parts for e, parts in zip(model.experiments, found, strict=True) if parts}
 
 
 def _can_change(group: Group) -> bool:
@@ -132,85 +123,75 @@ def _can_change(group: Group) -> bool:
     return not group.held_out and all(experiment.runs_by_itself for experiment in group.experiments)
 
 
-def _beside(
-    group: Group,
-    start: Model,
-    jobs: int,
-    progress: Callable[[str], None],
-    checkpoint: Checkpoint,
-    to_noise: bool,
-) -> Changing | None:
+def _beside(start: Model, work: Work, to_noise: bool) -> Changing | None:
     """Effects that begin or end beside a model, one part of the recordings after the other; None if there are none.
 
     Args:
-        to_noise: as for :func:`search`.
+        to_noise: whether to end where the model stays far above noise.
     """
-    in_threads = Parallel(n_jobs=jobs, prefer="threads")
     throughout = dict.fromkeys(start.effects, THROUGHOUT)
-    now = [replace(experiment, spans=throughout) for experiment in group.experiments]
-    model, dates = start, [dict[str, Dated]() for _ in now]
+    model = replace(start, experiments=tuple(replace(one, spans=throughout) for one in start.experiments))
+    dates = [dict[str, Dated]() for _ in model.fits]
     tried: list[TriedCandidate] = []
     found = None
     while len(model.effects) < thresholds.MOST_EFFECTS:
-        changes = in_threads(delayed(change_point.first_change)(*pair) for pair in zip(now, model.fits, strict=True))
+        changes = model.each(change_point.first_change)
         if not any(changes):
             break
         starts = [f.point if c is None else c.point for f, c in zip(model.fits, changes, strict=True)]
         spans = [THROUGHOUT if change is None else change.span for change in changes]
-        for _ in range(_SELECTIONS):
-            now = [_parted(experiment, span, model) for experiment, span in zip(now, spans, strict=True)]
-            quiet = _fitted(now, *_without_effects(starts, model), jobs)
-            before = quiet if not model.effects else _fitted(now, starts, [fitted.free for fitted in model.fits], jobs)
-            first = explained.remaining_residuals(now, quiet.fits) if model.effects else ()
+        for _ in range(_SEARCHES):
+            pairs = zip(model.experiments, spans, strict=True)
+            parted = replace(model, experiments=tuple(_parted(*pair, model.effects) for pair in pairs))
+            quiet = _without_effects(parted, starts)
+            before = parted.map(_from, starts) if model.effects else quiet
+            first = quiet if model.effects else None
             # One effect at a time: another one that acts then is found in what is still above noise.
-            most = len(model.effects) + 1
-            selection = select(now, Model(model.effects, before.fits), jobs, progress, checkpoint, first, most=most)
-            new = [name for name in selection.model.effects if name not in model.effects]
+            ranking = search(before, work, first=first, most=len(model.effects) + 1)
+            new = [name for name in ranking.model.effects if name not in model.effects]
             if not new:
                 return found
-            progress("when it begins and ends")
-            refined = in_threads(delayed(_refined)(*pair) for pair in zip(now, selection.model.fits, strict=True))
-            refined = in_threads(
-                delayed(_best_of_recordings)(one, point, [other for other in refined if other is not one])
-                for one, point in zip(refined, starts, strict=True)
-            )
+            work.progress("when it begins and ends")
+            refined = ranking.model.each(_refined)
+            others = [[other for other in refined if other is not one] for one in refined]
+            refined = in_threads(_best_of_recordings, zip(refined, starts, others, strict=True), model.jobs)
             if to_noise and any(np.max(e.times_noise(f.residual)) > MAY_BE_NOISE for e, f, _ in refined):
                 return None
             known, spans = spans, [one.experiment.span for one in refined]
             if all(_is_near(*pair) for pair in zip(known, spans, strict=True)):
                 break
-        now = [
-            replace(one.experiment, spans={**one.experiment.spans, **dict.fromkeys(new, one.experiment.span)},
-                    span=THROUGHOUT)
-            for one in refined
-        ]  # fmt: skip
-        model = Model(selection.model.effects, tuple(one.fitted for one in refined))
+        model = Model(
+            tuple(_with_spans(one.experiment, new) for one in refined),
+            tuple(one.fitted for one in refined),
+            ranking.model.effects,
+        )
         for when, one in zip(dates, refined, strict=True):
             when.update({} if one.dated is None else dict.fromkeys(new, one.dated))
-        tried += selection.tried
-        base = _fitted(now, *_without_effects([fitted.point for fitted in quiet.fits], model), jobs)
-        changed = replace(group, experiments=tuple(now))
-        found = Changing(changed, Selection(base, model, tuple(tried)), tuple(dict(when) for when in dates))
+        tried += ranking.tried
+        base = _without_effects(model, [fitted.point for fitted in quiet.fits])
+        found = Changing(Ranking(base, model, tuple(tried)), tuple(dict(when) for when in dates))
     return found
+
+
+def _with_spans(experiment: Experiment, new: Sequence[str]) -> Experiment:
+    """A recording whose new effects act in its span."""
+    return replace(experiment, spans={**experiment.spans, **dict.fromkeys(new, experiment.span)}, span=THROUGHOUT)
 
 
 def _is_near(one: Span, other: Span) -> bool:
     return all(a == b or abs(a - b) <= _FAR for a, b in zip(one, other, strict=True))
 
 
-def at_noise(experiments: Sequence[Experiment], model: Model) -> bool:
+def is_all_noise(model: Model) -> bool:
     """Whether no stretch of any recording is above noise."""
-    pairs = zip(experiments, model.fits, strict=True)
-    return all(
-        change_point.is_noise(experiment, experiment.residual(fitted.point, whole=True)) for experiment, fitted in pairs
-    )
+    return all(change_point.is_noise(e, e.residual(f.point, whole=True)) for e, f in model.pairs)
 
 
-def _parted(experiment: Experiment, span: Span, model: Model) -> Experiment:
+def _parted(experiment: Experiment, span: Span, effects: Sequence[str]) -> Experiment:
     """A recording with a span for further effects, and with blocks held out in turn on either side of every edge."""
     trial = experiment.trial
     now = replace(experiment, span=span)
-    known = {edge for name in model.effects for edge in now.span_of(name).edges}
+    known = {edge for name in effects for edge in now.span_of(name).edges}
     edges = [round(edge / trial.block_s) for edge in sorted({*known, *span.edges})]
     length, buffer = _HELD_LENGTH / trial.block_s, round(_BUFFER / trial.block_s)
     count = len(trial) // trial.block
@@ -218,28 +199,20 @@ def _parted(experiment: Experiment, span: Span, model: Model) -> Experiment:
     return replace(now, fitted=count * trial.block, split=split)
 
 
-def _fitted(
-    experiments: Sequence[Experiment],
-    starts: Sequence[Point],
-    free: Sequence[Sequence[FreeEffectParameter]],
-    jobs: int,
-) -> Model:
-    """Models without new effects, from points nearby."""
-
-    def one(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter]) -> Fitted:
-        return relinearised(experiment, refit(experiment, point, free))
-
-    tasks = zip(experiments, starts, free, strict=True)
-    return Model((), tuple(Parallel(n_jobs=jobs, prefer="threads")(delayed(one)(*task) for task in tasks)))
+def _from(experiment: Experiment, fitted: Fitted, point: Point) -> Fitted:
+    """A model fitted again from a point nearby."""
+    return relinearised(experiment, refit(experiment, point, fitted.free))
 
 
-def _without_effects(
-    points: Sequence[Point], model: Model
-) -> tuple[list[Point], list[tuple[FreeEffectParameter, ...]]]:
-    """Points without effects, and what stays free there: the recordings' calibrations."""
-    free = [tuple(one for one in fitted.free if is_calibration(one.path)) for fitted in model.fits]
-    kept = [{path: value for path, value in point.effects.items() if is_calibration(path)} for point in points]
-    return [Point(point.theta, values) for point, values in zip(points, kept, strict=True)], free
+def _without_effects(model: Model, points: Sequence[Point]) -> Model:
+    """The model without effects, from points nearby; the recordings' calibrations stay free."""
+
+    def one(experiment: Experiment, fitted: Fitted, point: Point) -> Fitted:
+        free = tuple(one for one in fitted.free if is_calibration(one.path))
+        kept = {path: value for path, value in point.effects.items() if is_calibration(path)}
+        return relinearised(experiment, refit(experiment, Point(point.theta, kept), free))
+
+    return replace(model.map(one, points), effects=())
 
 
 def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
@@ -332,7 +305,7 @@ def _on_all(one: _Refined) -> _Refined:
     return one._replace(experiment=replace(one.experiment, split=None))
 
 
-def _better(experiments: Sequence[Experiment], chosen: Model, found: Changing) -> bool:
+def _better(chosen: Model, found: Changing) -> bool:
     """Whether effects that begin or end make all data clearly more likely than effects that act throughout.
 
     Args:
@@ -340,9 +313,9 @@ def _better(experiments: Sequence[Experiment], chosen: Model, found: Changing) -
         found: effects that begin or end; each edge is one more free parameter.
     """
     gain = 0.0
-    model, known = found.selection.model, zip(found.group.experiments, found.dates, strict=True)
-    for experiment, old, new, (changed, dates) in zip(experiments, chosen.fits, model.fits, known, strict=True):
-        before, after = experiment.residual(old.point, whole=True), changed.residual(new.point, whole=True)
+    changed = zip(found.ranking.model.pairs, found.dates, strict=True)
+    for (experiment, old), ((now, new), dates) in zip(chosen.pairs, changed, strict=True):
+        before, after = experiment.residual(old.point, whole=True), now.residual(new.point, whole=True)
         gain += float(np.sum(old.scale.misfits(before) - old.scale.misfits(after))) * old.scale.share
         values = max(len(before) * before.shape[1] / experiment.blocks_per_error, np.e)
         edges = sum(len(span.edges) for span in {dated.span for dated in dates.values()})
@@ -352,7 +325,8 @@ def _better(experiments: Sequence[Experiment], chosen: Model, found: Changing) -
 
 def dated(judged: Judged, found: Changing) -> Judged:
     """A verdict with begin and end of each effect; one that acts at several times becomes several effects."""
-    by_name = {e.trial.name: dates for e, dates in zip(found.group.experiments, found.dates, strict=True)}
+    names = [experiment.trial.name for experiment in found.ranking.model.experiments]
+    by_name = dict(zip(names, found.dates, strict=True))
     effects = [one for effect in judged.effects for one in _by_date(effect, by_name)]
     if all(effect.onset_s is None and effect.end_s is None for effect in effects):
         return judged

@@ -8,11 +8,12 @@ from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis.agreement import check_same_rig
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.description import describe
+from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.judgement import judge
 from pam_antagonist.diagnosis.preparation import Settings, Timings, prepare
 from pam_antagonist.diagnosis.result import Diagnosis
-from pam_antagonist.diagnosis.selection import select
-from pam_antagonist.diagnosis.splits import recalibrated
+from pam_antagonist.diagnosis.search import hypotheses, search
+from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
@@ -62,14 +63,14 @@ def diagnose(
     timings = Timings()
     prepared = prepare(recordings, held_out, rig, settings)
     judged = []
-    for prepared_group in prepared.groups:
+    for group in prepared.groups:
         settings.progress("recalibrating the base parameters")
-        group, base = recalibrated(prepared_group, jobs)
-        check_same_rig(group, base, jobs)
+        base = by_itself_or_in_turn(group)
+        check_same_rig(group.held_out, base)
         timings.end("recalibration")
-        selection = select(group.experiments, base, jobs, settings.about(group), settings.checkpoint, calibrate=True)
+        ranking = search(base, Work(settings.about(group), settings.checkpoint), hypotheses())
         timings.end("selection")
-        judged.append(judge(prepared, group, selection, settings))
+        judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.checkpoint)))
         timings.end("judgement")
     # The group with the strongest effect comes first.
     judged.sort(key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))

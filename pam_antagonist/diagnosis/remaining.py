@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_errors, unit_of
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.likelihood import correlation_length
@@ -184,10 +184,10 @@ def _between(band: str) -> str:
     return f"between {band.replace(' to ', ' and ')}" if " to " in band else band
 
 
-def describe(experiments: Sequence[Experiment], model: Model) -> list[RemainingResidual]:
+def describe(model: Model) -> list[RemainingResidual]:
     """All residuals above the noise: of the equations of each recording, then of its sensors."""
     out = []
-    for judged, fitted in zip(experiments, model.fits, strict=True):
+    for judged, fitted in model.pairs:
         recorded = judged.free_run
         over = recorded.times_noise(fitted.residual if recorded is judged else recorded.residual(fitted.point))
         if np.max(over) < thresholds.AT_NOISE:

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
-from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
 from pam_antagonist.diagnosis.errors import ModelErrors, RigErrors
 from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
+from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import ResidualRow
-from pam_antagonist.diagnosis.selection import Selection
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.point import Point
@@ -55,7 +55,7 @@ class FoundEffect:
         muscle: 1 or 2; None for both, and for an effect that belongs to neither.
         parameters: by name.
         delta_bic: evidence for it: what the model loses without it, the price of its parameters paid.
-        holdout_gain: share of the held-out excess over noise (:mod:`explained`) that goes with it; None for a
+        holdout_gain: share of the held-out excess over noise (:mod:`models`) that goes with it; None for a
             disturbance torque in recordings of which nothing is held out.
         recordings: names of the recordings that show it.
         notes: what a user should know about it.
@@ -129,7 +129,7 @@ class PartVerdict:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Judged(Shown):
-    """A group of experiments with the verdict on it.
+    """A group of experiments with the verdict on it. Its models say how the experiments were compared at last.
 
     Attributes:
         share: of its held-out excess that the chosen model removes; None likewise.
@@ -139,7 +139,7 @@ class Judged(Shown):
 
     group: Group
     base: Model
-    selection: Selection
+    ranking: Ranking
     verdict: Verdict
     share: float | None
     model: Model
@@ -243,7 +243,7 @@ class Diagnosis(Shown):
         experiment: what would distinguish them, by effect.
         ambiguities: comparisons of found effects with others on equal terms.
         ranking: all candidates of all rounds, with their models.
-        share: share of the held-out excess over noise (:mod:`explained`) that the extended model removes; None if that
+        share: share of the held-out excess over noise (:mod:`models`) that the extended model removes; None if that
             is a disturbance torque in recordings of which nothing is held out.
         parts: the verdict on each part of the joint that was judged by itself.
         errors: of the three models, on each recording with its own values.
@@ -258,7 +258,6 @@ class Diagnosis(Shown):
         rig_extended: with the effects.
         own: for each recording its name and its own extended rig.
         base_friction_removed: whether friction of the rig file was taken out before anything was tested.
-        experiments: the recordings as they were compared.
         recalibrated: the model without effects.
         extended: the model with them.
         compared: the recordings with the three models on each, those that were held out as a whole as well.
@@ -287,8 +286,12 @@ class Diagnosis(Shown):
     rig_extended: Rig
     own: tuple[tuple[str, Rig], ...]
     base_friction_removed: bool
-    experiments: tuple[Experiment, ...]
     recalibrated: Model
     extended: Model
     compared: tuple[HeldOutComparison, ...]
     seconds: Mapping[str, float]
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """The recordings as they were compared."""
+        return self.extended.experiments

@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from joblib import Parallel, delayed
-
 from pam_antagonist.diagnosis import held_out
 from pam_antagonist.diagnosis.agreement import common_point
-from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
+from pam_antagonist.diagnosis.models import Model, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
 from pam_antagonist.diagnosis.result import MODELS, Diagnosis, HeldOutComparison, RecordingEntry
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
@@ -121,7 +119,7 @@ def rig_errors(
             given = held_out.corrected(recording, part, "extended")
             return alone, held_out.estimator_errors(*given, rigs[name]).errors
 
-        found = Parallel(n_jobs=settings.jobs, prefer="threads")(delayed(errors)(part) for part in parts)
+        found = in_threads(errors, ((part,) for part in parts), settings.jobs)
         counts = [int(part.experiment.held_samples.sum()) for part in parts]
         filters = [(ukf, count) for (_, ukf), count in zip(found, counts, strict=True)]
         return RigErrors.total(total_of([alone for alone, _ in found], counts), filters)
@@ -134,11 +132,11 @@ def _parts_of_one_rig(groups: Sequence[tuple[Group, Model, Mapping[str, float]]]
     """The recordings that are judged, in their order, with the values for all of them."""
     parts: dict[int, HeldOutComparison] = {}
     for group, model, effects in groups:
-        common = common_point(group.experiments, model, effects)
+        common = common_point(model, effects)
         # Zeros, scales and late stamps belong to a recording, not to the rig.
         runs = [
             (experiment, number, Point(common.theta, {**common.effects, **_calibrations(fitted.point)}))
-            for experiment, number, fitted in zip(group.experiments, group.numbers, model.fits, strict=True)
+            for (experiment, fitted), number in zip(model.pairs, group.numbers, strict=True)
         ]
         if group.held_out:
             runs = [(other, number, common) for number, other in enumerate(group.held_out, len(group.experiments))]

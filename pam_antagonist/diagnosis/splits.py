@@ -12,13 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model, likelier
+from pam_antagonist.diagnosis.models import Model, in_threads, likelier, recalibrated
 from pam_antagonist.diagnosis.preparation import Group
-from pam_antagonist.diagnosis.selection import recalibrate
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, Linear
 from pam_antagonist.inference.trial import Split
@@ -95,45 +93,42 @@ def in_words(firm: Mapping[str, Firmness]) -> str:
     return "; ".join((f"{name}: " if several else "") + one.in_words() for name, one in firm.items())
 
 
-def recalibrated(group: Group, jobs: int) -> tuple[Group, Model]:
-    """A group with what is held out of it, and its model without effects.
+def by_itself_or_in_turn(group: Group) -> Model:
+    """The model without effects of a group, of recordings with what is held out of them.
 
     An angle-driven joint shows few sweeps. Its last part alone would decide by one or two of them. So its recordings
     are fitted as a whole and judged by all splits together. Errors in a report stay those of the last part.
     """
     if any(experiment.runs_by_itself for experiment in group.experiments):
-        return group, recalibrate(group.experiments, jobs)
-    base = recalibrate([_whole(experiment) for experiment in group.experiments], jobs)
+        return recalibrated(group.experiments)
+    base = recalibrated([_whole(experiment) for experiment in group.experiments])
     pairs = zip(group.experiments, base.fits, strict=True)
-    return replace(group, experiments=tuple(replace(_whole(e), splits=_splits(e, f)) for e, f in pairs)), base
+    return replace(base, experiments=tuple(replace(_whole(e), splits=_splits(e, f)) for e, f in pairs))
 
 
-def firmness(
-    experiments: Sequence[Experiment], model: Model, without: Mapping[str, Model], jobs: int
-) -> dict[str, Firmness]:
+def firmness(model: Model, without: Mapping[str, Model]) -> dict[str, Firmness]:
     """What the splits say of each effect of a model, by its name."""
-    splits = [_splits(*pair) for pair in zip(experiments, model.fits, strict=True)]
+    splits = model.each(_splits)
     fits = {"": model, **without}
     differ = {name: [r for r, old in enumerate(one.fits) if old is not model.fits[r]] for name, one in without.items()}
     shown = [("", r) for r in sorted(set().union(*differ.values()))]
     shown += [(name, r) for name, recordings in differ.items() for r in recordings]
 
     def linear(name: str, r: int) -> Linear:
-        return Linear.of(_whole(experiments[r]), fits[name].fits[r])
+        return Linear.of(_whole(fits[name].experiments[r]), fits[name].fits[r])
 
     def held(name: str, r: int, k: int) -> Floats:
         return starts[name, r].on(splits[r][k].fitted).residual[splits[r][k].held]
 
-    in_threads = Parallel(n_jobs=jobs, prefer="threads")
-    starts = dict(zip(shown, in_threads(delayed(linear)(*which) for which in shown), strict=True))
+    starts = dict(zip(shown, in_threads(linear, shown, model.jobs), strict=True))
     tasks = [(name, r, k) for name, r in shown for k in range(SPLITS)]
-    left = dict(zip(tasks, in_threads(delayed(held)(*task) for task in tasks), strict=True))
+    left = dict(zip(tasks, in_threads(held, tasks, model.jobs), strict=True))
 
     def evidence(name: str, k: int) -> float:
         scales = {r: fits[name].fits[r].scale for r in differ[name]}
         return sum(likelier(scale, left[name, r, k], left["", r, k]) for r, scale in scales.items())
 
-    parts = tuple(_held(experiments[0], split) for split in splits[0])
+    parts = tuple(_held(model.experiments[0], split) for split in splits[0])
     return {name: Firmness(tuple(evidence(name, k) for k in range(SPLITS)), parts) for name in without}
 
 

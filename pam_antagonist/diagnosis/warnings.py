@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.change_point import Stretch
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Prepared
 from pam_antagonist.diagnosis.result import RecordingEntry, SizeProfile
 from pam_antagonist.diagnosis.splits import Firmness
-from pam_antagonist.diagnosis.stretches import Stretch
 from pam_antagonist.inference.angle_driven import BALANCE, sweeps
 from pam_antagonist.inference.expected import guesses_curves
 from pam_antagonist.inference.experiment import Experiment
@@ -40,7 +39,11 @@ def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
     """
     if not guesses_curves(rig):
         return ()
-    return tuple(dict.fromkeys(name for name in effects if _OF_STEADY_PRESSURES & set(CATALOGUE[name].hooks)))
+    return tuple(dict.fromkeys(name for name in effects if _changes_steady_pressures(name)))
+
+
+def _changes_steady_pressures(name: str) -> bool:
+    return name in CATALOGUE and not _OF_STEADY_PRESSURES.isdisjoint(CATALOGUE[name].hooks)
 
 
 def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:
@@ -54,10 +57,10 @@ def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:
     ]
 
 
-def implausible(experiments: Sequence[Experiment], model: Model) -> list[str]:
+def implausible(model: Model) -> list[str]:
     """Base parameters that had to leave their prior: a wrong number in the rig file, or an effect in disguise."""
     warnings = []
-    for experiment, fitted in zip(experiments, model.fits, strict=True):
+    for experiment, fitted in model.pairs:
         for direction, amount in zip(experiment.directions, fitted.point.theta, strict=False):
             if abs(amount) > thresholds.IMPLAUSIBLE * direction.prior:
                 warnings.append(
@@ -77,10 +80,10 @@ def explained_in_part(effects: Sequence[str]) -> str:
     )
 
 
-def at_bounds(experiments: Sequence[Experiment], model: Model) -> list[str]:
+def at_bounds(model: Model) -> list[str]:
     """Parameters of effects that ended at a bound: the recording asks for more than makes sense."""
     out = []
-    for experiment, fitted in zip(experiments, model.fits, strict=True):
+    for experiment, fitted in model.pairs:
         for free in fitted.free:
             value = fitted.point.effects.get(free.path, free.item.neutral)
             # In the number's own scale: a leak of 1e-9 m² is not next to 0.
@@ -131,10 +134,10 @@ def _edges(span: Span) -> list[tuple[str, float]]:
     return [(what, time) for what, time in zip(("begins", "ends"), span, strict=True) if np.isfinite(time)]
 
 
-def along_motion(experiments: Sequence[Experiment], base: Model, model: Model) -> str:
+def along_motion(base: Model, model: Model) -> str:
     """The note on a verdict that rests on the model along the measured motion."""
     each = []
-    for experiment, *fits in zip(experiments, base.fits, model.fits, strict=True):
+    for experiment, *fits in zip(model.experiments, base.fits, model.fits, strict=True):
         if isinstance(experiment, MeasuredMotion):
             old, new = (100.0 * experiment.right(fitted.point) for fitted in fits)
             each.append(f"{experiment.trial.name}: {old:.0f} % before, {new:.0f} % with the effect")
@@ -218,8 +221,12 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[str, ...]:
-    """What no analysis of these recordings can show, one sentence each."""
+def unseen(prepared: Prepared, bases: Iterable[Model]) -> tuple[str, ...]:
+    """What no analysis of these recordings can show, one sentence each.
+
+    Args:
+        bases: models without effects, with all recordings.
+    """
     trials = prepared.trials[: prepared.fitted]
     if prepared.angle_driven:
         hidden = [effect for effect in _WITH_VALVES if effect.sealed.part is None]
@@ -263,7 +270,7 @@ def unseen(prepared: Prepared, bases: Mapping[str, Model], jobs: int) -> tuple[s
             "Pressures alone decide here. The estimator's innovations have to support what they suggest. Only effects "
             "of the air, the valves and the pressure sensors can be found."
         )
-    small = [name for g in prepared.groups for name in invisible(g.experiments, bases[g.name], jobs)]
+    small = [name for base in bases for name in invisible(base)]
     if small:
         out.append(
             f"Not seen in these recordings, even at their usual size: {', '.join(small)}. So the joint may have them."
@@ -276,17 +283,16 @@ def _listed(effects: Iterable[Effect]) -> str:
     return f"{', '.join(others)} and {last}"
 
 
-def invisible(experiments: Sequence[Experiment], base: Model, jobs: int) -> tuple[str, ...]:
+def invisible(base: Model) -> tuple[str, ...]:
     """Effects that would not show in these recordings, even if nothing else were wrong.
 
     An effect shows where one of its sizes, neither small nor large, moves what was measured beyond the sensors' noise
     in a way that the base parameters cannot imitate, by strong evidence.
     """
-    names = [candidate.effect for candidate in experiments[0].candidates({})]
-    pairs = zip(experiments, base.fits, strict=True)
-    shown = set().union(*Parallel(n_jobs=jobs, prefer="threads")(delayed(_shown)(names, *pair) for pair in pairs))
+    names = [candidate.effect for candidate in base.experiments[0].candidates({})]
+    shown = set().union(*base.each(lambda *pair: _shown(names, *pair)))
     out = [name for name in names if name not in shown]
-    if not any(ANGLE in experiment.channels for experiment in experiments):
+    if not any(ANGLE in experiment.channels for experiment in base.experiments):
         out.append(DISTURBANCE)
     return tuple(out)
 

@@ -280,7 +280,7 @@ def channel_of(errors: ModelErrors, name: str) -> tuple[float | None, float | No
 
 
 def _laws(report: CloseLoopReport) -> tuple[Block, ...]:
-    named = [CATALOGUE[name] for name in dict.fromkeys(effect.name for effect in report.effects)]
+    named = [CATALOGUE[name] for name in dict.fromkeys(e.name for e in report.effects) if name in CATALOGUE]
     rows = tuple((item.name, f"{item.law} ({item.source}). {item.signature}") for item in named)
     return (Definitions(rows),) if rows else ()
 

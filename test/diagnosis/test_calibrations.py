@@ -9,11 +9,11 @@ import pytest
 
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
-from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, explained, found_calibrations
-from pam_antagonist.diagnosis.candidates import Model
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, found_calibrations
+from pam_antagonist.diagnosis.hypotheses import Work
+from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.rig_choice import choose
-from pam_antagonist.diagnosis.selection import recalibrate, select
+from pam_antagonist.diagnosis.search import hypotheses, search
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import best_of_starts
@@ -104,19 +104,18 @@ def test_a_zero_to_which_the_base_parameters_have_bent_is_found(rig, zero, names
     exact = simulate(rig.replaced(sample_period=4e-3), duration=40.0, seed=3, mismatch=0.01)
     trial = make_trial(misread(exact, encoder_zero=np.radians(zero)), rig, "free", 0.0, "free")
     experiments = (ValveDriven(rig, trial, len(trial) * 2 // 3 // 25 * 25),)
-    base = recalibrate(experiments, jobs=1)
-    assert explained.at_noise(experiments, base)
-    chosen = select(experiments, base, 1, lambda text: None, Checkpoint(), calibrate=True)
+    base = recalibrated(experiments)
+    assert base.is_at_noise
+    chosen = search(base, Work(), hypotheses())
     assert calibrations.calibrations_of(chosen.model) == names
     if names:
-        (found,) = calibrations.found(experiments, [chosen.model], chosen.calibrations, chosen.rivals)
+        (found,) = calibrations.found(chosen)
         assert np.degrees(found.value) == pytest.approx(zero, abs=0.06)
         assert abs(np.degrees(found.value) - zero) < 2.0 * np.degrees(found.std) < 0.2
         # Beside what else is found, it may turn out to be nothing.
         (fitted,) = chosen.model.fits
         nothing = Point(fitted.point.theta, {"calibration.encoder_zero": 1e-5})
-        models = Model((), (replace(fitted, point=nothing),)), chosen.model
-        assert calibrations.found(experiments, models, chosen.calibrations, chosen.rivals) == ()
+        assert calibrations.found(chosen, Model(experiments, (replace(fitted, point=nothing),))) == ()
 
 
 @pytest.mark.parametrize("wrong", [{"encoder_zero": np.radians(2.0)}, {"delay_pressure": 0.05}])
@@ -126,11 +125,11 @@ def test_a_calibration_is_found_however_large_it_is(rig, recorded, wrong) -> Non
         misread(recorded("none", joint="free", seconds=30.0, seed=2408002887), **wrong), rig, "free", 0.0, "free"
     )
     experiments = (ValveDriven(rig, trial, len(trial) * 2 // 3 // 100 * 100),)
-    base = recalibrate(experiments, jobs=1)
-    assert not explained.at_noise(experiments, base)
-    chosen = select(experiments, base, 1, lambda text: None, Checkpoint(), calibrate=True, most=1)
-    assert explained.at_noise(experiments, chosen.model)
-    (found,) = calibrations.found(experiments, [chosen.model], chosen.calibrations, chosen.rivals)
+    base = recalibrated(experiments)
+    assert not base.is_at_noise
+    chosen = search(base, Work(), hypotheses(), most=1)
+    assert chosen.model.is_at_noise
+    (found,) = calibrations.found(chosen)
     assert {found.name: found.value} == {name: pytest.approx(value, rel=0.06) for name, value in wrong.items()}
 
 
@@ -150,9 +149,9 @@ def test_a_zero_to_which_base_and_effect_have_bent_is_found(rig) -> None:
     experiment = ValveDriven(rig, trial, len(trial) * 2 // 3 // 25 * 25)
     free = next(candidate.free for candidate in experiment.candidates({}) if candidate.effect == "leak")
     start = Point(experiment.origin.theta, {f"effects.leak.{name}": value for name, value in leak.items()})
-    base = Model(("leak",), (best_of_starts(experiment, refit(experiment, start, free), 0),))
-    chosen = select((experiment,), base, 1, lambda text: None, Checkpoint(), calibrate=True)
+    base = Model((experiment,), (best_of_starts(experiment, refit(experiment, start, free), 0),), ("leak",))
+    chosen = search(base, Work(), hypotheses())
     assert chosen.model.effects == ("leak",)
     assert calibrations.calibrations_of(chosen.model) == ("encoder_zero",)
-    (found,) = calibrations.found((experiment,), [chosen.model], chosen.calibrations, chosen.rivals)
+    (found,) = calibrations.found(chosen)
     assert np.degrees(found.value) == pytest.approx(0.3, abs=0.06)

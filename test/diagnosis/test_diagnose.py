@@ -244,7 +244,7 @@ def test_an_uncertain_size_is_still_a_size(leaking) -> None:
     """Where size and shape stand for one another neither is certain, and what was found has a value nevertheless."""
     vague = tuple(dataclasses.replace(fitted, covariance=1e8 * fitted.covariance) for fitted in leaking.extended.fits)
     model = dataclasses.replace(leaking.extended, fits=vague)
-    effects, values, _ = findings.found_effects(leaking.experiments, model, {"leak": 9.0}, {"leak": 0.9})
+    effects, values, _ = findings.found_effects(model, {"leak": 9.0}, {"leak": 0.9})
     size, std, _ = effects[0].parameters["area_1"]
     assert (effects[0].muscle, effects[0].recordings) == (1, leaking.effects[0].recordings)
     assert size == values["effects.leak.area_1"] == leaking.effects[0].parameters["area_1"][0]
@@ -262,10 +262,10 @@ def test_an_effect_whose_derivative_is_0_has_a_size_and_one_that_is_0_is_not_fou
             fits.append(dataclasses.replace(fitted, point=point, effect=0.0 * fitted.effect))
         return dataclasses.replace(leaking.extended, fits=tuple(fits))
 
-    (effect,), values, _ = findings.found_effects(leaking.experiments, model(1.0), {"leak": 9.0}, {"leak": 0.9})
+    (effect,), values, _ = findings.found_effects(model(1.0), {"leak": 9.0}, {"leak": 0.9})
     size, std, _ = effect.parameters["area_1"]
     assert effect.recordings == leaking.effects[0].recordings and std == size == values["effects.leak.area_1"]
-    nothing = findings.found_effects(leaking.experiments, model(0.0), {"leak": 9.0}, {"leak": 0.9})
+    nothing = findings.found_effects(model(0.0), {"leak": 9.0}, {"leak": 0.9})
     assert (nothing.effects, nothing.values) == ((), {})
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis import disturbance, disturbance_search
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.hypotheses import Work
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import BLOCK_S
 from pam_antagonist.model.effects import DISTURBANCE
@@ -58,7 +59,7 @@ def test_where_nothing_is_held_out_no_share_of_it_is_claimed(free) -> None:
     experiment, fitted = free("external_torque", "smooth pushes", SIZE)
     whole = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)))
     fitted = refit(whole, fitted.point, rounds=2, renewals=1)
-    found = disturbance_search.beside([whole], Model((), (fitted,)), 1)
+    found = disturbance_search.beside_effects(Model((whole,), (fitted,)), Work())
     assert found is not None and found.share is None
     assert [effect.holdout_gain for effect in found.effects if effect.name == DISTURBANCE] == [None]
 

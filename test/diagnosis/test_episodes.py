@@ -19,8 +19,7 @@ import pam_antagonist
 from pam_antagonist import load_rig
 from pam_antagonist.api.episodes import EpisodesDiagnoseResult
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.episode_drift import course
-from pam_antagonist.diagnosis.episode_lines import StraightLines
+from pam_antagonist.diagnosis.episode_drift import StraightLines, course
 from pam_antagonist.diagnosis.episodes import diagnose, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.bootstrap import drawn, ratio

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from pam_antagonist.diagnosis import explained
-from pam_antagonist.diagnosis.candidates import Model, TriedCandidate
+from pam_antagonist.diagnosis import models
+from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
+from pam_antagonist.diagnosis.models import Model
 
-NO_MODEL = Model((), ())
+NO_MODEL = Model()
 
 
 def tried(number: int, bic: float, held: float, held_out: float = 20.0, share: float | None = None) -> TriedCandidate:
@@ -15,37 +16,41 @@ def tried(number: int, bic: float, held: float, held_out: float = 20.0, share: f
     return TriedCandidate("leak", number, bic, bic, held_out, (held, held), NO_MODEL, None, share)
 
 
+def leader(candidates: list[TriedCandidate]) -> TriedCandidate | None:
+    return Ranking(NO_MODEL, NO_MODEL, tuple(candidates)).leader
+
+
 def test_evidence_without_held_out_gain_is_not_enough() -> None:
-    assert explained.is_worth_taking(tried(1, 50.0, 0.8))
-    assert not explained.is_worth_taking(tried(1, 50.0, 0.04))
-    assert not explained.is_worth_taking(tried(1, 50.0, 0.8, held_out=1.0))
-    assert not explained.is_worth_taking(tried(1, 1.0, 0.8))
-    assert not explained.is_worth_taking(TriedCandidate("leak", 1, 50.0))
+    assert tried(1, 50.0, 0.8).is_worth_taking
+    assert not tried(1, 50.0, 0.04).is_worth_taking
+    assert not tried(1, 50.0, 0.8, held_out=1.0).is_worth_taking
+    assert not tried(1, 1.0, 0.8).is_worth_taking
+    assert not TriedCandidate("leak", 1, 50.0).is_worth_taking
 
 
 def test_what_hardly_pays_where_it_was_fitted_needs_more_held_out_evidence() -> None:
-    assert explained.is_worth_taking(tried(1, 4.0, 0.8, held_out=8.0))
-    assert not explained.is_worth_taking(tried(1, 4.0, 0.8, held_out=7.0))
-    assert not explained.is_worth_taking(tried(1, 9.0, 0.8, held_out=4.0))
+    assert tried(1, 4.0, 0.8, held_out=8.0).is_worth_taking
+    assert not tried(1, 4.0, 0.8, held_out=7.0).is_worth_taking
+    assert not tried(1, 9.0, 0.8, held_out=4.0).is_worth_taking
 
 
 def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> None:
-    assert explained.is_worth_taking(tried(2, 9.0, 0.25))
-    assert not explained.is_worth_taking(tried(2, 9.0, 0.25, held_out=-4.0))
-    assert not explained.is_worth_taking(tried(2, 1.0, 0.9))
-    assert not explained.is_worth_taking(tried(2, 9.0, 0.1))
+    assert tried(2, 9.0, 0.25).is_worth_taking
+    assert not tried(2, 9.0, 0.25, held_out=-4.0).is_worth_taking
+    assert not tried(2, 1.0, 0.9).is_worth_taking
+    assert not tried(2, 9.0, 0.1).is_worth_taking
 
 
 def test_what_has_little_held_out_evidence_must_be_the_more_certain() -> None:
-    assert explained.is_worth_taking(tried(1, 30.0, 0.4, held_out=4.0))
-    assert not explained.is_worth_taking(tried(1, 19.0, 0.4, held_out=4.0))
-    assert not explained.is_worth_taking(tried(1, 90.0, 0.4, held_out=1.0))
+    assert tried(1, 30.0, 0.4, held_out=4.0).is_worth_taking
+    assert not tried(1, 19.0, 0.4, held_out=4.0).is_worth_taking
+    assert not tried(1, 90.0, 0.4, held_out=1.0).is_worth_taking
 
 
 def test_a_further_effect_is_judged_by_both_parts_together() -> None:
-    assert explained.is_worth_taking(tried(2, 24.0, -0.1, held_out=10.0, share=0.3))
-    assert not explained.is_worth_taking(tried(2, 24.0, 0.3, held_out=10.0, share=0.1))
-    assert not explained.is_worth_taking(tried(1, 24.0, -0.1, held_out=10.0, share=0.3))
+    assert tried(2, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
+    assert not tried(2, 24.0, 0.3, held_out=10.0, share=0.1).is_worth_taking
+    assert not tried(1, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
 
 
 @pytest.mark.parametrize(
@@ -59,18 +64,18 @@ def test_a_further_effect_is_judged_by_both_parts_together() -> None:
     ],
 )
 def test_effects_are_the_explanation_of_what_they_take_away(monkeypatch, share, quiet, explains, in_part) -> None:
-    monkeypatch.setattr(explained, "share_of_all", lambda experiments, base, model: share)
-    monkeypatch.setattr(explained, "at_noise", lambda experiments, model: quiet)
-    assert explained.explains((), NO_MODEL, Model(("friction",), ())) is explains
-    assert explained.explains_in_part((), NO_MODEL, Model(("friction",), ())) is in_part
-    assert not explained.explains((), NO_MODEL, NO_MODEL)
+    monkeypatch.setattr(models, "share_of_all", lambda base, model: share)
+    monkeypatch.setattr(Model, "is_at_noise", quiet)
+    assert models.explains(NO_MODEL, Model(effects=("friction",))) is explains
+    assert models.explains_in_part(NO_MODEL, Model(effects=("friction",))) is in_part
+    assert not models.explains(NO_MODEL, NO_MODEL)
 
 
 def test_one_effect_that_leaves_much_leads_where_all_others_are_far_behind() -> None:
     best = tried(1, 40.0, 0.3, held_out=30.0)
-    assert explained.leader([tried(1, 20.0, 0.1, held_out=10.0), best, tried(2, 99.0, 0.9)]) is best
-    assert explained.leader([best, tried(1, 30.0, 0.1, held_out=10.0)]) is None
-    assert explained.leader([tried(1, 40.0, 0.1, held_out=30.0)]) is None
-    assert explained.leader([tried(1, 60.0, 0.3, held_out=4.0)]) is None
-    assert explained.leader([tried(1, 10.0, 0.3, held_out=8.0)]) is None
-    assert explained.leader([]) is None
+    assert leader([tried(1, 20.0, 0.1, held_out=10.0), best, tried(2, 99.0, 0.9)]) is best
+    assert leader([best, tried(1, 30.0, 0.1, held_out=10.0)]) is None
+    assert leader([tried(1, 40.0, 0.1, held_out=30.0)]) is None
+    assert leader([tried(1, 60.0, 0.3, held_out=4.0)]) is None
+    assert leader([tried(1, 10.0, 0.3, held_out=8.0)]) is None
+    assert leader([]) is None

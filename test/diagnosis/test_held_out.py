@@ -11,9 +11,9 @@ from pam_antagonist.diagnosis import diagnose, preparation
 from pam_antagonist.diagnosis.agreement import check_same_rig
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.held_out import innovation_evidence
-from pam_antagonist.diagnosis.preparation import Group, Settings
+from pam_antagonist.diagnosis.models import recalibrated
+from pam_antagonist.diagnosis.preparation import Settings
 from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison
-from pam_antagonist.diagnosis.selection import recalibrate
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.point import Point
@@ -104,14 +104,13 @@ def test_a_recording_of_another_rig_is_refused(rig, recorded, pair) -> None:
     trial = make_trial(sound, rig, "locked", 0.0, "mine")
     theirs = make_trial(pair[1], rig, "locked", 0.0, "theirs")
     (experiment,), held = preparation.valve_driven_experiments([trial], [theirs], rig, 0.3, 0)
-    base = recalibrate([experiment], 1)
-    group = Group("joint", (experiment,), (0,), held)
-    check_same_rig(group, base, 1)
+    base = recalibrated([experiment])
+    check_same_rig(held, base)
     shifted = base.fits[0].point.theta.copy()
     shifted[0] += 0.5
     far = dataclasses.replace(base.fits[0], point=dataclasses.replace(base.fits[0].point, theta=shifted))
     with pytest.raises(BadInput, match="seems to be of another rig"):
-        check_same_rig(group, dataclasses.replace(base, fits=(far,)), 1)
+        check_same_rig(held, dataclasses.replace(base, fits=(far,)))
 
 
 def test_the_innovations_of_held_out_samples_count_and_no_others(rig, pair) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis import Diagnosis, change_point, diagnose, onset, splits, warnings
-from pam_antagonist.diagnosis.candidates import Model
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, refit
@@ -57,17 +57,15 @@ def test_noise_alone_has_no_part_above_noise() -> None:
 
 def test_an_effect_that_begins_late_is_found_with_its_onset(late) -> None:
     experiment, fitted = late
-    found = onset.search(
-        Group("joint", (experiment,), (0,)), Model((), (fitted,)), Model((), (fitted,)), 1, lambda text: None,
-        Checkpoint(),
-    )  # fmt: skip
+    model = Model((experiment,), (fitted,))
+    found = onset.begin_and_end(Group("joint", (experiment,), (0,)), Ranking(model, model), Work())
     assert found is not None
-    assert found.selection.model.effects == ("pressure_sensor",)
+    assert found.ranking.model.effects == ("pressure_sensor",)
     when = found.dates[0]["pressure_sensor"]
     assert when.span.begin_s == pytest.approx(15.0, abs=max(3.0 * when.std_s[0], 0.1))
     assert when.span.end_s == np.inf
     assert when.std_s[0] < 0.5
-    point = found.selection.model.fits[0].point
+    point = found.ranking.model.fits[0].point
     shown = point.effects["effects.pressure_sensor.offset_1"] + 450e3 * point.effects["effects.pressure_sensor.gain_1"]
     assert shown == pytest.approx(5e3, rel=0.2)
 
@@ -87,9 +85,8 @@ def test_several_changes_are_told_with_their_times(quiet) -> None:
 
 def test_a_recording_at_its_noise_has_no_onset(quiet) -> None:
     fitted = refit(quiet, quiet.origin, rounds=4, renewals=1)
-    model = Model((), (fitted,))
-    group = Group("joint", (quiet,), (0,))
-    assert onset.search(group, model, model, 1, lambda text: None, Checkpoint()) is None
+    model = Model((quiet,), (fitted,))
+    assert onset.begin_and_end(Group("joint", (quiet,), (0,)), Ranking(model, model), Work()) is None
 
 
 def test_what_is_there_throughout_has_no_onset(quiet) -> None:
@@ -105,7 +102,7 @@ def test_splits_agree_on_an_effect_that_is_there(quiet) -> None:
     )
     base = refit(experiment, experiment.origin, rounds=4, renewals=1)
     right = refit(experiment, Point(base.point.theta, LEAK), free, rounds=4, renewals=2)
-    firm = splits.firmness([experiment], Model(("leak",), (right,)), {"leak": Model((), (base,))}, 1)["leak"]
+    firm = splits.firmness(Model((experiment,), (right,), ("leak",)), {"leak": Model((experiment,), (base,))})["leak"]
     assert (firm.agree, len(firm.evidence)) == (5, 5)
     assert firm.is_firm and firm.in_words() == "5 of 5 splits agree"
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis import remaining, residual_statistics
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.remaining import Surroundings
 from pam_antagonist.diagnosis.residual_statistics import equation_errors
-from pam_antagonist.diagnosis.selection import recalibrate
 from pam_antagonist.inference.gauss_newton import Fitted
 from pam_antagonist.inference.point import Point
 from validation.battery.plants import staircase
@@ -79,13 +78,13 @@ def test_a_whitener_undoes_an_autoregression() -> None:
 @pytest.fixture(scope="module")
 def sound(recorded, experiment_of):
     experiment = experiment_of(recorded(), "locked")
-    return experiment, recalibrate([experiment], 1).fits[0]
+    return experiment, recalibrated([experiment]).fits[0]
 
 
 @pytest.fixture(scope="module")
 def exchanging(recorded, experiment_of):
     experiment = experiment_of(recorded("exchange", None, "chambers exchange air", 25.0), "locked")
-    return experiment, recalibrate([experiment], 1).fits[0]
+    return experiment, recalibrated([experiment]).fits[0]
 
 
 def test_a_right_model_leaves_white_noise_of_the_sensors_size(sound) -> None:
@@ -111,7 +110,7 @@ def test_a_missing_flow_shows_in_the_flows(exchanging) -> None:
 def test_equation_errors_are_those_of_the_equation(rig, recorded, experiment_of) -> None:
     """A leak that the model has in excess is missing in one mass flow, and nowhere else."""
     experiment = experiment_of(recorded(seconds=20.0), "locked")
-    fitted = recalibrate([experiment], 1).fits[0]
+    fitted = recalibrated([experiment]).fits[0]
     leaking = Point(fitted.point.theta, {"effects.leak.area_1": 5e-9})
     right, wrong = (equation_errors(experiment, point) for point in (fitted.point, leaking))
     change = (wrong.values - right.values).mean(axis=0)
@@ -125,7 +124,7 @@ def test_equation_errors_are_those_of_the_equation(rig, recorded, experiment_of)
 
 def test_what_is_left_is_described_with_its_form(exchanging) -> None:
     experiment, fitted = exchanging
-    left = {item.channel: item for item in remaining.describe([experiment], Model((), (fitted,)))}
+    left = {item.channel: item for item in remaining.describe(Model((experiment,), (fitted,)))}
     flow = left["mass flow 1"]
     assert flow.depends_on["pressure"] > max(0.4, flow.depends_on["time"])
     assert set(flow.depends_on) == {"pressure", "command", "time"}, "a locked joint has no length and no direction"
@@ -139,7 +138,7 @@ def test_what_is_left_is_described_with_its_form(exchanging) -> None:
 def test_nothing_is_left_of_a_right_model(sound) -> None:
     experiment, fitted = sound
     assert isinstance(fitted, Fitted)
-    assert remaining.describe([experiment], Model((), (fitted,))) == []
+    assert remaining.describe(Model((experiment,), (fitted,))) == []
 
 
 def around(seed: int, count: int = 400) -> Surroundings:

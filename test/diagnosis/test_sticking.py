@@ -7,23 +7,20 @@ from collections.abc import Callable
 import pytest
 
 from pam_antagonist.diagnosis import sticking
-from pam_antagonist.diagnosis.candidates import Model
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
-from pam_antagonist.diagnosis.preparation import Group, Settings
-from pam_antagonist.diagnosis.selection import Selection
+from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 
 
 @pytest.fixture
-def asked(recorded, experiment_of) -> Callable[..., tuple[Group, Selection] | None]:
+def asked(recorded, experiment_of) -> Callable[..., Ranking | None]:
     """Looks for friction in a free recording of a joint."""
-    settings = Settings("free", None, 1.0 / 3.0, 1, 0, lambda text: None, False, False, Checkpoint())
 
-    def ask(effect: str, form: str, amount: float) -> tuple[Group, Selection] | None:
+    def ask(effect: str, form: str, amount: float) -> Ranking | None:
         experiment = experiment_of(recorded(effect, None, form, amount, "free", 20.0), "free")
-        base = Model((), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
-        return sticking.search(Group("joint", (experiment,), (0,)), Selection(base, base, ()), settings)
+        base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
+        return sticking.friction_along_motion(Ranking(base, base), Work())
 
     return ask
 
@@ -31,13 +28,12 @@ def asked(recorded, experiment_of) -> Callable[..., tuple[Group, Selection] | No
 def test_friction_that_falls_with_speed_is_found(asked) -> None:
     found = asked("friction", "stribeck", 20.0)
     assert found is not None
-    group, selection = found
-    assert isinstance(group.experiments[0], MeasuredMotion)
-    assert selection.model.effects == ("friction",)
+    assert isinstance(found.model.experiments[0], MeasuredMotion)
+    assert found.model.effects == ("friction",)
     # Fitted at the noise, and still with priors that weigh as much as without it.
-    paces = [model.fits[0].scale.blocks_per_error for model in (selection.recalibrated, selection.model)]
+    paces = [model.fits[0].scale.blocks_per_error for model in (found.base, found.model)]
     assert paces[0] == paces[1]
-    values = selection.model.fits[0].point.effects
+    values = found.model.fits[0].point.effects
     # 0.09 N m times 1.2 at rest.
     at_rest = values.get("effects.friction.coulomb", 0.0) + values.get("effects.friction.stribeck", 0.0)
     assert at_rest == pytest.approx(0.108, rel=0.1)
@@ -46,7 +42,7 @@ def test_friction_that_falls_with_speed_is_found(asked) -> None:
 def test_friction_of_another_form_is_found(asked) -> None:
     found = asked("friction", "hess and soom", 10.0)
     assert found is not None
-    assert found[1].model.effects == ("friction",)
+    assert found.model.effects == ("friction",)
 
 
 def test_exchanged_air_is_not_called_friction(asked) -> None:

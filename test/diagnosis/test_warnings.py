@@ -10,7 +10,7 @@ import numpy as np
 
 from pam_antagonist.diagnosis import warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.point import Point
@@ -40,7 +40,7 @@ def test_a_number_that_ends_at_its_bound_is_named() -> None:
     free = tuple(FreeEffectParameter((f"effects.creep.{name}",), items[name]) for name in values)
     point = Point(np.zeros(0), {f"effects.creep.{name}": value for name, value in values.items()})
     recorded = Recorded(SimpleNamespace(name="free"))
-    size, time = sorted(warnings.at_bounds([recorded], Model(("creep",), (Ended(point, free),))))
+    size, time = sorted(warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("creep",))))
     assert size.startswith("creep.share_1 ends at its bound") and "in free" in size
     assert time.startswith(f"creep.time ends at its bound, {values['time']:g} s") and "how much further" in time
 
@@ -50,7 +50,7 @@ def test_a_small_leak_is_not_at_its_bound() -> None:
     point = Point(np.zeros(0), {"effects.leak.area_1": 1e-9})
     free = (FreeEffectParameter(("effects.leak.area_1",), area),)
     recorded = Recorded(SimpleNamespace(name="free"))
-    assert warnings.at_bounds([recorded], Model(("leak",), (Ended(point, free),))) == []
+    assert warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("leak",))) == []
 
 
 def estimated(angle: float | None, torque: float) -> SimpleNamespace:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.explained import share_of
+from pam_antagonist.diagnosis.models import share_of
 from pam_antagonist.inference.likelihood import in_decibels, in_mean_squares
 
 NOISE = np.array([0.01, 2.0])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.candidates import Model
-from pam_antagonist.diagnosis.selection import refitted_without, shared
+from pam_antagonist.diagnosis.models import Model, shared, without
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
@@ -68,24 +67,24 @@ def leaking(recorded, experiment_of):
 
 
 def test_what_one_recording_shows_the_other_gets(leaking) -> None:
-    (locked, shown), (free, without), _ = leaking
-    model = shared((locked, free), Model(("leak",), (shown, without)), 1)
+    (locked, shown), (free, tight), _ = leaking
+    model = shared(Model((locked, free), (shown, tight), ("leak",)))
     assert model.fits[0] is shown
     given = model.fits[1]
     assert given.point.effects[SIZE] == shown.point.effects[SIZE]
-    assert given.free == without.free
+    assert given.free == tight.free
     before, after = (
-        np.max(free.times_noise(free.held(free.residual(fitted.point, whole=True)))) for fitted in (without, given)
+        np.max(free.times_noise(free.held(free.residual(fitted.point, whole=True)))) for fitted in (tight, given)
     )
     assert after < 0.5 * before
-    (alone,) = refitted_without((locked, free), model, ("leak",), 1)
+    alone = without(model, "effects.leak.")
     assert all(SIZE not in fitted.point.effects for fitted in alone.fits)
 
 
 def test_what_a_recording_rules_out_it_does_not_get(leaking) -> None:
-    (locked, shown), _, (tight, without) = leaking
-    model = shared((locked, tight), Model(("leak",), (shown, without)), 1)
-    assert model.fits[1] is without
+    (locked, shown), _, (tight, fitted) = leaking
+    model = shared(Model((locked, tight), (shown, fitted), ("leak",)))
+    assert model.fits[1] is fitted
 
 
 def test_what_base_parameters_imitate_is_known_no_better_than_they_are(experiment_of, recorded) -> None:

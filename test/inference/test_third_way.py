@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.candidates import Model
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.remaining import describe
 from pam_antagonist.diagnosis.residual_statistics import statistics
 from pam_antagonist.inference.experiment import Experiment
@@ -121,5 +121,5 @@ def test_what_it_leaves_is_described_like_that_of_any_other(rig) -> None:
     )
     (row,) = statistics(task, task.origin)
     assert row.channel == "torque" and row.above_noise > 0.9
-    (left,) = describe([task], Model((), (refit(task, task.origin, rounds=0),)))
+    (left,) = describe(Model((task,), (refit(task, task.origin, rounds=0),)))
     assert left.channel == "torque" and left.times_noise > 5.0 and left.depends_on["pressure"] > 0.9

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.candidates import as_configured, score_all
+from pam_antagonist.diagnosis.catalogue_effects import as_configured, score_all
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import refit
