@@ -41,12 +41,11 @@ _LONG = 100_000  # samples that take long enough to write to be worth a word
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("import_csv", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the file")
-    out.add_argument(
-        "--map", metavar="MAP", help=f"a YAML file, or the name of a map of the package: {', '.join(map_names())}"
-    )
-    out.add_argument("--out", type=Path, metavar="BAG", help="folder of the bag; a new one")
-    out.add_argument("--example", action="store_true", help="print a map that explains itself, and do nothing else")
+    out.option("file", "the file", Path, metavar="FILE", nargs="?")
+    names = ", ".join(map_names())
+    out.option("--map", f"a YAML file, or the name of a map of the package: {names}", metavar="MAP")
+    out.option("--out", "folder of the bag; a new one", Path, metavar="BAG")
+    out.flag("--example", "print a map that explains itself, and do nothing else")
     return out
 
 
