@@ -183,11 +183,11 @@ class Commission:
         return {"said": f"recorded {plan.duration:.0f} s", **result}
 
     def _identify(self) -> dict[str, Any]:
-        from pam_antagonist.api.identify import IdentifyResult, identify
+        from pam_antagonist.api.identify import EpisodesIdentifyResult, identify
 
         try:
             result = identify(self._record.bags(), self._rig, seed=self._arguments.seed)
-            assert isinstance(result, IdentifyResult), "recorded in one piece"
+            assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}

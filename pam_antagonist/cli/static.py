@@ -115,6 +115,8 @@ def _worked_out(arguments: argparse.Namespace) -> StaticResult:
     columns = _columns(arguments)
     if arguments.rig is None and not arguments.report_only:
         raise BadInput("--rig: expected a rig file, or --report-only for a muscle without a rig")
+    if arguments.length is not None and not 0.02 < arguments.length < 2.0:
+        raise BadInput(f"--length {arguments.length:g} m: expected the muscle's length at angle 0, 0.02 to 2 m")
     muscles = (1, 2) if arguments.muscle == "both" else (int(arguments.muscle),)
     return static(
         arguments.rig, arguments.volume, arguments.force_map, muscles=muscles, form=arguments.form or "",

@@ -84,7 +84,7 @@ class Result(Shown):
             from plotly.graph_objects import Figure as Plot
         plot = plotly_renderer.plot(figures[number])
         plot["layout"]["title"] = {"text": figures[number].title}
-        return Plot(plot)
+        return Plot(plot, skip_invalid=True)
 
 
 def frame_of(rows: Any, columns: Sequence[str] | None = None, index: str = "") -> DataFrame:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.identification.static import Forms, reach
-from pam_antagonist.identification.static import StaticResult as Fits
+from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
@@ -66,7 +65,7 @@ _POINTS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class StaticResult(Fits, Result):
+class StaticResult(StaticFits, Result):
     """Fits of a muscle's static tables.
 
     Attributes:
@@ -88,7 +87,7 @@ class StaticResult(Fits, Result):
     @override
     def to_json(self) -> dict[str, Any]:
         """The content of ``report.json``, in SI units."""
-        return Fits.to_json(self)
+        return StaticFits.to_json(self)
 
     @override
     def blocks(self) -> tuple[Block, ...]:
