@@ -13,10 +13,7 @@ from pam_antagonist.recording.notes import issues_note, write_notes
 
 
 def import_csv(
-    file: str | Path,
-    map: str | Path,
-    out: str | Path | None = None,
-    progress: Callable[[float], object] | None = None,
+    file: str | Path, map: str | Path, out: str | Path | None = None, progress: Callable[[float], object] | None = None
 ) -> Recording:
     """Read a file with columns as a recording, as the command ``import_csv`` does.
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from typing_extensions import override
 
 from pam_antagonist.checks.wiring import guessed
@@ -18,7 +16,7 @@ from pam_antagonist.control.model_law import ModelGains, voltage_towards
 from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
 from pam_antagonist.design.first_fill import pulse_faults
 from pam_antagonist.recording import read_bag
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig import Rig
 
 _FASTEST = 20.0
 """[1/s] Rate at which a pressure's error is corrected; a slow log has a lower one."""
@@ -132,9 +130,7 @@ class GuessedCommission(Commission):
     @override
     def found(self) -> Rig:
         """The rig that was identified."""
-        chosen: Path = self._out / "identified" / "rig.yaml"
-        (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
-        return load_rig(str(self._out / "rig.yaml"), regulators=True)
+        return self._taken(self._out / "identified" / "rig.yaml")
 
     @override
     def _gains(self) -> dict[str, Any]:
@@ -144,10 +140,6 @@ class GuessedCommission(Commission):
             "law": "model", "pressure_bandwidth": gains.bandwidth, "model_integral": gains.integral,
             "approach": gains.approach,
         }  # fmt: skip
-        parameters = {
-            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
-            "/**/controller": {"ros__parameters": given},
-        }
-        (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+        self._write_parameters(given)
         said = f"law through the model: pressures in {1e3 / gains.bandwidth:.0f} ms, integral {gains.integral:.2g}/s"
         return {"said": said, "gains": given}

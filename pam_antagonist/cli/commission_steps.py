@@ -263,8 +263,20 @@ class Commission:
                 f"gains: no model fits the joint. {steps['identify']['said']}. {last['said']} "
                 f"Read {self._out / last['folder'] / 'report.html'}, and repair what it names"
             )
-        (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
-        return load_rig(str(self._out / "rig.yaml"))
+        return self._taken(chosen)
+
+    def _taken(self, chosen: Path) -> Rig:
+        """The rig file of a step, as the one of the commissioning."""
+        rig = self._out / "rig.yaml"
+        rig.write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
+        return load_rig(str(rig), regulators=True)
+
+    def _write_parameters(self, of_controller: dict[str, Any]) -> None:
+        content = {
+            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
+            "/**/controller": {"ros__parameters": of_controller},
+        }
+        (self._out / "parameters.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
     def _gains(self) -> dict[str, Any]:
         rig = self.found()
@@ -273,11 +285,7 @@ class Commission:
         given = {"bias": _rounded(bias)}
         for mode, one in gains.items():
             given |= {f"{mode}_proportional": _rounded(one.proportional), f"{mode}_integral": _rounded(one.integral)}
-        parameters = {
-            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
-            "/**/controller": {"ros__parameters": given},
-        }
-        (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+        self._write_parameters(given)
         said = "; ".join(f"{mode}: {one.in_words()}" for mode, one in gains.items())
         return {"said": said, "gains": {mode: asdict(one) for mode, one in gains.items()}}
 

@@ -202,14 +202,7 @@ def _gains(law: str, mode: Mode, rig: Rig) -> dict[str, object]:
     return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
 
 
-def _steps(
-    processes: Processes,
-    mode: Mode,
-    asked: Task,
-    duration: float,
-    bag: Path,
-    drive: str,
-) -> str:
+def _steps(processes: Processes, mode: Mode, asked: Task, duration: float, bag: Path, drive: str) -> str:
     """Step the reference; returns why the joint was stopped for safety, else nothing."""
     from tqdm import tqdm
 

@@ -94,9 +94,7 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
 
     how = {name: getattr(arguments, name) for name in ("namespace", "joint_name", "recover")}
     bags, also = [*arguments.bags, *further], getattr(arguments, "also", ())
-    recordings = [
-        read_one(bag, rig, arguments, topics=common.topics(arguments), also=also, **how) for bag in bags
-    ]
+    recordings = [read_one(bag, rig, arguments, topics=common.topics(arguments), also=also, **how) for bag in bags]
     hashes = [bag_hash(recording.path) for recording in recordings]
     for k, value in enumerate(hashes):
         if value in hashes[:k]:

@@ -98,9 +98,7 @@ class DiagnoseResult(Diagnosis, Result):
     @property
     def recordings(self) -> tuple[RecordingEntry, ...]:
         """The recordings with the errors on them, and their checksums."""
-        return tuple(
-            replace(part, sha256=value) for part, value in zip(self.by_recording, self.hashes, strict=True)
-        )
+        return tuple(replace(part, sha256=value) for part, value in zip(self.by_recording, self.hashes, strict=True))
 
     @override
     def to_json(self) -> dict[str, Any]:

@@ -11,13 +11,7 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report import close_loop_figures as drawn
 from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.channels import CHANNELS, TORQUE
-from pam_antagonist.report.close_loop_findings import (
-    assumed,
-    calibration_findings,
-    definitions,
-    findings,
-    sentence,
-)
+from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, definitions, findings, sentence
 from pam_antagonist.report.document import (
     Block,
     Definitions,
@@ -29,6 +23,8 @@ from pam_antagonist.report.document import (
     Tile,
     Tiles,
     background,
+    note,
+    warn,
 )
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.report.units import readable
@@ -45,8 +41,8 @@ def summary(found: DiagnoseResult) -> tuple[Block, ...]:
     """Blocks for the terminal."""
     unseen = _unseen(found)
     if sum(len(item.text) for item in unseen) > _FEW_WORDS:
-        unseen = (Finding("note", "What these recordings cannot show is listed in the report."),)
-    notes = (*(Finding("warn", sentence(text)) for text in found.warnings), *unseen)
+        unseen = (note("What these recordings cannot show is listed in the report."),)
+    notes = (*(warn(sentence(text)) for text in found.warnings), *unseen)
     return (
         Text(found.sentence),
         Findings((*calibration_findings(found), *notes)),
@@ -70,10 +66,7 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
         title = "Found: " + ", ".join(dict.fromkeys(effect.name.replace("_", " ") for effect in found.effects))
     elif found.calibrations and found.verdict == "none":
         title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
-    parts: list[Block] = [
-        Text(lede, "lede"),
-        Text(found.sentence, "verdict"),
-    ]
+    parts: list[Block] = [Text(lede, "lede"), Text(found.sentence, "verdict")]
     before_and_after = drawn.residuals(found) if with_figures else ()
     parts += [
         Tiles(_tiles(found)),
@@ -103,11 +96,11 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
 
 
 def _next_steps(found: DiagnoseResult) -> tuple[Finding, ...]:
-    return tuple(Finding("note", step) for step in found.next_steps)
+    return tuple(note(step) for step in found.next_steps)
 
 
 def _unseen(found: DiagnoseResult) -> tuple[Finding, ...]:
-    return tuple(Finding("note", text) for text in found.unseen)
+    return tuple(note(text) for text in found.unseen)
 
 
 # ------------------------------------------------------------------ tables and tiles

@@ -12,7 +12,7 @@ from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import HeldOutComparison, Residuals, SizeProfile
 from pam_antagonist.inference.point import Span
-from pam_antagonist.report.document import Block, Finding, Findings, Text
+from pam_antagonist.report.document import Block, Findings, Text, note
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.figures import matrix, profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL, PAPER, QUIET, SECOND
@@ -193,7 +193,7 @@ def _map(shown: Residuals, models: Sequence[str]) -> tuple[Panel, ...]:
 
 def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
     """The remaining residual: in words, and drawn over the signals that it depends on."""
-    out: list[Block] = [Findings(tuple(Finding("note", item.line()) for item in found))]
+    out: list[Block] = [Findings(tuple(note(item.line()) for item in found))]
     if not with_figures:
         return tuple(out)
     for name in dict.fromkeys(item.recording for item in found):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.result import Ambiguity
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report.document import Finding
+from pam_antagonist.report.document import Finding, good, note, warn
 from pam_antagonist.report.table import number
 
 if TYPE_CHECKING:
@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
 _DEFINITIONS = (
     ("As configured", "The model with the values of the rig file."),
-    (
-        "Extended",
-        "The recalibrated model with the effects that were found.",
-    ),
+    ("Extended", "The recalibrated model with the effects that were found."),
     (
         "Held out",
         "The end of each recording, or whole recordings, which no fit used. All errors in this report are counted "
@@ -67,16 +64,16 @@ _DRIVEN = (
 
 def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
     """Findings in addition to the verdict."""
-    out = [Finding("warn", sentence(text)) for text in found.warnings]
+    out = [warn(sentence(text)) for text in found.warnings]
     rivals = {item.other: item for item in found.ambiguities if item.ambiguous}
     for name in found.ambiguous_with:
         text = f"{_title(name)} would explain the data as well{_compared(rivals.get(name))}."
-        out.append(Finding("warn", f"{text} To distinguish them: {found.experiment[name]}."))
+        out.append(warn(f"{text} To distinguish them: {found.experiment[name]}."))
     for item in found.ambiguities:
         if not item.ambiguous:
-            out.append(Finding("good", f"{_title(item.other)} explains the data less well{_compared(item)}."))
+            out.append(good(f"{_title(item.other)} explains the data less well{_compared(item)}."))
     if found.effects and not found.ambiguous_with:
-        out.append(Finding("good", "No other candidate explains the data nearly as well as what was found."))
+        out.append(good("No other candidate explains the data nearly as well as what was found."))
     return (*out, *_of_parts(found))
 
 
@@ -86,10 +83,10 @@ def calibration_findings(found: DiagnoseResult) -> tuple[Finding, ...]:
         return ()
     what = "; ".join(map(found_calibrations.in_words, found.calibrations))
     if not found.corrections:
-        return (Finding("warn", f"{what[0].upper()}{what[1:]}. Together with the options given, that is too much."),)
+        return (warn(f"{what[0].upper()}{what[1:]}. Together with the options given, that is too much."),)
     text = f"{what[0].upper()}{what[1:]}. To correct that, add `{' '.join(found.corrections)}` to every command"
     rig = "An extended rig file has it already: then the options are not needed."
-    return (Finding("warn", f"{text} that reads these recordings. {rig}"),)
+    return (warn(f"{text} that reads these recordings. {rig}"),)
 
 
 def _title(name: str) -> str:
@@ -119,24 +116,22 @@ def _of_parts(found: DiagnoseResult) -> list[Finding]:
         )
         if before is not None and after is not None and before < after:
             out.append(
-                Finding(
-                    "note",
+                note(
                     f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, "
                     f"extended {number(after, 2)} N m). The reason: identify fits only the samples in which the joint "
-                    "slides. Here all samples count, and no law predicts the torque while the joint sticks.",
+                    "slides. Here all samples count, and no law predicts the torque while the joint sticks."
                 )
             )
         out += [
-            Finding("warn", f"The residual of the {part.name} is above noise, and no effect explains it.")
+            warn(f"The residual of the {part.name} is above noise, and no effect explains it.")
             for part in found.parts
             if part.verdict == "unexplained"
         ]
     if found.base_friction_removed and any(part.name == "torque" for part in found.parts):
         out.append(
-            Finding(
-                "note",
+            note(
                 "The rig file has Coulomb friction. It was removed before the test, so that every cause of a "
-                "hysteresis loop was tested. The extended rig has friction as an effect instead.",
+                "hysteresis loop was tested. The extended rig has friction as an effect instead."
             )
         )
     return out

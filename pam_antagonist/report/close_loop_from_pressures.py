@@ -16,18 +16,7 @@ from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report.close_loop import effects_frame
-from pam_antagonist.report.document import (
-    Block,
-    Document,
-    Findings,
-    Section,
-    Text,
-    Tile,
-    Tiles,
-    background,
-    note,
-    warn,
-)
+from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.identify_figures import held_out_figures
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Comparison, Table, number, percent

@@ -16,18 +16,7 @@ from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import (
-    Block,
-    Document,
-    Finding,
-    Findings,
-    Text,
-    Tile,
-    Tiles,
-    background,
-    note,
-    warn,
-)
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND

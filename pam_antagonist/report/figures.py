@@ -22,17 +22,7 @@ from pam_antagonist.report.figure import (
     Region,
     Series,
 )
-from pam_antagonist.report.style import (
-    DEEP,
-    ESTIMATE,
-    FAINT,
-    MEASURED,
-    MODEL,
-    PALE,
-    PALETTE,
-    QUIET,
-    SECOND,
-)
+from pam_antagonist.report.style import DEEP, ESTIMATE, FAINT, MEASURED, MODEL, PALE, PALETTE, QUIET, SECOND
 
 
 def seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> FloatArray:

@@ -75,10 +75,7 @@ def do_not_use(rejected: str) -> str:
 
 
 def rejection(
-    every: Sequence[Held],
-    refused: str = "",
-    parameters: Sequence[ParameterEntry] = (),
-    declared: Collection[str] = (),
+    every: Sequence[Held], refused: str = "", parameters: Sequence[ParameterEntry] = (), declared: Collection[str] = ()
 ) -> str:
     """Why the identified rig should not be used, in a sentence; empty if it may."""
     if lost := [held.name for held in every if _diverged(held)]:

@@ -191,11 +191,7 @@ def tiles(report: ReplayReport) -> tuple[Tile, ...]:
     known = judged(report)
     return (
         *(
-            Tile(
-                f"{channel.title} error (RMS)",
-                channel.write(ukf.rmse),
-                f"model alone {channel.write(model.rmse)}",
-            )
+            Tile(f"{channel.title} error (RMS)", channel.write(ukf.rmse), f"model alone {channel.write(model.rmse)}")
             for channel, ukf, model in known
         ),
         *(

@@ -13,18 +13,7 @@ from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
-from pam_antagonist.report.document import (
-    Block,
-    Document,
-    Finding,
-    Findings,
-    Text,
-    Tile,
-    Tiles,
-    background,
-    note,
-    warn,
-)
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, PALETTE, SECOND
