@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +17,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from pam_antagonist.cli.commission_record import Record
 from pam_antagonist.cli.driving import Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
@@ -27,7 +28,7 @@ from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
-from pam_antagonist.report.commission import Step, write_report
+from pam_antagonist.report.commission import CommissionResult, Step
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import steady_voltage
 
@@ -51,6 +52,56 @@ def _rounded(value: float) -> float:
 
 class StepFailed(Exception):
     """A step found a fault, or ended early. The message is what to do, in a sentence or more."""
+
+
+class Record:
+    """The steps of a commissioning that were tried, and the folders of their results.
+
+    Attributes:
+        steps: of each step by its name: whether it is ``done``, what it ``said``, and what else it found.
+    """
+
+    def __init__(self, out: Path, rig: str) -> None:
+        self._out, self._rig = out, rig
+        self.steps: dict[str, dict[str, Any]] = {}
+        state = out / "state.json"
+        if out.exists() and not state.exists():
+            raise BadInput(f"{out}: exists, but commission did not write it; expected the name of a new folder")
+        if state.exists():
+            try:
+                content = json.loads(state.read_text(encoding="utf-8"))
+                begun_for, self.steps = content.get("rig"), dict(content["steps"])
+            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+                raise BadInput(f"{state}: cannot be read: {error}; expected what commission wrote") from None
+            if begun_for != rig:
+                raise BadInput(f"{out}: was begun with --rig {begun_for}, not {rig}; give that rig, or another --out")
+        out.mkdir(parents=True, exist_ok=True)
+        self.keep()
+
+    def keep(self) -> None:
+        """Write it. In one go: an interruption must not cost the steps that are done."""
+        new = self._out / "state.json.new"
+        new.write_text(json.dumps({"rig": self._rig, "steps": self.steps}, indent=1) + "\n", encoding="utf-8")
+        new.replace(self._out / "state.json")
+
+    def attempt(self, name: str) -> Path:
+        """A new folder for an attempt of a step."""
+        number = 1
+        while (folder := self._out / f"{name}_{number}").exists():
+            number += 1
+        folder.mkdir()
+        return folder
+
+    def result(self, name: str) -> Path:
+        """A result's folder, which is not there: what an attempt left that was interrupted is removed."""
+        folder = self._out / name
+        if folder.exists():
+            shutil.rmtree(folder)
+        return folder
+
+    def bags(self) -> list[Path]:
+        """The recordings of the steps."""
+        return [self._out / step["bag"] for step in self.steps.values() if "bag" in step]
 
 
 class Commission:
@@ -291,13 +342,13 @@ class Commission:
 
     def report(self) -> None:
         """Write ``report.html`` and ``report.json`` on what was done so far."""
-        steps = [
+        steps = tuple(
             Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0))
             for name, one in self._record.steps.items()
-        ]
-        left = [name for name in self.STEPS if name not in self._record.steps and not self.left_out(name)]
+        )
+        left = tuple(name for name in self.STEPS if name not in self._record.steps and not self.left_out(name))
         command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
-        write_report(self._out, self._rig, steps, command, left)
+        CommissionResult(self._rig.name, steps, command, left).write(self._out)
 
     def left_out(self, name: str) -> bool:
         """Whether a step is left out, by the arguments."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
-from pam_antagonist.report import html
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background
+from typing_extensions import override
+
+from pam_antagonist.report.document import Document, Findings, Text, background, good, warn
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Table
-from pam_antagonist.rig import Rig
 
 _DEFINITIONS = (
     ("Rig time", "How long the joint was driven. The remaining time is design, fits and waiting."),
@@ -22,12 +22,7 @@ _DEFINITIONS = (
 
 @dataclass(frozen=True)
 class Step:
-    """A step of a commissioning.
-
-    Attributes:
-        seconds: its duration [s].
-        rig_seconds: part of the duration in which the joint was driven [s].
-    """
+    """A step of a commissioning; `rig_seconds` is the part of its duration in which the joint was driven [s]."""
 
     name: str
     done: bool
@@ -36,39 +31,38 @@ class Step:
     rig_seconds: float
 
 
-@dataclass(frozen=True)
-class CommissionReport:
-    """Content of ``report.json``.
-
-    Attributes:
-        rig_seconds: total time in which the joint was driven [s].
-    """
+@dataclass(frozen=True, repr=False)
+class CommissionResult(Result):
+    """What was done so far; `left` are the steps that were not begun."""
 
     rig: str
     steps: tuple[Step, ...]
-    rig_seconds: float
-    left: tuple[str, ...]
+    command: str
+    left: tuple[str, ...] = ()
 
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        driven = sum(step.rig_seconds for step in self.steps)
+        return {"rig": self.rig, "steps": self.steps, "rig_seconds": driven, "left": self.left}
 
-def write_report(folder: Path, rig: Rig, steps: Sequence[Step], command: str, left: Sequence[str] = ()) -> None:
-    """Write ``report.json`` and ``report.html``."""
-    report = CommissionReport(rig.name, tuple(steps), sum(step.rig_seconds for step in steps), tuple(left))
-    findings = Findings(tuple(Finding("good" if step.done else "warn", f"{step.name}: {step.said}") for step in steps))
-    rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in steps)
-    table = Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
-    blocks: tuple[Block, ...] = (
-        Text(_lede(steps, left), "lede"),
-        findings,
-        table,
-        *background(_DEFINITIONS, [("Rig", rig.name), ("Command", command)]),
-    )
-    html.write(folder, Document("Commissioning", rig.name, blocks), report)
+    @override
+    def blocks(self) -> tuple[Findings, Table]:
+        """What a terminal shows."""
+        found = tuple((good if step.done else warn)(f"{step.name}: {step.said}") for step in self.steps)
+        rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in self.steps)
+        return Findings(found), Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
 
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; it has no figures."""
+        ends = background(_DEFINITIONS, [("Rig", self.rig), ("Command", self.command)])
+        return Document("Commissioning", self.rig, (Text(self._lede(), "lede"), *self.blocks(), *ends))
 
-def _lede(steps: Sequence[Step], left: Sequence[str]) -> str:
-    """What failed, else what is left, else that all is done."""
-    failed = [f"Step {step.name} failed: {step.said.rstrip('.')}." for step in steps if not step.done]
-    if failed or left:
-        rest = [f"Not begun: {', '.join(left)}."] if left else []
-        return " ".join([*failed, *rest, "Do what it says, then type the command again." if failed else ""]).strip()
-    return "All is done."
+    def _lede(self) -> str:
+        """What failed, else what is left, else that all is done."""
+        failed = [f"Step {step.name} failed: {step.said.rstrip('.')}." for step in self.steps if not step.done]
+        if failed or self.left:
+            rest = [f"Not begun: {', '.join(self.left)}."] if self.left else []
+            return " ".join([*failed, *rest, "Do what it says, then type the command again." if failed else ""]).strip()
+        return "All is done."
