@@ -86,8 +86,7 @@ def diagnose(
         given = [named(one.driven_by(chosen.drive), joint, lock_angle) for one in every]
         found = _from_pressures(given, chosen, holdout, seed, jobs, progress, len(kept))
         return PressuresDiagnoseResult(chosen, found, hashes)
-    # Without commands, nothing but episodes tells anything of a joint with regulators.
-    if are_episodes(every, chosen) or any(chosen.drive == "regulator" != one.drive for one in every):
+    if are_episodes(every, chosen):
         if len(fitted) > 1 or len(kept) > 1:
             expected = "expected one recording, and one to hold out at most"
             raise BadInput(f"rig {chosen.name} has pressure regulators: {expected}")

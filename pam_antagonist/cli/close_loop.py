@@ -94,6 +94,7 @@ def main(argv: list[str] | None = None) -> int:
 def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     from pam_antagonist.api.diagnose import are_episodes, is_for
     from pam_antagonist.cli.first_start import FITS, compile_first
+    from pam_antagonist.inference.pressure_driven import PressureDriven
     from pam_antagonist.rig import load_rig
 
     common.check_output(arguments.out)
@@ -106,9 +107,11 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
     regulated = rig.drive == "regulator"
     recordings = given.read(arguments, rig, bags) if regulated or is_for(rig) else []
-    # Without commands, nothing but episodes tells anything of a joint with regulators.
     whole = is_for(rig)
-    if whole or are_episodes(recordings, rig) or any(one.drive != rig.drive for one in recordings):
+    if not whole and any(one.drive != rig.drive for one in recordings) and not are_episodes(recordings, rig):
+        # Without commands, nothing but episodes tells anything of a joint with regulators: it says what is missing.
+        PressureDriven.of(recordings[0], rig, arguments.also)
+    if whole or are_episodes(recordings, rig):
         return _in_one_go(arguments, rig, share, recordings, whole)
     if arguments.also:
         raise BadInput(
