@@ -13,9 +13,13 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from pam_antagonist.api.check import CheckResult, check
     from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
+    from pam_antagonist.api.excite import excite
     from pam_antagonist.api.identify import IdentifyResult, identify
+    from pam_antagonist.api.import_csv import import_csv
+    from pam_antagonist.api.new_rig import new_rig
     from pam_antagonist.api.replay import ReplayResult, replay
     from pam_antagonist.api.simulate import simulate
+    from pam_antagonist.api.static import StaticResult, static
     from pam_antagonist.errors import BadInput
     from pam_antagonist.estimation.estimator import Estimator
     from pam_antagonist.recording.reader import read_bag
@@ -33,13 +37,18 @@ _WHERE = {
     "Recording": "recording.recording",
     "ReplayResult": "api.replay",
     "Rig": "rig.schema",
+    "StaticResult": "api.static",
     "check": "api.check",
     "diagnose": "api.diagnose",
+    "excite": "api.excite",
     "identify": "api.identify",
+    "import_csv": "api.import_csv",
     "load_rig": "rig.load",
+    "new_rig": "api.new_rig",
     "read_bag": "recording.reader",
     "replay": "api.replay",
     "simulate": "api.simulate",
+    "static": "api.static",
     "write_bag": "recording.writer",
 }
 
@@ -52,14 +61,19 @@ __all__ = [
     "Recording",
     "ReplayResult",
     "Rig",
+    "StaticResult",
     "__version__",
     "check",
     "diagnose",
+    "excite",
     "identify",
+    "import_csv",
     "load_rig",
+    "new_rig",
     "read_bag",
     "replay",
     "simulate",
+    "static",
     "write_bag",
 ]
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import numpy as np
@@ -79,3 +82,58 @@ def changed() -> Callable[..., Recording]:
         return Recording(path=recording.path, **kept, **others)  # type: ignore[arg-type]
 
     return change
+
+
+GOLDEN = Path(__file__).parent / "golden"
+"""A report.json each, as it is meant to stay; a key that is missing there is new, one more there is gone."""
+CHANGING = {"timing", "software", "sha256", "realtime_factor", "live_equal", "name", "files", "recording", "version"}
+"""Keys whose values differ from machine to machine."""
+
+
+@pytest.fixture
+def golden(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Any], None]:
+    """Compares a report with the one that is kept: keys and texts are the same, numbers within a few per cent.
+
+    ``PAM_GOLDEN=write`` writes those that are kept anew.
+    """
+
+    def compare(name: str, content: Any) -> None:
+        file = GOLDEN / f"{name}.json"
+        if os.environ.get("PAM_GOLDEN") == "write":
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(json.dumps(_short(content), indent=None, ensure_ascii=False) + "\n", encoding="utf-8")
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        found = list(_differences(kept, _short(json.loads(json.dumps(content))), name))
+        assert not found, "\n".join(found)
+
+    return compare
+
+
+def _short(value: Any, key: str = "") -> Any:
+    """Without values that change, and of long lists only the first two."""
+    if key in CHANGING and not isinstance(value, dict):
+        return None
+    if isinstance(value, dict):
+        return {name: _short(item, name) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_short(item) for item in value[: 2 if len(value) > 12 else None]]
+    return value
+
+
+def _differences(kept: Any, now: Any, where: str) -> Iterator[str]:
+    if isinstance(kept, dict) and isinstance(now, dict):
+        if list(kept) != list(now):
+            yield f"{where}: keys {list(now)}, expected {list(kept)}"
+        if where.rpartition(".")[2] not in CHANGING:
+            for name in kept.keys() & now.keys():
+                yield from _differences(kept[name], now[name], f"{where}.{name}")
+    elif isinstance(kept, list) and isinstance(now, list):
+        if len(kept) != len(now):
+            yield f"{where}: {len(now)} entries, expected {len(kept)}"
+        for k, pair in enumerate(zip(kept, now, strict=False)):
+            yield from _differences(*pair, f"{where}[{k}]")
+    elif isinstance(kept, float) and isinstance(now, (int, float)):
+        if now != pytest.approx(kept, rel=0.05, abs=1e-12):
+            yield f"{where}: {now}, expected {kept}"
+    elif kept != now and not isinstance(kept, str):
+        yield f"{where}: {now!r}, expected {kept!r}"

@@ -58,7 +58,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "design": (*_OFFLINE, "simulation", "inference", "identification", "diagnosis"),
     "report": (*_RESULTS, "control"),
     "nodes": (*_OFFLINE, "simulation", "control", "safety", "hardware"),
-    "api": (*_RESULTS, "simulation", "checks", "report"),
+    "api": (*_RESULTS, "simulation", "checks", "design", "report"),
     "__init__": (BASE, "rig", "estimation", "recording", "api"),  # the names of the Python API
     "cli": (*_RESULTS, *_ONLINE, "design", "checks", "report", "api"),
     "__main__": (BASE,),  # it names the executables and imports the one that is asked for

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist.api.given import Bag, RigGiven, calibration
 from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.errors import BadInput
-from pam_antagonist.optional import needs
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report.assumption import assumption
+from pam_antagonist.report.result import frame_of
 from pam_antagonist.rig import as_rig
 from pam_antagonist.strict_json import write_json
 
@@ -62,9 +62,7 @@ class CheckResult(Checked):
 
     def to_dataframe(self) -> DataFrame:
         """A row for each finding: ``status``, ``text``, ``options``, ``leave_out`` (needs pandas)."""
-        with needs("import", "a data frame"):
-            import pandas as pd
-        return pd.DataFrame(self.as_dict()["findings"], columns=["status", "text", "options", "leave_out"])
+        return frame_of(self.as_dict()["findings"], ["status", "text", "options", "leave_out"])
 
 
 def check(

@@ -2,154 +2,32 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 
-from typing_extensions import override
-
-from pam_antagonist.api import episodes, from_pressures
-from pam_antagonist.api.episodes import EpisodesDiagnoseResult
-from pam_antagonist.api.from_pressures import PressuresDiagnoseResult
-from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections
-from pam_antagonist.diagnosis import Diagnosis, found_calibrations
+from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
+from pam_antagonist.diagnosis import Diagnosis
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
-from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
+from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
+from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.expected import with_known_curves
-from pam_antagonist.optional import needs
-from pam_antagonist.output import output_folder
-from pam_antagonist.recording import bag_name, recording_hash
-from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.joint import joint_condition
-from pam_antagonist.report import close_loop as numbers
-from pam_antagonist.report import terminal
-from pam_antagonist.report.close_loop_document import summary, write_report
+from pam_antagonist.identification.from_pressures import is_for
+from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.recording import Recording, bag_name, recording_hash
+from pam_antagonist.report.close_loop import DiagnoseResult
+from pam_antagonist.report.close_loop_from_pressures import PressuresDiagnoseResult
+from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.rig import Rig, as_rig
-from pam_antagonist.rig.schema import Calibration
-from pam_antagonist.rig.write import refusal, write_rig
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
+__all__ = ["DiagnoseResult", "EpisodesDiagnoseResult", "PressuresDiagnoseResult", "are_episodes", "diagnose", "is_for"]
+
+Result = DiagnoseResult | EpisodesDiagnoseResult | PressuresDiagnoseResult
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class DiagnoseResult(Diagnosis):
-    """The diagnosis, see :class:`pam_antagonist.diagnosis.Diagnosis`, with its inputs.
-
-    Attributes:
-        start: the rig as configured.
-        hashes: SHA-256 of each recording, whole held-out recordings last.
-        seed: of the search.
-        kept: share of each recording that was held out, or names of held-out recordings.
-        typed: corrections with which the recordings were read.
-    """
-
-    start: Rig
-    hashes: tuple[str, ...]
-    seed: int
-    kept: float | tuple[str, ...]
-    typed: Corrections = field(default_factory=Corrections)
-
-    @override
-    def _brief(self) -> str:
-        pairs = [
-            (name, unit, getattr(self.errors.as_configured, name), getattr(self.errors.extended, name))
-            for name, unit in (("angle", "°"), ("torque", " N m"))
-        ]
-        errors = [f"{name} RMSE {a.rmse:.3g}{unit} -> {b.rmse:.3g}{unit}" for name, unit, a, b in pairs if a and b]
-        return "; ".join([self.verdict, *errors, self.sentence])
-
-    @property
-    def report(self) -> numbers.CloseLoopReport:
-        """The numbers of ``report.json``."""
-        return numbers.report(self, self.start, self.hashes, self.seed, self.kept, self.typed, self.choice)
-
-    @cached_property
-    def choice(self) -> RigChoice:
-        """The rig files that :meth:`save` writes, and the one to use."""
-        return choose(self, self.start.name, self._refusal)
-
-    @property
-    def next_rig(self) -> str | None:
-        """Name of the rig file to use; None: keep the one that there is."""
-        return None if self.choice.proposed is None else self.choice.proposed.name
-
-    @property
-    def rig_files(self) -> tuple[str, ...]:
-        """Names of the rig files that :meth:`save` writes, those for all recordings first."""
-        return tuple(file.name for file in self.choice.files)
-
-    def summary(self) -> str:
-        """The tables that the command prints."""
-        return terminal.render(summary(self.report))
-
-    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
-        """Write ``report.html``, ``report.json`` and the extended rig (``rig_extended.yaml``).
-
-        With several recordings, it also writes the rig of each (``rig_extended_1.yaml`` ...). A rig that is worse than
-        configured on held-out data is not written, see :attr:`choice`.
-
-        Args:
-            path: of a new folder.
-            figures: False leaves the figures out of the page.
-            overwrite: True replaces an earlier result there.
-
-        Returns:
-            The folder.
-
-        Raises:
-            BadInput: the folder exists, or cannot be written.
-        """
-        with output_folder(Path(path), overwrite=overwrite) as folder:
-            self._write_rigs(folder)
-            write_report(folder, self.report, self, with_figures=figures)
-        return Path(path)
-
-    def to_dataframe(self) -> DataFrame:
-        """A row for each parameter of each detected effect (needs pandas)."""
-        with needs("import", "a data frame"):
-            import pandas as pd
-        rows = [
-            (effect.name, effect.muscle, name, value, std, unit, effect.delta_bic)
-            for effect in self.effects
-            for name, (value, std, unit) in effect.parameters.items()
-        ]
-        return pd.DataFrame(rows, columns=["effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"])
-
-    def _write_rigs(self, folder: Path) -> None:
-        about = [
-            f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}",
-            "Recordings (SHA-256):",
-            *(f"  {own}: {value}" for (own, _), value in zip(self.own, self.hashes, strict=False)),
-            *(f"Attention: {warning}." for warning in self.warnings),
-        ]
-        remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
-        for file in self.choice.files:
-            alone = [] if file.number is None else [f"The values of {self.own[file.number][0]} alone."]
-            write_rig(self._written(file), folder / file.name, [*remarks, *alone])
-
-    def _written(self, file: RigFile) -> Rig:
-        """The content of a rig file: with its source, and with the calibration of its recordings."""
-        names = ", ".join(own for own, _ in self.own)
-        source = f"extended by close_loop from {names}; started from: {self.start.source}"
-        found = {item.name: item.value for item in self.calibrations}
-        if file.number is not None:
-            own = self.own[file.number][0]
-            source += f"; with the values of {own} alone"
-            found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
-        return _calibrated(_named(with_known_curves(file.rig, self.start), self.start.name, source), self.typed, found)
-
-    def _refusal(self, file: RigFile) -> str:
-        """Why no command would read a rig file; empty if all would."""
-        try:
-            return refusal(self._written(file))
-        except (BadInput, ValueError) as error:
-            return " ".join(str(error).split())
+def are_episodes(recordings: Sequence[Recording], rig: Rig) -> bool:
+    """Whether these are many short episodes of a joint with pressure regulators."""
+    return not is_for(rig) and rig.drive == "regulator" and any(one.episode_ns is not None for one in recordings)
 
 
 def diagnose(
@@ -167,7 +45,7 @@ def diagnose(
     estimator: bool = True,
     store: Checkpoint | None = None,
     also: Sequence[str] = (),
-) -> DiagnoseResult | EpisodesDiagnoseResult | PressuresDiagnoseResult:
+) -> Result:
     """Find the physical effect that a rig's model lacks, as ``close_loop`` does.
 
     Args:
@@ -202,40 +80,36 @@ def diagnose(
     """
     chosen = as_rig(rig, regulators=True)
     fitted, kept = (as_recordings(given, chosen, also) for given in (recordings, held_out))
-    if from_pressures.is_for(chosen):
-        given = [
-            (one.driven_by(chosen.drive), joint_condition(one, joint, lock_angle), bag_name(one.path))
-            for one in (*fitted, *kept)
-        ]
-        return from_pressures.diagnosed(given, chosen, holdout, seed, jobs, progress, len(kept))
-    if episodes.are_given((*fitted, *kept), chosen):
-        return episodes.diagnosed(fitted, kept, chosen, also, holdout, jobs, progress)
+    every = (*fitted, *kept)
+    hashes = tuple(recording_hash(one) for one in every)
+    if is_for(chosen):
+        given = [named(one.driven_by(chosen.drive), joint, lock_angle) for one in every]
+        found = _from_pressures(given, chosen, holdout, seed, jobs, progress, len(kept))
+        return PressuresDiagnoseResult(chosen, found, hashes)
+    if are_episodes(every, chosen):
+        if len(fitted) > 1 or len(kept) > 1:
+            expected = "expected one recording, and one to hold out at most"
+            raise BadInput(f"rig {chosen.name} has pressure regulators: {expected}")
+        first = PressureDriven.of(fitted[0], chosen, also, jobs)
+        later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
+        return EpisodesDiagnoseResult(_of_episodes(first, holdout, later, progress or _silent), first, hashes)
     if also:
         raise BadInput("also: expected a recording of many episodes of a joint with pressure regulators")
-    for recording in (*fitted, *kept):
+    for recording in every:
         recording.driven_by(chosen.drive).in_one_piece()
-    found = _diagnose(
+    diagnosis = _diagnose(
         fitted, chosen, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
         progress=progress, profiles=profiles, estimator=estimator, store=store,
     )  # fmt: skip
     return DiagnoseResult(
-        **{item.name: getattr(found, item.name) for item in fields(Diagnosis)},
+        **{item.name: getattr(diagnosis, item.name) for item in fields(Diagnosis)},
         start=chosen,
-        hashes=tuple(recording_hash(recording) for recording in (*fitted, *kept)),
+        hashes=hashes,
         seed=seed,
         kept=tuple(bag_name(recording.path) for recording in kept) or holdout,
         typed=corrections(recordings, chosen),
     )
 
 
-def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
-    """A rig with the calibration of its recordings: as read, combined with the found one."""
-    try:
-        corrected = typed.followed_by(found_calibrations.corrections(found))
-    except BadInput:
-        raise BadInput("its calibration would be larger than any that a rig file may have") from None
-    return rig.replaced(calibration=Calibration(**corrected.calibration()))
-
-
-def _named(rig: Rig, name: str, source: str) -> Rig:
-    return rig.replaced(name=f"{name.removesuffix('_extended')}_extended", source=" ".join(source.split()))
+def _silent(_text: str) -> None:
+    """Ignore progress."""

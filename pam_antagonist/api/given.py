@@ -9,8 +9,9 @@ from typing import TypeAlias
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import Recording, plausible, read_bag
+from pam_antagonist.recording import Recording, bag_name, plausible, read_bag
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.recording import Recording as _Recording
 from pam_antagonist.rig import Rig
 
@@ -42,6 +43,11 @@ def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ())
     for recording in recordings:
         _judge(recording)
     return recordings
+
+
+def named(recording: Recording, joint: str, lock_angle: float | None) -> tuple[Recording, JointCondition, str]:
+    """A recording with its joint's condition and its name."""
+    return recording, joint_condition(recording, joint, lock_angle), bag_name(recording.path)
 
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:

@@ -3,74 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import fields
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recording
-from pam_antagonist.optional import needs
-from pam_antagonist.output import output_folder
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays import replay as _replay
-from pam_antagonist.replays.table import columns, write_estimate
-from pam_antagonist.report import terminal
-from pam_antagonist.report.replay import summary, write_report
+from pam_antagonist.report.replay import ReplayResult
 from pam_antagonist.rig import as_rig
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ReplayResult(Replay):
-    """A replayed recording.
-
-    Attributes:
-        recording: the recording.
-        rig: the rig as configured.
-        tuning: name of the filter's tuning.
-        joint: whether the joint was free or locked.
-        run: M estimates; ``run.index`` are their samples in the recording.
-        model: the model alone at the same samples.
-        report: the numbers of ``report.json``.
-        plan: where the filter was started.
-    """
-
-    def summary(self) -> str:
-        """The tables that the command prints."""
-        return terminal.render(summary(self))
-
-    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
-        """Write the report or the estimates.
-
-        Args:
-            path: of a new folder for ``report.html`` and ``report.json``, or of a new file ``*.csv`` or ``*.mcap`` for
-                the estimates.
-            figures: False leaves the figures out of the page.
-            overwrite: True replaces an earlier result there.
-
-        Returns:
-            The path.
-
-        Raises:
-            BadInput: the path exists, or cannot be written.
-        """
-        path = Path(path)
-        if path.suffix in (".csv", ".mcap"):
-            write_estimate(path, self, overwrite)
-        else:
-            with output_folder(path, overwrite=overwrite) as folder:
-                write_report(folder, [self], with_figures=figures)
-        return path
-
-    def to_dataframe(self) -> DataFrame:
-        """A row for each estimate, with standard deviations and measurements (needs pandas).
-
-        The columns are those of ``replay --save estimate.csv``; each name contains the unit.
-        """
-        with needs("import", "a data frame"):
-            import pandas as pd
-        return pd.DataFrame(columns(self))
+__all__ = ["ReplayResult", "replay"]
 
 
 def replay(

@@ -38,16 +38,14 @@ _MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("check", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
+    common.add_bags(out)
     common.add_rig(out)
-    common.add_joint(
-        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, from the measured angle)"
-    )
+    common.add_joint(out, of_recording=True)
     common.add_topics(out)
-    out.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
-    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
+    out.option("--namespace", "namespace of the rig, where a bag holds several", metavar="/NS")
+    out.option("--joint-name", "joint in measured/joint_states (default: the first)", metavar="NAME")
     common.add_recover(out)
-    out.add_argument("--json", metavar="FILE", help="write the findings there as well; - for standard output alone")
+    out.option("--json", "write the findings there as well; - for standard output alone", metavar="FILE")
     add_options(out)
     return out
 

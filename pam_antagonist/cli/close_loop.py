@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist import __version__
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.numbers import JOBS, SEED, real
+from pam_antagonist.cli.numbers import real
 from pam_antagonist.cli.progress import phases
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import corrections
 
 if TYPE_CHECKING:
-    from pam_antagonist.api.diagnose import DiagnoseResult
     from pam_antagonist.diagnosis.checkpoint import Checkpoint
     from pam_antagonist.recording import Recording
     from pam_antagonist.rig import Rig
@@ -59,22 +58,18 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("close_loop", _DESCRIPTION, _EXAMPLES)
     given.add_bags(out)
-    out.add_argument(
-        "--holdout", type=_held_out, action="append", default=[], metavar="SHARE|BAG",
-        help="what is held out, so that no fit uses it: a share at the end of each recording (default: a third), or a "
-        "whole recording (may be given several times)",
+    out.repeated(
+        "--holdout", "what is held out, so that no fit uses it: a share at the end of each recording (default: a "
+        "third), or a whole recording (may be given several times)", "SHARE|BAG", _held_out,
     )  # fmt: skip
-    out.add_argument(
-        "--also", action="append", default=[], metavar="SIGNAL",
-        help="another recorded signal on which the joint may depend: a name below also/, or a topic; may be given "
-        "several times; for rigs with drive: regulator",
+    out.repeated(
+        "--also", "another recorded signal on which the joint may depend: a name below also/, or a topic; may be given "
+        "several times; for rigs with drive: regulator", "SIGNAL",
     )  # fmt: skip
-    out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
+    common.add_jobs(out)
     cluster.add_dask(out)
-    out.add_argument("--seed", type=SEED, default=0, help="seed of the random starts of fits (default: 0)")
-    out.add_argument(
-        "--resume", action="store_true", help="continue an interrupted run, which left its results in DIR.part"
-    )
+    common.add_seed(out, "the random starts of fits")
+    out.flag("--resume", "continue an interrupted run, which left its results in DIR.part")
     given.add_names_and_report(out)
     return out
 
@@ -97,10 +92,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
-    from pam_antagonist.api import episodes, from_pressures
+    from pam_antagonist.api.diagnose import are_episodes, is_for
     from pam_antagonist.cli.first_start import FITS, compile_first
-    from pam_antagonist.diagnosis.checkpoint import Checkpoint
-    from pam_antagonist.recording import bag_hash, bag_name
+    from pam_antagonist.inference.pressure_driven import PressureDriven
     from pam_antagonist.rig import load_rig
 
     common.check_output(arguments.out)
@@ -111,30 +105,69 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     share, bags = _split(arguments.holdout)
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
-    if from_pressures.is_for(rig):
-        return _from_pressures(arguments, rig, share, given.read(arguments, rig, bags))
-    recordings = given.read(arguments, rig, bags) if rig.drive == "regulator" else []
-    # Without commands, nothing but episodes tells anything of a joint with regulators.
-    if episodes.are_given(recordings, rig) or any(recording.drive == "valve" for recording in recordings):
-        return _of_episodes(arguments, rig, share, recordings)
+    regulated = rig.drive == "regulator"
+    recordings = given.read(arguments, rig, bags) if regulated or is_for(rig) else []
+    whole = is_for(rig)
+    if not whole and any(one.drive != rig.drive for one in recordings) and not are_episodes(recordings, rig):
+        # Without commands, nothing but episodes tells anything of a joint with regulators: it says what is missing.
+        PressureDriven.of(recordings[0], rig, arguments.also)
+    if whole or are_episodes(recordings, rig):
+        return _in_one_go(arguments, rig, share, recordings, whole)
     if arguments.also:
         raise BadInput(
             "--also: expected a recording of many episodes (import_csv: episode), whose pressures were measured"
         )
+    return _resumable(arguments, rig, share, recordings, bags, words)
+
+
+def _in_one_go(
+    arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording], whole: bool
+) -> int:
+    """Diagnose a joint of many short episodes, or one whose muscles have the force of a data sheet."""
+    cluster.refuse_for_episodes(arguments.dask)
+    if whole and arguments.resume:
+        raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
+    found = _diagnosed(arguments, rig, recordings, share)
+    given.announce(arguments, found, found.next_rig)
+    if whole and found.next_rig is not None:
+        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / found.next_rig} --out DIR"))
+    return common.DONE
+
+
+def _resumable(
+    arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording], bags: Sequence[Path],
+    words: Sequence[str],
+) -> int:  # fmt: skip
+    """Diagnose a joint, and keep what is finished where that is interrupted."""
+    from pam_antagonist.diagnosis.checkpoint import Checkpoint
+    from pam_antagonist.recording import bag_hash, bag_name
+
     kept = arguments.out.parent / f"{arguments.out.name}.part"
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
     recordings = recordings or given.read(arguments, rig, bags)
-    fitted, held_out = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
     hashes = [bag_hash(recording.path) for recording in recordings]
-    holdout = [bag_name(recording.path) for recording in held_out] or share
+    holdout = [bag_name(recording.path) for recording in recordings[len(arguments.bags) :]] or share
     store = Checkpoint(kept.absolute())
-    store.claim(_settings(arguments, rig, hashes, holdout))
+    store.claim({
+        # What finished candidates depend on.
+        "recordings": hashes,
+        "rig": hashlib.sha256(repr(rig).encode()).hexdigest(),
+        "holdout": holdout,
+        "joint": [arguments.joint, arguments.lock_angle],
+        "seed": arguments.seed,
+        "version": __version__,
+    })  # fmt: skip
     try:
         with cluster.connected(arguments.dask):
-            found = _diagnosed(arguments, rig, fitted, held_out, share, store)
+            found = _diagnosed(arguments, rig, recordings, share, store)
     except KeyboardInterrupt:
-        _print_resume_command(store, words)
+        again = [*words, *([] if "--resume" in words else ["--resume"])]
+        print(
+            f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
+            f"  {typed('close_loop')} {shlex.join(again)}",
+            file=sys.stderr,
+        )
         return common.INTERRUPTED
     except BadInput:
         if not store.finished():
@@ -143,59 +176,27 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     damage = given.damage(arguments, recordings)
     corrected = corrections.from_options(arguments, dict(rig.calibration))
     found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
-    found.save(arguments.out, figures=not arguments.no_figures)
+    given.announce(arguments, found, found.next_rig)
     shutil.rmtree(kept, ignore_errors=True)
-    print(found.summary())
-    proposed = found.choice.proposed
-    if proposed is None:
-        common.announce_report(arguments, arguments.out)
-        return common.DONE
-    given.announce_output(arguments, proposed.name)
-    bags = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
-    print(common.next_command("replay", bags, f"--rig {arguments.out / proposed.name} --out DIR"))
+    if (proposed := found.choice.proposed) is not None:
+        own = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
+        print(common.next_command("replay", own, f"--rig {arguments.out / proposed.name} --out DIR"))
     return common.DONE
 
 
-def _of_episodes(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording]) -> int:
-    """Diagnose a joint with pressure regulators in many short episodes."""
-    from pam_antagonist.api import episodes
-
-    cluster.refuse_for_episodes(arguments.dask)
-    fitted, kept = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
-    with phases("close_loop") as progress:
-        found = episodes.diagnosed(fitted, kept, rig, arguments.also, share, arguments.jobs, progress)
-    found.save(arguments.out, figures=not arguments.no_figures)
-    print(found.summary())
-    if found.next_rig is None:
-        common.announce_report(arguments, arguments.out)
-    else:
-        given.announce_output(arguments, found.next_rig)
-    return common.DONE
-
-
-def _from_pressures(arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording]) -> int:
-    """Diagnose a rig whose muscles have the force of a data sheet."""
+def _diagnosed(
+    arguments: argparse.Namespace, rig: Rig, recordings: Sequence[Recording], share: float,
+    store: Checkpoint | None = None,
+) -> Any:  # fmt: skip
     from pam_antagonist.api.diagnose import diagnose
-    from pam_antagonist.api.from_pressures import PressuresDiagnoseResult
 
-    cluster.refuse_for_episodes(arguments.dask)
-    if arguments.resume:
-        raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
-    fitted, kept = recordings[: len(arguments.bags)], recordings[len(arguments.bags) :]
+    count = len(arguments.bags)
     with phases("close_loop") as progress:
-        found = diagnose(
-            fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=kept,
-            jobs=arguments.jobs, seed=arguments.seed, progress=progress,
+        return diagnose(
+            recordings[:count], rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share,
+            held_out=recordings[count:], jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,
+            also=arguments.also,
         )  # fmt: skip
-    assert isinstance(found, PressuresDiagnoseResult)
-    found.save(arguments.out, figures=not arguments.no_figures)
-    print(found.summary())
-    if found.next_rig is None:
-        common.announce_report(arguments, arguments.out)
-    else:
-        given.announce_output(arguments, found.next_rig)
-        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / found.next_rig} --out DIR"))
-    return common.DONE
 
 
 def _split(holdout: Sequence[float | Path]) -> tuple[float, list[Path]]:
@@ -205,45 +206,3 @@ def _split(holdout: Sequence[float | Path]) -> tuple[float, list[Path]]:
     if len(shares) > 1 or (shares and bags):
         raise BadInput("--holdout: expected one share, or recordings, not several shares or both")
     return (shares[0] if shares else _SHARE), bags
-
-
-def _settings(
-    arguments: argparse.Namespace, rig: Rig, hashes: Sequence[str], holdout: float | Sequence[str]
-) -> dict[str, Any]:
-    """What finished candidates depend on."""
-    return {
-        "recordings": list(hashes),
-        "rig": hashlib.sha256(repr(rig).encode()).hexdigest(),
-        "holdout": holdout if isinstance(holdout, float) else list(holdout),
-        "joint": [arguments.joint, arguments.lock_angle],
-        "seed": arguments.seed,
-        "version": __version__,
-    }
-
-
-def _print_resume_command(store: Checkpoint, words: Sequence[str]) -> None:
-    again = [*words, *([] if "--resume" in words else ["--resume"])]
-    print(
-        f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
-        f"  {typed('close_loop')} {shlex.join(again)}",
-        file=sys.stderr,
-    )
-
-
-def _diagnosed(
-    arguments: argparse.Namespace,
-    rig: Rig,
-    fitted: Sequence[Recording],
-    held_out: Sequence[Recording],
-    share: float,
-    store: Checkpoint,
-) -> DiagnoseResult:
-    from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
-
-    with phases("close_loop") as progress:
-        found = diagnose(
-            fitted, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, holdout=share, held_out=held_out,
-            jobs=arguments.jobs, seed=arguments.seed, progress=progress, store=store,
-        )  # fmt: skip
-    assert isinstance(found, DiagnoseResult)
-    return found

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.driving import SIMULATED, add_limits, add_source
-from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.rig import load_rig
@@ -47,27 +45,15 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("commission", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
-    out.add_argument(
-        "--out",
-        required=True,
-        type=Path,
-        metavar="DIR",
-        help="folder of the results; if commission has begun in it, the command continues there",
-    )
-    out.add_argument(
-        "--duration", type=float, default=40.0, metavar="S", help="length of the free experiment [s] (default: 40)"
-    )
-    out.add_argument("--no-lock", action="store_true", help="the joint cannot be locked: leave that step out")
-    out.add_argument("--unattended", action="store_true", help="do not wait for a person; for a simulated joint only")
-    out.add_argument(
-        "--plant",
-        metavar="RIG",
-        help="rig file of the simulated joint (default: that of --rig; for a rig that was never identified, a joint "
-        "drawn from the priors of its file)",
-    )
-    out.add_argument(
-        "--seed", type=SEED, default=0, metavar="N", help="seed of the searches and of the simulated joint (default: 0)"
-    )
+    common.add_out(out, "folder of the results; if commission has begun in it, the command continues there")
+    out.option("--duration", "length of the free experiment [s] (default: 40)", float, 40.0, "S")
+    out.flag("--no-lock", "the joint cannot be locked: leave that step out")
+    out.flag("--unattended", "do not wait for a person; for a simulated joint only")
+    out.option(
+        "--plant", "rig file of the simulated joint (default: that of --rig; for a rig that was never identified, a "
+        "joint drawn from the priors of its file)", metavar="RIG",
+    )  # fmt: skip
+    common.add_seed(out, "the searches and of the simulated joint", "N")
     add_limits(out)
     add_source(out)
     return out

@@ -6,11 +6,9 @@ import argparse
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from typing_extensions import override
 
 from pam_antagonist.checks.wiring import guessed
@@ -24,7 +22,7 @@ from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import read_bag
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.write import write_rig
 
@@ -192,9 +190,7 @@ class GuessedCommission(Commission):
     @override
     def found(self) -> Rig:
         """The rig that was identified."""
-        chosen: Path = self._out / "identified" / "rig.yaml"
-        (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
-        return load_rig(str(self._out / "rig.yaml"), regulators=True)
+        return self._taken(self._out / "identified" / "rig.yaml")
 
     @override
     def _gains(self) -> dict[str, Any]:
@@ -204,10 +200,6 @@ class GuessedCommission(Commission):
             "law": "model", "pressure_bandwidth": gains.bandwidth, "model_integral": gains.integral,
             "approach": gains.approach,
         }  # fmt: skip
-        parameters = {
-            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
-            "/**/controller": {"ros__parameters": given},
-        }
-        (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+        self._write_parameters(given)
         said = f"law through the model: pressures in {1e3 / gains.bandwidth:.0f} ms, integral {gains.integral:.2g}/s"
         return {"said": said, "gains": given}

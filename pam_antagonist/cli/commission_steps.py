@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +17,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from pam_antagonist.cli.commission_record import Record
 from pam_antagonist.cli.driving import Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.design import Plan, designed
@@ -27,8 +28,8 @@ from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
+from pam_antagonist.report.commission import CommissionResult, Step
 from pam_antagonist.report.commission import Driven as DrivenStep
-from pam_antagonist.report.commission import Step, write_report
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import steady_voltage
 
@@ -52,6 +53,56 @@ def _rounded(value: float) -> float:
 
 class StepFailed(Exception):
     """A step found a fault, or ended early. The message is what to do, in a sentence or more."""
+
+
+class Record:
+    """The steps of a commissioning that were tried, and the folders of their results.
+
+    Attributes:
+        steps: of each step by its name: whether it is ``done``, what it ``said``, and what else it found.
+    """
+
+    def __init__(self, out: Path, rig: str) -> None:
+        self._out, self._rig = out, rig
+        self.steps: dict[str, dict[str, Any]] = {}
+        state = out / "state.json"
+        if out.exists() and not state.exists():
+            raise BadInput(f"{out}: exists, but commission did not write it; expected the name of a new folder")
+        if state.exists():
+            try:
+                content = json.loads(state.read_text(encoding="utf-8"))
+                begun_for, self.steps = content.get("rig"), dict(content["steps"])
+            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+                raise BadInput(f"{state}: cannot be read: {error}; expected what commission wrote") from None
+            if begun_for != rig:
+                raise BadInput(f"{out}: was begun with --rig {begun_for}, not {rig}; give that rig, or another --out")
+        out.mkdir(parents=True, exist_ok=True)
+        self.keep()
+
+    def keep(self) -> None:
+        """Write it. In one go: an interruption must not cost the steps that are done."""
+        new = self._out / "state.json.new"
+        new.write_text(json.dumps({"rig": self._rig, "steps": self.steps}, indent=1) + "\n", encoding="utf-8")
+        new.replace(self._out / "state.json")
+
+    def attempt(self, name: str) -> Path:
+        """A new folder for an attempt of a step."""
+        number = 1
+        while (folder := self._out / f"{name}_{number}").exists():
+            number += 1
+        folder.mkdir()
+        return folder
+
+    def result(self, name: str) -> Path:
+        """A result's folder, which is not there: what an attempt left that was interrupted is removed."""
+        folder = self._out / name
+        if folder.exists():
+            shutil.rmtree(folder)
+        return folder
+
+    def bags(self) -> list[Path]:
+        """The recordings of the steps."""
+        return [self._out / step["bag"] for step in self.steps.values() if "bag" in step]
 
 
 class Commission:
@@ -184,8 +235,7 @@ class Commission:
         return {"said": f"recorded {plan.duration:.0f} s", **result}
 
     def _identify(self) -> dict[str, Any]:
-        from pam_antagonist.api.episodes import EpisodesIdentifyResult
-        from pam_antagonist.api.identify import identify
+        from pam_antagonist.api.identify import EpisodesIdentifyResult, identify
 
         try:
             result = identify(self._record.bags(), self._rig, seed=self._arguments.seed)
@@ -203,8 +253,7 @@ class Commission:
         }
 
     def _diagnosed(self, name: str) -> dict[str, Any]:
-        from pam_antagonist.api.diagnose import diagnose
-        from pam_antagonist.api.episodes import EpisodesDiagnoseResult
+        from pam_antagonist.api.diagnose import EpisodesDiagnoseResult, diagnose
 
         result = diagnose(self._record.bags(), self._rig, seed=self._arguments.seed)
         assert not isinstance(result, EpisodesDiagnoseResult), "recorded in one piece"
@@ -267,8 +316,20 @@ class Commission:
                 f"gains: no model fits the joint. {steps['identify']['said']}. {last['said']} "
                 f"Read {self._out / last['folder'] / 'report.html'}, and repair what it names"
             )
-        (self._out / "rig.yaml").write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
-        return load_rig(str(self._out / "rig.yaml"))
+        return self._taken(chosen)
+
+    def _taken(self, chosen: Path) -> Rig:
+        """The rig file of a step, as the one of the commissioning."""
+        rig = self._out / "rig.yaml"
+        rig.write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
+        return load_rig(str(rig), regulators=True)
+
+    def _write_parameters(self, of_controller: dict[str, Any]) -> None:
+        content = {
+            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
+            "/**/controller": {"ros__parameters": of_controller},
+        }
+        (self._out / "parameters.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
     def _gains(self) -> dict[str, Any]:
         rig = self.found()
@@ -277,11 +338,7 @@ class Commission:
         given = {"bias": _rounded(bias)}
         for mode, one in gains.items():
             given |= {f"{mode}_proportional": _rounded(one.proportional), f"{mode}_integral": _rounded(one.integral)}
-        parameters = {
-            "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
-            "/**/controller": {"ros__parameters": given},
-        }
-        (self._out / "parameters.yaml").write_text(yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
+        self._write_parameters(given)
         said = "; ".join(f"{mode}: {one.in_words()}" for mode, one in gains.items())
         return {"said": said, "gains": {mode: asdict(one) for mode, one in gains.items()}}
 
@@ -296,9 +353,10 @@ class Commission:
             if "bag" in one:
                 recording = read_bag(self._out / one["bag"], judge=False)
                 driven.append(DrivenStep(name, recording, self._limits.pressure, self._limits.angle))
-        left = [name for name in self.STEPS if name not in self._record.steps and not self.left_out(name)]
+        left = tuple(name for name in self.STEPS if name not in self._record.steps and not self.left_out(name))
         command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
-        write_report(self._out, self._rig, steps, command, left, driven, self.next_line())
+        result = CommissionResult(self._rig.name, tuple(steps), command, left, tuple(driven), self.next_line())
+        result.write(self._out)
 
     def next_line(self) -> str:
         """The command that shows the joint under control."""

@@ -18,10 +18,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from typing_extensions import override
 
+from pam_antagonist.cli.numbers import JOBS, SEED
 from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.optional import available, install
 from pam_antagonist.output import check_output, output_folder
@@ -36,11 +37,7 @@ class Parser(argparse.ArgumentParser):
     """An argument parser whose complaints are one line, like those about any other input."""
 
     def __init__(self, name: str, description: str, epilog: str = "") -> None:
-        """Make a parser.
-
-        Args:
-            epilog: examples; ``{run}`` stands for the words that start a command where this runs.
-        """
+        """Make a parser; in the examples, ``{run}`` stands for the words that start a command where this runs."""
         super().__init__(
             prog=typed(name),
             description=description,
@@ -48,6 +45,28 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
+
+    def option(
+        self,
+        name: str,
+        text: str,
+        kind: Callable[[str], Any] | None = None,
+        default: Any = None,
+        metavar: str | None = None,
+        **more: Any,
+    ) -> None:
+        """An option with a value, or an argument without dashes."""
+        self.add_argument(name, help=text, type=kind or str, default=default, metavar=metavar, **more)
+
+    def repeated(
+        self, name: str, text: str, metavar: str | None, kind: Callable[[str], Any] | None = None, **more: Any
+    ) -> None:
+        """An option that may be given several times."""
+        self.add_argument(name, action="append", default=[], type=kind or str, metavar=metavar, help=text, **more)
+
+    def flag(self, name: str, text: str) -> None:
+        """An option without a value."""
+        self.add_argument(name, action="store_true", help=text)
 
     @override
     def error(self, message: str) -> NoReturn:
@@ -123,29 +142,45 @@ def _terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, previous)
 
 
-def add_rig(parser: argparse.ArgumentParser) -> None:
+def add_bags(parser: Parser) -> None:
+    """Recordings, at least one."""
+    parser.option("bags", "rosbag2: its folder, or an .mcap or .db3 file", Path, metavar="BAG", nargs="+")
+
+
+def add_rig(parser: Parser) -> None:
     """``--rig``."""
-    parser.add_argument("--rig", required=True, metavar="RIG", help="a YAML file, or the name of a rig of the package")
+    parser.option("--rig", "a YAML file, or the name of a rig of the package", metavar="RIG", required=True)
 
 
-def add_tuning(parser: argparse.ArgumentParser) -> None:
-    """``--tuning``."""
-    parser.add_argument(
-        "--tuning",
-        default="default",
-        metavar="NAME",
-        help="the rig's filter tuning: default, published, ... (default: default)",
-    )
+def add_out(parser: Parser, text: str = "folder for the result; a new one") -> None:
+    """``--out``."""
+    parser.option("--out", text, Path, metavar="DIR", required=True)
 
 
-def add_joint(parser: argparse.ArgumentParser, choices: Sequence[str], default: str, text: str) -> None:
-    """``--joint`` and ``--lock-angle``.
+def add_seed(parser: Parser, text: str, metavar: str | None = None) -> None:
+    """``--seed``."""
+    parser.option("--seed", f"seed of {text} (default: 0)", SEED, 0, metavar)
 
-    Args:
-        text: help of ``--joint``.
-    """
-    parser.add_argument("--joint", choices=tuple(choices), default=default, help=text)
-    parser.add_argument("--lock-angle", type=_angle, metavar="DEG", help="angle at which a locked joint is held [deg]")
+
+def add_jobs(parser: Parser) -> None:
+    """``--jobs``."""
+    parser.option("--jobs", "threads (default: 2)", JOBS, 2, "N")
+
+
+def add_page(parser: Parser) -> None:
+    """``--no-figures`` and ``--open``."""
+    parser.flag("--no-figures", "leave the figures out of report.html (2 MB less)")
+    add_open(parser)
+
+
+def add_joint(parser: Parser, of_recording: bool = False) -> None:
+    """``--joint`` and ``--lock-angle``; of a recording, whether the joint could move is found out by default."""
+    choices: tuple[str, ...] = ("free", "locked")
+    text = "may the joint move? (default: free)"
+    if of_recording:
+        choices, text = ("auto", *choices), "could the joint move? (default: auto, from the measured angle)"
+    parser.option("--joint", text, default=choices[0], choices=choices)
+    parser.option("--lock-angle", "angle at which a locked joint is held [deg]", _angle, metavar="DEG")
 
 
 def _angle(text: str) -> float:
@@ -167,16 +202,10 @@ def lock_angle(arguments: argparse.Namespace) -> float | None:
     return value
 
 
-def add_topics(parser: argparse.ArgumentParser) -> None:
+def add_topics(parser: Parser) -> None:
     """``--topic``, given as often as needed."""
-    parser.add_argument(
-        "--topic",
-        action="append",
-        default=[],
-        type=_topic,
-        metavar="NAME=/OTHER",
-        help="the topic NAME (pressure_1, valve_state, ...) is /OTHER in the bag; may be given several times",
-    )
+    text = "the topic NAME (pressure_1, valve_state, ...) is /OTHER in the bag; may be given several times"
+    parser.repeated("--topic", text, "NAME=/OTHER", _topic)
 
 
 def _topic(text: str) -> tuple[str, str]:
@@ -186,9 +215,9 @@ def _topic(text: str) -> tuple[str, str]:
     return name, other
 
 
-def add_recover(parser: argparse.ArgumentParser) -> None:
+def add_recover(parser: Parser) -> None:
     """``--recover``."""
-    parser.add_argument("--recover", action="store_true", help="if the bag is damaged, read what is left of it")
+    parser.flag("--recover", "if the bag is damaged, read what is left of it")
 
 
 def topics(arguments: argparse.Namespace) -> dict[str, str]:
@@ -201,17 +230,13 @@ def topics(arguments: argparse.Namespace) -> dict[str, str]:
     return chosen
 
 
-def add_open(parser: argparse.ArgumentParser) -> None:
+def add_open(parser: Parser) -> None:
     """``--open``."""
-    parser.add_argument("--open", action="store_true", help="show report.html in the browser afterwards")
+    parser.flag("--open", "show report.html in the browser afterwards")
 
 
 def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
-    """Say where the report is, and show it in the browser if that was asked for.
-
-    Args:
-        arguments: of a command with :func:`add_open`.
-    """
+    """Say where the report is, and show it in the browser if ``--open`` asks for that."""
     page = folder / "report.html"
     print(f"report: {page} and report.json")
     if arguments.open:
@@ -223,23 +248,18 @@ def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
     return f"next:\n{typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(parser: Parser) -> None:
     """``--json``, of a command that writes ``report.json``."""
     parser.set_defaults(writes_report_json=True)
-    parser.add_argument(
-        "--json", metavar="FILE",
-        help="write the content of report.json to this file as well; with -, it goes to standard output and the "
-        "tables go to standard error",
+    parser.option(
+        "--json", "write the content of report.json to this file as well; with -, it goes to standard output and the "
+        "tables go to standard error", metavar="FILE",
     )  # fmt: skip
 
 
 @contextmanager
 def _json_beside(arguments: argparse.Namespace) -> Iterator[None]:
-    """Around the work of a command: what ``--json`` asks for is given at its end.
-
-    Args:
-        arguments: of a command with :func:`add_json` and ``--out``.
-    """
+    """Around the work of a command with ``--json`` and ``--out``: what the first asks for is given at its end."""
     with json_alone(arguments.json):
         yield
     report: Path = arguments.out / "report.json"
@@ -248,12 +268,10 @@ def _json_beside(arguments: argparse.Namespace) -> Iterator[None]:
         give_json(arguments.json, report.read_text(encoding="utf-8"))
 
 
-def add_new_json(parser: argparse.ArgumentParser, what: str) -> None:
+def add_new_json(parser: Parser, what: str) -> None:
     """``--json``, of a command that writes nothing else and overwrites nothing."""
-    parser.add_argument(
-        "--json", type=_new_file, metavar="FILE",
-        help=f"write {what} to FILE as well, a new file; - for standard output, and the tables on standard error",
-    )  # fmt: skip
+    text = f"write {what} to FILE as well, a new file; - for standard output, and the tables on standard error"
+    parser.option("--json", text, _new_file, metavar="FILE")
 
 
 def _new_file(text: str) -> str:
@@ -263,11 +281,7 @@ def _new_file(text: str) -> str:
 
 
 def json_alone(where: str | None) -> contextlib.AbstractContextManager[object]:
-    """Standard output for JSON alone, where that is where it goes: what is printed meanwhile goes to standard error.
-
-    Args:
-        where: of ``--json``: a file, - for standard output, or None.
-    """
+    """Standard output for JSON alone, where ``--json`` is -: what is printed meanwhile goes to standard error."""
     return contextlib.redirect_stdout(sys.stderr) if where == "-" else contextlib.nullcontext()
 
 
@@ -284,7 +298,6 @@ def show(text: str, content: object, where: str | None) -> None:
 
     Args:
         text: for people, may be empty; it goes to standard error where JSON goes to standard output.
-        where: of ``--json``: a file, - for standard output, or None.
     """
     if text:
         with json_alone(where):

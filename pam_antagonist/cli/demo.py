@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from pam_antagonist.cli import common
 from pam_antagonist.cli.demo_steps import FOUND, GAINS, MODEL, Task, found_gains, law_of, task
 from pam_antagonist.cli.driving import how_to_watch, stay_apart
-from pam_antagonist.cli.numbers import SEED, real
+from pam_antagonist.cli.numbers import real
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
@@ -70,37 +70,29 @@ _AFTER_STOP = 0.5  # for so long a demo goes on that was stopped for safety [s]
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("demo", _DESCRIPTION, _EXAMPLES)
-    add = out.add_argument
-    add(
-        "--duration",
-        type=real(1.0, 3600.0, "seconds"),
-        metavar="S",
-        help="length of the experiment [s] (default: 12, stiffness and impedance 30)",
-    )
-    add("--mode", choices=tuple(_MODES), default="angle", help="what is controlled (default: angle)")
-    gains_help = (
-        "gains of the PI for shin2022: fast, or published, with which a step of the angle takes 9 s; or model, the law "
-        "through the model; or a YAML file with the controller's parameters, such as parameters.yaml of commission "
-        "(default: fast for shin2022; model for other joints and in modes stiffness and impedance)"
-    )
-    add("--gains", metavar="{fast,published,model,FILE}", help=gains_help)
-    rig_help = (
-        "a YAML file, or the name of a rig that comes with the package (default: shin2022; for impedance "
-        "shin2022_external_torque)"
-    )
-    add("--rig", metavar="RIG", help=rig_help)
-    add(
-        "--no-pressures", action="store_true",
-        help="without pressure sensors: the filter uses the pressures that the regulators are commanded to hold; for "
-        "a rig with drive: regulator",
+    length = "length of the experiment [s] (default: 12, stiffness and impedance 30)"
+    out.option("--duration", length, real(1.0, 3600.0, "seconds"), metavar="S")
+    out.option("--mode", "what is controlled (default: angle)", default="angle", choices=tuple(_MODES))
+    out.option(
+        "--gains", "gains of the PI for shin2022: fast, or published, with which a step of the angle takes 9 s; or "
+        "model, the law through the model; or a YAML file with the controller's parameters, such as parameters.yaml of "
+        "commission (default: fast for shin2022; model for other joints and in modes stiffness and impedance)",
+        metavar="{fast,published,model,FILE}",
     )  # fmt: skip
-    add("--tuning", default="default", metavar="NAME", help="filter tuning of the rig (default: default)")
-    add("--seed", type=SEED, default=0, metavar="N", help="seed of the joint's mismatch and sensor noise (default: 0)")
-    mismatch_help = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
-    add("--mismatch", type=real(0.0, 0.29), default=0.01, metavar="X", help=mismatch_help)
-    out_help = "folder for bag, logs and report; a new one (default: demo-DATE-TIME)"
-    add("--out", type=Path, metavar="DIR", help=out_help)
-    add("--no-figures", action="store_true", help="leave the figures out of report.html")
+    out.option(
+        "--rig", "a YAML file, or the name of a rig that comes with the package (default: shin2022; for impedance "
+        "shin2022_external_torque)", metavar="RIG",
+    )  # fmt: skip
+    out.flag(
+        "--no-pressures", "without pressure sensors: the filter uses the pressures that the regulators are commanded "
+        "to hold; for a rig with drive: regulator",
+    )  # fmt: skip
+    out.option("--tuning", "filter tuning of the rig (default: default)", None, "default", "NAME")
+    common.add_seed(out, "the joint's mismatch and sensor noise", "N")
+    mismatch = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
+    out.option("--mismatch", mismatch, real(0.0, 0.29), 0.01, "X")
+    out.option("--out", "folder for bag, logs and report; a new one (default: demo-DATE-TIME)", Path, metavar="DIR")
+    out.flag("--no-figures", "leave the figures out of report.html")
     common.add_open(out)
     return out
 
@@ -158,7 +150,7 @@ def _judge(out: Path, rig: Rig, mode: Mode, law: str, stopped: str, arguments: a
     """Replay OUT/bag, print the tables, write OUT/report.html and OUT/report.json."""
     from pam_antagonist.recording import read_bag
     from pam_antagonist.replays import replay
-    from pam_antagonist.report import demo, terminal
+    from pam_antagonist.report import demo
 
     begin = time.perf_counter()
     recording = read_bag(out / "bag")
@@ -167,8 +159,8 @@ def _judge(out: Path, rig: Rig, mode: Mode, law: str, stopped: str, arguments: a
     with counted(len(recording.stamp_ns), "replay") as advance:
         done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=advance)
     judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), law, stopped)
-    print(f"\n{terminal.render(demo.summary(judged))}\n")
-    demo.write_report(out, judged, with_figures=not arguments.no_figures)
+    print(f"\n{judged.summary()}\n")
+    judged.write(out, figures=not arguments.no_figures)
     print(f"recording: {out / 'bag'}")
     common.announce_report(arguments, out)
     print(common.next_command("replay", [out / "bag"], f"--rig {arguments.rig} --out DIR"))
@@ -217,14 +209,7 @@ def _gains(law: str, mode: Mode, rig: Rig) -> dict[str, object]:
     return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
 
 
-def _steps(
-    processes: Processes,
-    mode: Mode,
-    asked: Task,
-    duration: float,
-    bag: Path,
-    drive: str,
-) -> str:
+def _steps(processes: Processes, mode: Mode, asked: Task, duration: float, bag: Path, drive: str) -> str:
     """Step the reference; returns why the joint was stopped for safety, else nothing."""
     from tqdm import tqdm
 

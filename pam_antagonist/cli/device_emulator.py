@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.errors import BadInput
 
 if TYPE_CHECKING:
@@ -42,43 +41,25 @@ def parser() -> common.Parser:
     kinds = "\n".join(f"  {kind.ljust(12)} {meaning}" for kind, meaning in KINDS.items())
     out = common.Parser("device_emulator", _DESCRIPTION, _EXAMPLES + kinds)
     common.add_rig(out)
-    common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
-    out.add_argument(
-        "--hardware", default="example", metavar="FILE", help="calibration of its sensors (default: example)"
-    )
-    out.add_argument("--link", type=Path, metavar="PATH", help="link to the port, so that its name stays the same")
-    out.add_argument("--seed", type=SEED, default=0, help="seed of all random numbers (default: 0)")
-    out.add_argument(
-        "--mismatch",
-        type=float,
-        default=0.0,
-        metavar="X",
-        help="relative deviation of the joint's parameters from the rig file (default: 0)",
-    )
-    out.add_argument("--no-noise", action="store_true", help="exact sensors")
-    out.add_argument("--drift", type=float, default=0.0, metavar="PPM", help="error of its clock [ppm] (default: 0)")
-    out.add_argument(
-        "--first-us", type=int, default=0, metavar="US", help="its 32-bit counter at power-on [us] (default: 0)"
-    )
-    out.add_argument("--log", type=Path, metavar="FILE", help="CSV file of the voltages on the valves, row by change")
-    out.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="FAULT",
-        help="a fault to make, see below; may be given several times",
-    )
-    out.add_argument(
-        "--orders",
-        type=Path,
-        metavar="PIPE",
-        help="make this named pipe and read orders from it while running: lines +KIND[=VALUE] (begin a fault) and "
-        "-KIND (end it)",
-    )
-    out.add_argument("--flip", type=float, metavar="SHARE", help="the same as --fault flip=SHARE")
-    out.add_argument("--drop", type=float, metavar="SHARE", help="the same as --fault drop=SHARE")
-    out.add_argument("--silent-after", type=float, metavar="S", help="the same as --fault silent@S")
-    out.add_argument("--freeze-sensor", metavar="MUSCLE@S", help="the same as --fault freeze=MUSCLE@S, such as 1@2.5")
+    common.add_joint(out)
+    out.option("--hardware", "calibration of its sensors (default: example)", None, "example", "FILE")
+    out.option("--link", "link to the port, so that its name stays the same", Path, metavar="PATH")
+    common.add_seed(out, "all random numbers")
+    mismatch = "relative deviation of the joint's parameters from the rig file (default: 0)"
+    out.option("--mismatch", mismatch, float, 0.0, "X")
+    out.flag("--no-noise", "exact sensors")
+    out.option("--drift", "error of its clock [ppm] (default: 0)", float, 0.0, "PPM")
+    out.option("--first-us", "its 32-bit counter at power-on [us] (default: 0)", int, 0, "US")
+    out.option("--log", "CSV file of the voltages on the valves, row by change", Path, metavar="FILE")
+    out.repeated("--fault", "a fault to make, see below; may be given several times", "FAULT")
+    out.option(
+        "--orders", "make this named pipe and read orders from it while running: lines +KIND[=VALUE] (begin a fault) "
+        "and -KIND (end it)", Path, metavar="PIPE",
+    )  # fmt: skip
+    out.option("--flip", "the same as --fault flip=SHARE", float, metavar="SHARE")
+    out.option("--drop", "the same as --fault drop=SHARE", float, metavar="SHARE")
+    out.option("--silent-after", "the same as --fault silent@S", float, metavar="S")
+    out.option("--freeze-sensor", "the same as --fault freeze=MUSCLE@S, such as 1@2.5", metavar="MUSCLE@S")
     return out
 
 
@@ -128,13 +109,9 @@ def _main(arguments: argparse.Namespace) -> int:
     ):
         features |= feature if there is not None else Feature(0)
     settings = Settings(
-        name="emulator",
-        features=features,
-        period_us=round(rig.sample_period * 1e6),
-        voltage_min=low,
-        voltage_max=high,
+        name="emulator", features=features, period_us=round(rig.sample_period * 1e6), voltage_min=low, voltage_max=high,
         safe_voltage=power_on,
-    )
+    )  # fmt: skip
     stopping = _Stop()
     with ExitStack() as stack:
         log = None if arguments.log is None else stack.enter_context(_log(arguments.log))
@@ -143,15 +120,10 @@ def _main(arguments: argparse.Namespace) -> int:
             pipe = FaultOrders(arguments.orders)
             stack.callback(pipe.close)
             orders = pipe.take
+        clock = DeviceClock(arguments.drift * 1e-6, arguments.first_us)
+        plan = FaultPlan(faults, arguments.seed, orders)
         emulator = Emulator(
-            plant,
-            converter,
-            Firmware(settings),
-            FaultPlan(faults, arguments.seed, orders),
-            VoltageLog(log),
-            lambda: Port(arguments.link),
-            DeviceClock(arguments.drift * 1e-6, arguments.first_us),
-            regulated,
+            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock, regulated
         )
         stack.callback(emulator.close)
         print(f"{arguments.link or emulator.path}", flush=True)

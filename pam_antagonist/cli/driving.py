@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pam_antagonist.cli.common import Parser
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
@@ -101,7 +102,7 @@ class Driven:
     ended: str
 
 
-def add_limits(out: argparse.ArgumentParser) -> None:
+def add_limits(out: Parser) -> None:
     """Limits of an experiment."""
     for name, unit, text in (
         ("--min-pressure", "KPA", "least pressure, absolute [kPa] (default: 15 %% of the supply's gauge pressure)"),
@@ -109,15 +110,11 @@ def add_limits(out: argparse.ArgumentParser) -> None:
         ("--max-angle", "DEG", "largest angle either way [deg] (default: nine tenths of the stop; 20 without one)"),
         ("--max-rate", "RAD_S", "largest rate of the angle [rad/s] (default: 10)"),
     ):
-        out.add_argument(name, type=float, metavar=unit, help=text)
+        out.option(name, text, float, metavar=unit)
 
 
 def limits_of(arguments: argparse.Namespace, rig: Rig) -> Limits:
-    """The limits that were given, with defaults.
-
-    Args:
-        arguments: with those of :func:`add_limits`.
-    """
+    """The limits that were given, with defaults."""
     from pam_antagonist.design import Limits
 
     usual = Limits.of(rig)
@@ -129,24 +126,15 @@ def limits_of(arguments: argparse.Namespace, rig: Rig) -> Limits:
     return Limits.of(rig, (low, high), angle, arguments.max_rate)
 
 
-def add_source(out: argparse.ArgumentParser) -> None:
+def add_source(out: Parser) -> None:
     """Who owns the valves."""
-    out.add_argument(
-        "--source",
-        choices=SOURCES,
-        default="plant",
-        help="what owns the valves (default: plant); rehearsal: a simulated joint without ROS, faster than real time",
-    )
-    out.add_argument("--port", metavar="PATH", help="serial port of the bridge's device")
-    out.add_argument("--hardware", metavar="FILE", help="calibration of the bridge's device")
-    out.add_argument("--parameters", type=Path, metavar="FILE", help="parameter file of plant or bridge")
-    out.add_argument(
-        "--mismatch",
-        type=float,
-        default=0.01,
-        metavar="X",
-        help="relative deviation of the simulated joint's parameters from the rig file (default: 0.01)",
-    )
+    source = "what owns the valves (default: plant); rehearsal: a simulated joint without ROS, faster than real time"
+    out.option("--source", source, default="plant", choices=SOURCES)
+    out.option("--port", "serial port of the bridge's device", metavar="PATH")
+    out.option("--hardware", "calibration of the bridge's device", metavar="FILE")
+    out.option("--parameters", "parameter file of plant or bridge", Path, metavar="FILE")
+    mismatch = "relative deviation of the simulated joint's parameters from the rig file (default: 0.01)"
+    out.option("--mismatch", mismatch, float, 0.01, "X")
 
 
 def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:

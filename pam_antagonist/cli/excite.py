@@ -21,7 +21,6 @@ from pam_antagonist.cli.driving import (
     stay_apart,
     write_plan,
 )
-from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
@@ -62,26 +61,18 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("excite", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of plan and bag; a new one")
-    out.add_argument(
-        "--duration",
-        type=float,
-        default=60.0,
-        metavar="S",
-        help="length of the experiment [s]; with --tell-apart, the longest one (default: 60)",
-    )
-    common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
+    common.add_out(out, "folder of plan and bag; a new one")
+    length = "length of the experiment [s]; with --tell-apart, the longest one (default: 60)"
+    out.option("--duration", length, float, 60.0, "S")
+    common.add_joint(out)
     add_limits(out)
-    out.add_argument("--seed", type=SEED, default=0, metavar="N", help="seed of the search (default: 0)")
-    out.add_argument(
-        "--tell-apart", type=Path, metavar="FOUND",
-        help="folder that close_loop wrote: design an experiment that distinguishes the found effect from those that "
-        "explain the data as well",
+    common.add_seed(out, "the search", "N")
+    out.option(
+        "--tell-apart", "folder that close_loop wrote: design an experiment that distinguishes the found effect from "
+        "those that explain the data as well", Path, metavar="FOUND",
     )  # fmt: skip
-    out.add_argument(
-        "--without", action="append", default=[], choices=("angle", "torque"), help="design without this sensor",
-    )  # fmt: skip
-    out.add_argument("--plan-only", action="store_true", help="design and write the plan, drive nothing")
+    out.repeated("--without", "design without this sensor", None, choices=("angle", "torque"))
+    out.flag("--plan-only", "design and write the plan, drive nothing")
     add_source(out)
     return out
 

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.numbers import JOBS, SEED, real, whole
+from pam_antagonist.cli.numbers import real, whole
 from pam_antagonist.cli.progress import phases
 from pam_antagonist.errors import BadInput
-
-if TYPE_CHECKING:
-    from pam_antagonist.recording import Recording
-    from pam_antagonist.rig import Rig
 
 _DESCRIPTION = """\
 Identify a rig from its recordings: parameters with error bars, sensor noise, filter tuning.
@@ -49,22 +43,17 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("identify", _DESCRIPTION, _EXAMPLES)
     given.add_bags(out)
-    out.add_argument(
-        "--free", action="append", default=[], metavar="NAME",
-        help="fit this parameter as well: its name, such as supply.pressure, or the beginning of its name; may be "
-        "repeated",
+    out.repeated(
+        "--free", "fit this parameter as well: its name, such as supply.pressure, or the beginning of its name; may be "
+        "repeated", "NAME",
     )  # fmt: skip
-    out.add_argument(
-        "--freeze", action="append", default=[], metavar="NAME",
-        help="keep this parameter as configured: its name, or the beginning of its name; may be repeated",
-    )  # fmt: skip
-    out.add_argument(
-        "--holdout", type=real(0.05, 0.8, "a share"), default=1.0 / 3.0, metavar="SHARE",
-        help="share at the end of each recording that is held out to judge the result (default: a third)",
-    )  # fmt: skip
-    out.add_argument("--starts", type=whole(1, 64), default=1, metavar="N", help="starts of the search (default: 1)")
-    out.add_argument("--seed", type=SEED, default=0, help="seed of the further starts (default: 0)")
-    out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
+    freeze = "keep this parameter as configured: its name, or the beginning of its name; may be repeated"
+    out.repeated("--freeze", freeze, "NAME")
+    share = "share at the end of each recording that is held out to judge the result (default: a third)"
+    out.option("--holdout", share, real(0.05, 0.8, "a share"), 1.0 / 3.0, "SHARE")
+    out.option("--starts", "starts of the search (default: 1)", whole(1, 64), 1, "N")
+    common.add_seed(out, "the further starts")
+    common.add_jobs(out)
     cluster.add_dask(out)
     given.add_names_and_report(out)
     return out
@@ -76,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api import episodes, from_pressures
+    from pam_antagonist.api.diagnose import are_episodes
     from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.cli.first_start import FITS, compile_first
     from pam_antagonist.report import terminal
@@ -87,16 +76,13 @@ def _run(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     compile_first(FITS, rig)
     common.lock_angle(arguments)
-    for name in ("free", "freeze") if rig.valves.sealed else ():
-        if getattr(arguments, name):
-            raise BadInput(
-                f"--{name}: which parameters of a sealed joint are fitted cannot be chosen; leave --{name} out"
-            )
+    if rig.valves.sealed:
+        _refuse_choice(arguments, "of a sealed joint are fitted")
     recordings = given.read(arguments, rig)
-    if not from_pressures.is_for(rig) and episodes.are_given(recordings, rig):
-        return _of_episodes(arguments, rig, recordings)
-    damage = given.damage(arguments, recordings)
-    if damage:
+    if are_episodes(recordings, rig):
+        cluster.refuse_for_episodes(arguments.dask)
+        _refuse_choice(arguments, "are fitted to episodes")
+    elif damage := given.damage(arguments, recordings):
         print(terminal.warnings(damage))
     with cluster.connected(arguments.dask), phases("identify") as progress:
         found = identify(
@@ -104,40 +90,19 @@ def _run(arguments: argparse.Namespace) -> int:
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,
             jobs=arguments.jobs, progress=progress,
         )  # fmt: skip
-    found.save(arguments.out, figures=not arguments.no_figures)
-    print(found.summary())
-    if found.rejected:
-        return _rejected(arguments)
-    given.announce_output(arguments)
-    if isinstance(found, IdentifyResult) and found.lacks_an_effect:
+    given.announce(arguments, found, None if found.rejected else "rig.yaml", apart=True)
+    identified = arguments.out / "rig.yaml"
+    if found.rejected or (isinstance(found, IdentifyResult) and found.lacks_an_effect):
+        # The next command takes the rig that was given.
         print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
+    elif isinstance(found, IdentifyResult):
+        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {identified} --out DIR"))
     else:
-        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
-    return common.DONE
+        print(common.next_command("close_loop", arguments.bags, f"--rig {identified} --out DIR"))
+    return common.FAILED if found.rejected else common.DONE
 
 
-def _rejected(arguments: argparse.Namespace) -> int:
-    """Say where the report of a rejected rig is; the next command takes the rig that was given."""
-    print()
-    common.announce_report(arguments, arguments.out)
-    print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
-    return common.FAILED
-
-
-def _of_episodes(arguments: argparse.Namespace, rig: Rig, recordings: Sequence[Recording]) -> int:
-    """Identify a joint with pressure regulators from many short episodes."""
-    from pam_antagonist.api.identify import identify
-
-    cluster.refuse_for_episodes(arguments.dask)
+def _refuse_choice(arguments: argparse.Namespace, what: str) -> None:
     for name in ("free", "freeze"):
         if getattr(arguments, name):
-            raise BadInput(f"--{name}: which parameters are fitted to episodes cannot be chosen; leave --{name} out")
-    with phases("identify") as progress:
-        found = identify(recordings, rig, holdout=arguments.holdout, jobs=arguments.jobs, progress=progress)
-    found.save(arguments.out, figures=not arguments.no_figures)
-    print(found.summary())
-    if found.rejected:
-        return _rejected(arguments)
-    given.announce_output(arguments)
-    print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.out / 'rig.yaml'} --out DIR"))
-    return common.DONE
+            raise BadInput(f"--{name}: which parameters {what} cannot be chosen; leave --{name} out")

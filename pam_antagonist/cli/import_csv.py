@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.api.import_csv import import_csv, write_imported
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
-from pam_antagonist.recording import Recording, write_bag
-from pam_antagonist.recording.csv_import import notes, read_csv
+from pam_antagonist.recording import Recording
 from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map_names
-from pam_antagonist.recording.notes import issues_note, write_notes
 
 _DESCRIPTION = """\
 Convert a file with columns to a recording: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
@@ -41,12 +40,11 @@ _LONG = 100_000  # samples that take long enough to write to be worth a word
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("import_csv", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("file", nargs="?", type=Path, metavar="FILE", help="the file")
-    out.add_argument(
-        "--map", metavar="MAP", help=f"a YAML file, or the name of a map of the package: {', '.join(map_names())}"
-    )
-    out.add_argument("--out", type=Path, metavar="BAG", help="folder of the bag; a new one")
-    out.add_argument("--example", action="store_true", help="print a map that explains itself, and do nothing else")
+    out.option("file", "the file", Path, metavar="FILE", nargs="?")
+    names = ", ".join(map_names())
+    out.option("--map", f"a YAML file, or the name of a map of the package: {names}", metavar="MAP")
+    out.option("--out", "folder of the bag; a new one", Path, metavar="BAG")
+    out.flag("--example", "print a map that explains itself, and do nothing else")
     return out
 
 
@@ -61,13 +59,12 @@ def _main(arguments: argparse.Namespace) -> int:
         return common.DONE
     _check_given(arguments)
     common.check_output(arguments.out)
-    mapping = load_map(arguments.map)
-    recording = _read(arguments.file, mapping)
-    with common.output_folder(arguments.out, make=False) as folder:
-        if len(recording) >= _LONG and sys.stderr.isatty():
-            print(f"writing {len(recording):,} samples ...", file=sys.stderr)
-        write_bag(folder, recording)
-        write_notes(folder, notes(arguments.file, mapping) | issues_note(recording.issues))
+    file, mapping = arguments.file, load_map(arguments.map)
+    with counted(file.stat().st_size if file.is_file() else 0, f"read {file.name}") as done:
+        recording = import_csv(file, arguments.map, progress=done)
+    if len(recording) >= _LONG and sys.stderr.isatty():
+        print(f"writing {len(recording):,} samples ...", file=sys.stderr)
+    write_imported(arguments.out, file, mapping, recording)
     print(_summary(recording, mapping, arguments))
     return common.DONE
 
@@ -79,12 +76,6 @@ def _check_given(arguments: argparse.Namespace) -> None:
         raise BadInput(
             f"{', '.join(missing)} missing (see {typed('import_csv --help')}; --example prints a map to begin with)"
         )
-
-
-def _read(path: Path, mapping: CsvMap) -> Recording:
-    size = path.stat().st_size if path.is_file() else 0
-    with counted(size, f"read {path.name}") as done:
-        return read_csv(path, mapping, progress=done)
 
 
 def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespace) -> str:

@@ -6,26 +6,18 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pam_antagonist.api.new_rig import facts_of, remarks
+from pam_antagonist.api.rig_questions import OWN, QUESTIONS, Question
 from pam_antagonist.cli import common
-from pam_antagonist.cli.rig_questions import OWN, QUESTIONS, Question, condition
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.new import Contradiction, Facts, starting_point
-from pam_antagonist.rig.parts import (
-    MusclePart,
-    RegulatorPart,
-    ValvePart,
-    muscle_parts,
-    named,
-    regulator_parts,
-    valve_parts,
-)
-from pam_antagonist.rig.schema import Curve
+from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
 from pam_antagonist.rig.write import write_rig
 
 _DESCRIPTION = """\
@@ -50,12 +42,12 @@ def parser() -> common.Parser:
     """The arguments."""
     parts = ", ".join((*muscle_parts(), *valve_parts(), *regulator_parts()))
     out = common.Parser("new_rig", _DESCRIPTION.format(parts=parts), _EXAMPLES)
-    out.add_argument("--out", required=True, type=Path, metavar="FILE", help="the rig file to write (.yaml), a new one")
+    out.option("--out", "the rig file to write (.yaml), a new one", Path, metavar="FILE", required=True)
     for question in QUESTIONS:
         default = "" if question.default is None else f" (default: {question.default})"
-        own = "" if question.wanted({}) else f"; with {condition(question.option)}"
+        own = "" if question.wanted({}) else f"; with {question.condition.words}"
         text = f"{question.text[0].lower()}{question.text[1:]}: {question.how}{own}{default}"
-        out.add_argument(f"--{question.option}", metavar="ANSWER", help=text.replace("%", "%%"))
+        out.option(f"--{question.option}", text.replace("%", "%%"), metavar="ANSWER")
     return out
 
 
@@ -81,7 +73,7 @@ def _main(arguments: argparse.Namespace) -> int:
         raise
     assumed = [question for question in QUESTIONS if question.name in answers.taken]
     try:
-        write_rig(rig, path, _remarks(facts, assumed))
+        write_rig(rig, path, remarks(facts, assumed))
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from None
     print(f"rig: {path}\n")
@@ -109,7 +101,7 @@ class _Answers:
         """What the answers say, and the rig file that they make; answers that contradict each other are asked again."""
         self._read()
         while True:
-            facts = _facts(self._values)
+            facts = facts_of(self._values)
             try:
                 return facts, starting_point(facts)
             except Contradiction as error:
@@ -141,7 +133,7 @@ class _Answers:
             text = self._given[question.name]
             if not question.wanted(self._values):
                 if text is not None:
-                    raise BadInput(f"--{question.option}: only with {condition(question.option)}")
+                    raise BadInput(f"--{question.option}: only with {question.condition.words}")
             elif text is not None:
                 try:
                     self._take(question, text)
@@ -191,88 +183,3 @@ class _Answers:
             if question.name in self._texts:
                 words += [f"--{question.option}", self._texts[question.name]]
         return typed(shlex.join(words))
-
-
-def _facts(values: Mapping[str, Any]) -> Facts:
-    if values["muscle"] == OWN:
-        muscle = MusclePart(
-            diameter=values["muscle_diameter"],
-            force=values["muscle_force"],
-            pressure=values["muscle_pressure"],
-            contraction=values["muscle_contraction"] / 100.0,
-            source="measured or by its data sheet",
-        )
-    else:
-        muscle = named("muscle", values["muscle"], muscle_parts())
-    low, high = values.get("voltage", (0.0, 10.0))
-    regulator = _regulator(values) if values["drive"] == "regulator" else None
-    if regulator is not None:
-        valve = valve_parts()["shin2022"].replaced(source=regulator.source)  # its numbers play no part
-    elif values["valve"] == OWN:
-        curve = Curve(voltage=(low, high), open_rate=(0.0, 1.0))
-        valve = ValvePart(
-            flow=values["valve_flow"],
-            curve=curve,
-            closed_centre=values["valve_centre"] == "closed",
-            source="its data sheet; the curve is a guess",
-        )
-    else:
-        valve = named("valve", values["valve"], valve_parts())
-    mass = values["limb_mass"]
-    return Facts(
-        name=values["name"],
-        kind=values["kind"],
-        radius=values["radius"],
-        length=values["length"],
-        nominal_length=values["nominal_length"],
-        muscle=muscle,
-        muscle_name=f"muscle {values['muscle']}",
-        supply=values["supply"],
-        valve=valve,
-        valve_name=f"valve {values['valve']}" if regulator is None else f"pressure regulators {values['regulator']}",
-        voltage=(low, high),
-        shaft_radius=values["shaft_radius"],
-        mass=values["mass"],
-        inertia=values["inertia"],
-        stop=values["stop"],
-        pressure_range=values["sensor_range"],
-        pressure_bits=round(values["sensor_bits"]),
-        period=1.0 / values["rate"],
-        regulator=regulator,
-        regulator_time=values.get("regulator_time", 0.0),
-        limb=None if mass is None else (mass, values["limb_distance"], values["limb_hanging"]),
-    )
-
-
-def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
-    if values["regulator"] != OWN:
-        return named("regulator", values["regulator"], regulator_parts())
-    low, high = values["regulator_range"]
-    return RegulatorPart(lowest=low, highest=high, hysteresis=0.0, source="your answer")
-
-
-def _remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
-    """The head of the file: which numbers come from where."""
-    lines = [
-        "A starting point by new_rig: identify finds the values of your joint.",
-        "Measured: geometry, supply, joint.mass, joint.inertia, sensors.pressure_step.",
-        "From data sheets: force and volume of the muscles, areas of the valves. Muscles of one kind differ by 15 %.",
-        "Assumed: valve curves, friction, gas.polytropic_*, noise of the sensors, uncertainty, tunings.",
-        "Priors (standard deviations before identification) are wide where a number is assumed.",
-        "Those of valve_offset say by how much the guessed curves may be shifted.",
-    ]
-    if assumed:
-        lines.append(f"Default answers were taken for: {', '.join(question.option for question in assumed)}.")
-    if facts.regulator is not None:
-        told = "hysteresis by the same source" if facts.regulator.hysteresis else "hysteresis unknown and taken as none"
-        lines.append(f"Of the regulators: range by {facts.regulator.source}.")
-        lines.append(
-            f"Their rise time is your answer, their damping ratio assumed, {told}. Valves and flow are not used."
-        )
-        lines.append("Compare range and hysteresis with the data sheet of yours.")
-    if facts.valve.closed_centre:
-        lines.append(
-            "This valve lets no air pass at its middle voltage (overlap 0.5). Near it, it holds a pressure, so that the"
-        )
-        lines.append("voltages alone do not tell the pressures: recordings with measured pressures are needed.")
-    return lines

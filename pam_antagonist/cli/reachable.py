@@ -8,8 +8,7 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.control import Box
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
-from pam_antagonist.report import terminal
-from pam_antagonist.report.reachable import ReachableReport, summary, write_report
+from pam_antagonist.report.reachable import ReachableResult
 from pam_antagonist.rig import load_rig
 
 _DESCRIPTION = """\
@@ -29,16 +28,15 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("reachable", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
-    out.add_argument("--out", type=Path, metavar="DIR", help="folder of report.html and report.json; a new one")
+    out.option("--out", "folder of report.html and report.json; a new one", Path, metavar="DIR")
     lowest = "least pressure of a muscle, absolute [Pa] (default: a sixth of the supply's gauge pressure)"
-    out.add_argument("--lowest-pressure", type=_number, metavar="PA", help=lowest)
+    out.option("--lowest-pressure", lowest, _number, metavar="PA")
     for name, default, unit, text in (
         ("--supply-margin", SUPPLY_MARGIN, "PA", "how far the pressures stay below the supply's pressure [Pa]"),
         ("--least-force", LEAST_FORCE, "N", "least contraction force of a muscle [N]"),
     ):
-        out.add_argument(name, type=_number, default=default, metavar=unit, help=f"{text} (default: {default:g})")
-    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
-    common.add_open(out)
+        out.option(name, f"{text} (default: {default:g})", _number, default, unit)
+    common.add_page(out)
     return out
 
 
@@ -63,11 +61,10 @@ def _main(arguments: argparse.Namespace) -> int:
         common.only_available_figures(arguments)
     rig = load_rig(arguments.rig, regulators=True)
     box = Box.of(rig.parameters(), arguments.lowest_pressure, arguments.supply_margin, arguments.least_force)
-    report = ReachableReport.of(rig, box)
+    found = ReachableResult.of(rig, box)
     if arguments.out is not None:
-        with common.output_folder(arguments.out) as folder:
-            write_report(folder, rig, report, with_figures=not arguments.no_figures)
-    print(terminal.render(summary(rig, report)))
+        found.save(arguments.out, figures=not arguments.no_figures)
+    print(found.summary())
     if arguments.out is not None:
         common.announce_report(arguments, arguments.out)
     return common.DONE

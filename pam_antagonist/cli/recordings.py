@@ -14,49 +14,39 @@ from pam_antagonist.recording import corrections
 
 if TYPE_CHECKING:
     from pam_antagonist.recording import Recording
+    from pam_antagonist.report.result import Result
     from pam_antagonist.rig import Rig
 
 
-def add_bags(parser: argparse.ArgumentParser) -> None:
+def add_bags(parser: common.Parser) -> None:
     """Bags, rig, new folder, and whether the joint could move."""
-    parser.add_argument(
-        "bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file"
-    )
+    common.add_bags(parser)
     common.add_rig(parser)
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the result; a new one")
-    common.add_joint(
-        parser,
-        ("auto", "free", "locked"),
-        "auto",
-        "could the joint move? (default: auto, from the measured angle)",
-    )
+    common.add_out(parser)
+    common.add_joint(parser, of_recording=True)
 
 
-def add_names_and_report(parser: argparse.ArgumentParser) -> None:
+def add_names_and_report(parser: common.Parser) -> None:
     """Names of topics and joint, damaged bags, and what the report holds."""
     common.add_topics(parser)
-    parser.add_argument("--namespace", metavar="/NS", help="namespace of the rig, where a bag holds several")
-    parser.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states, where it holds several")
+    parser.option("--namespace", "namespace of the rig, where a bag holds several", metavar="/NS")
+    parser.option("--joint-name", "joint in measured/joint_states, where it holds several", metavar="NAME")
     common.add_recover(parser)
     add_corrections(parser)
     common.add_json(parser)
-    parser.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
-    common.add_open(parser)
+    common.add_page(parser)
 
 
-def add_corrections(parser: argparse.ArgumentParser) -> None:
+def add_corrections(parser: common.Parser) -> None:
     """The options that correct a recording, and ``--no-check``."""
     corrections.add_options(parser)
-    parser.add_argument(
-        "--no-check", action="store_true", help="use a recording although the check says that it is wrong"
-    )
+    parser.flag("--no-check", "use a recording although the check says that it is wrong")
 
 
 def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:
     """A bag, corrected as asked and checked against the rig; ``--no-check`` goes on although it is wrong.
 
     Args:
-        arguments: of a command with :func:`add_corrections`.
         how: how it is read, as for ``read_bag``.
     """
     from pam_antagonist.checks import SHORTEST, check_recording
@@ -102,21 +92,9 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
     """The bags of :func:`add_bags`, and others behind them, corrected as asked and checked against the rig."""
     from pam_antagonist.recording import bag_hash
 
-    names = common.topics(arguments)
-    bags = [*arguments.bags, *further]
-    recordings = [
-        read_one(
-            bag,
-            rig,
-            arguments,
-            topics=names,
-            namespace=arguments.namespace,
-            joint_name=arguments.joint_name,
-            recover=arguments.recover,
-            also=getattr(arguments, "also", ()),
-        )
-        for bag in bags
-    ]
+    how = {name: getattr(arguments, name) for name in ("namespace", "joint_name", "recover")}
+    bags, also = [*arguments.bags, *further], getattr(arguments, "also", ())
+    recordings = [read_one(bag, rig, arguments, topics=common.topics(arguments), also=also, **how) for bag in bags]
     hashes = [bag_hash(recording.path) for recording in recordings]
     for k, value in enumerate(hashes):
         if value in hashes[:k]:
@@ -129,7 +107,10 @@ def damage(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> li
     return [issue for recording in recordings for issue in recording.issues] if arguments.recover else []
 
 
-def announce_output(arguments: argparse.Namespace, rig: str = "rig.yaml") -> None:
-    """Say where rig and report are, and show the report if that was asked for."""
-    print(f"\nrig: {arguments.out / rig}")
+def announce(arguments: argparse.Namespace, found: Result, rig: str | None, apart: bool = False) -> None:
+    """Save a result, and say what it is and where rig and report are; without a rig, `apart` is an empty line."""
+    found.save(arguments.out, figures=not arguments.no_figures)
+    print(found.summary())
+    if rig is not None or apart:
+        print("" if rig is None else f"\nrig: {arguments.out / rig}")
     common.announce_report(arguments, arguments.out)

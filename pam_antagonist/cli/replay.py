@@ -40,41 +40,37 @@ examples:
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("replay", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("bags", nargs="+", metavar="BAG", type=Path, help="rosbag2: its folder, or an .mcap or .db3 file")
+    common.add_bags(out)
     common.add_rig(out)
-    common.add_tuning(out)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the report; a new one")
-    out.add_argument(
-        "--save", type=Path, metavar="FILE",
-        help="write the estimate with its covariance and innovations as well: a new .csv, or .mcap for PlotJuggler "
-        "and Foxglove; for one recording only",
+    tuning = "the rig's filter tuning: default, published, ... (default: default)"
+    out.option("--tuning", tuning, None, "default", "NAME")
+    common.add_out(out, "folder for the report; a new one")
+    out.option(
+        "--save", "write the estimate with its covariance and innovations as well: a new .csv, or .mcap for "
+        "PlotJuggler and Foxglove; for one recording only", Path, metavar="FILE",
     )  # fmt: skip
-    common.add_joint(
-        out, ("auto", "free", "locked"), "auto", "could the joint move? (default: auto, from the measured angle)"
-    )
-    out.add_argument(
-        "--from", dest="begin", type=float, metavar="SECONDS",
-        help="estimate from this time of the recording on; if the bag has a checkpoint of the live filter, the filter "
-        "continues from it, and the estimates equal those of a full replay (default: the whole recording)",
+    common.add_joint(out, of_recording=True)
+    out.option(
+        "--from", "estimate from this time of the recording on; if the bag has a checkpoint of the live filter, the "
+        "filter continues from it, and the estimates equal those of a full replay (default: the whole recording)",
+        float, metavar="SECONDS", dest="begin",
     )  # fmt: skip
-    out.add_argument(
-        "--angle-sensor", choices=("auto", "none", "encoder"), default="auto",
-        help="encoder: topic angle_sensor is an input of the filter as well; auto: the same as in the live filter if "
-        "the recording shows that, else none (default: auto)",
+    out.option(
+        "--angle-sensor", "encoder: topic angle_sensor is an input of the filter as well; auto: the same as in the "
+        "live filter if the recording shows that, else none (default: auto)",
+        default="auto", choices=("auto", "none", "encoder"),
     )  # fmt: skip
     common.add_topics(out)
-    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states, where it holds several")
-    out.add_argument("--namespace", metavar="/NS", help="namespace of the joint, where the bag holds several")
-    out.add_argument(
-        "--restarts", choices=("refuse", "last"), default="refuse",
-        help="if the clock was set back while recording: refuse the bag, or read the part after the last time "
-        "(default: refuse)",
+    out.option("--joint-name", "joint in measured/joint_states, where it holds several", metavar="NAME")
+    out.option("--namespace", "namespace of the joint, where the bag holds several", metavar="/NS")
+    out.option(
+        "--restarts", "if the clock was set back while recording: refuse the bag, or read the part after the last time "
+        "(default: refuse)", default="refuse", choices=("refuse", "last"),
     )  # fmt: skip
     common.add_recover(out)
     given.add_corrections(out)
     common.add_json(out)
-    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
-    common.add_open(out)
+    common.add_page(out)
     return out
 
 
@@ -86,7 +82,8 @@ def main(argv: list[str] | None = None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.cli.first_start import REPLAY, compile_first
     from pam_antagonist.replays.table import check_estimate
-    from pam_antagonist.report.replay import write_report
+    from pam_antagonist.report import html
+    from pam_antagonist.report.replay import document, numbers
     from pam_antagonist.rig import load_rig
 
     common.check_output(arguments.out)
@@ -99,14 +96,13 @@ def _run(arguments: argparse.Namespace) -> int:
     compile_first(REPLAY, rig)
     rig.tuning(arguments.tuning)
     common.lock_angle(arguments)
-    names = common.topics(arguments)
     replays = []
     for bag in arguments.bags:
-        for done in _replays(bag, names, rig, arguments):
+        for done in _replays(bag, rig, arguments):
             replays.append(done)
-            print(f"\n{replays[-1].summary()}")
+            print(f"\n{done.summary()}")
     with common.output_folder(arguments.out) as folder:
-        write_report(folder, replays, with_figures=not arguments.no_figures)
+        html.write(folder, document(replays, not arguments.no_figures), numbers(replays))
     print()
     if arguments.save is not None:
         replays[0].save(arguments.save)
@@ -116,35 +112,25 @@ def _run(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _replays(bag: Path, names: dict[str, str], rig: Rig, arguments: argparse.Namespace) -> Iterator[ReplayResult]:
+def _replays(bag: Path, rig: Rig, arguments: argparse.Namespace) -> Iterator[ReplayResult]:
     """The one joint of a bag, or each of its joints."""
     from pam_antagonist.recording import SeveralJoints
 
     try:
-        yield _replay(bag, names, arguments.namespace, rig, arguments)
+        yield _replay(bag, arguments.namespace, rig, arguments)
     except SeveralJoints as found:
-        if names or arguments.save is not None:
+        if arguments.topic or arguments.save is not None:
             raise
         for namespace in found.namespaces:
-            yield _replay(bag, names, namespace, rig, arguments)
+            yield _replay(bag, namespace, rig, arguments)
 
 
-def _replay(
-    bag: Path, names: dict[str, str], namespace: str | None, rig: Rig, arguments: argparse.Namespace
-) -> ReplayResult:
+def _replay(bag: Path, namespace: str | None, rig: Rig, arguments: argparse.Namespace) -> ReplayResult:
     from pam_antagonist.api.replay import replay
 
     begin = time.perf_counter()
-    recording = given.read_one(
-        bag,
-        rig,
-        arguments,
-        topics=names,
-        namespace=namespace,
-        joint_name=arguments.joint_name,
-        restarts=arguments.restarts,
-        recover=arguments.recover,
-    )
+    how = {name: getattr(arguments, name) for name in ("joint_name", "restarts", "recover")}
+    recording = given.read_one(bag, rig, arguments, topics=common.topics(arguments), namespace=namespace, **how)
     read_seconds = time.perf_counter() - begin
     with counted(len(recording.stamp_ns), f"replay {bag.name}") as done:
         return replay(

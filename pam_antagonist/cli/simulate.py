@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import SEED
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, write_bag
@@ -36,27 +35,18 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("simulate", _DESCRIPTION, _EXAMPLES)
     common.add_rig(out)
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the bag; a new one")
-    out.add_argument(
-        "--profile",
-        default="paper",
-        metavar="NAME|FILE.csv",
-        help=f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s and V; "
-        "for a rig with pressure regulators, u1 and u2 are the commanded pressures in Pa",
-    )
-    out.add_argument(
-        "--duration", type=float, metavar="S", help="length [s] (default: 130 for paper, 60, or that of the CSV file)"
-    )
-    common.add_joint(out, ("free", "locked"), "free", "may the joint move? (default: free)")
-    out.add_argument("--seed", type=SEED, default=0, help="seed of all random numbers (default: 0)")
-    out.add_argument(
-        "--mismatch",
-        type=float,
-        default=0.0,
-        metavar="X",
-        help="relative deviation of the joint's parameters from the rig file (default: 0)",
-    )
-    out.add_argument("--no-noise", action="store_true", help="exact sensors")
+    common.add_out(out, "folder of the bag; a new one")
+    out.option(
+        "--profile", f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s "
+        "and V; for a rig with pressure regulators, u1 and u2 are the commanded pressures in Pa",
+        None, "paper", "NAME|FILE.csv",
+    )  # fmt: skip
+    out.option("--duration", "length [s] (default: 130 for paper, 60, or that of the CSV file)", float, metavar="S")
+    common.add_joint(out)
+    common.add_seed(out, "all random numbers")
+    mismatch = "relative deviation of the joint's parameters from the rig file (default: 0)"
+    out.option("--mismatch", mismatch, float, 0.0, "X")
+    out.flag("--no-noise", "exact sensors")
     return out
 
 

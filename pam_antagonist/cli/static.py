@@ -5,17 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from pam_antagonist.api.static import StaticResult, static
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static import StaticResult, work_out
-from pam_antagonist.identification.static_table import QUANTITIES, Choice, read_force_map, read_volumes
+from pam_antagonist.identification.static_table import QUANTITIES, Choice
 from pam_antagonist.model import parameters as par
 from pam_antagonist.program import typed
-from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
-from pam_antagonist.report import terminal
-from pam_antagonist.report.static import summary, write_report
-from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
 
 _DESCRIPTION = """\
 Fit a muscle's volume and force map to static measurements.
@@ -40,52 +35,28 @@ examples:
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("static", _DESCRIPTION, _EXAMPLES)
-    out.add_argument("--volume", type=Path, metavar="FILE", help="CSV of length and volume")
-    out.add_argument("--force-map", type=Path, metavar="FILE", help="CSV of length, pressure and force")
-    out.add_argument(
-        "--muscle",
-        choices=("1", "2", "both"),
-        default="both",
-        help="muscle that gets the fitted coefficients (default: both get the same)",
-    )
-    out.add_argument(
-        "--rig",
-        metavar="RIG",
-        help="a YAML file, or the name of a rig of the package; may be left out with --report-only",
-    )
-    out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the results; a new one")
-    out.add_argument(
-        "--form",
-        choices=par.FORCE_FORMS,
-        help="form of the force map in rig.yaml (default: the rig's, and braided for muscles of a data sheet)",
-    )
-    out.add_argument(
-        "--column", action="append", default=[], type=_column, metavar="QUANTITY=NAME[:UNIT[:gauge|absolute]]",
-        help=f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not give it",
+    out.option("--volume", "CSV of length and volume", Path, metavar="FILE")
+    out.option("--force-map", "CSV of length, pressure and force", Path, metavar="FILE")
+    muscle = "muscle that gets the fitted coefficients (default: both get the same)"
+    out.option("--muscle", muscle, default="both", choices=("1", "2", "both"))
+    rig = "a YAML file, or the name of a rig of the package; may be left out with --report-only"
+    out.option("--rig", rig, metavar="RIG")
+    common.add_out(out, "folder for the results; a new one")
+    form = "form of the force map in rig.yaml (default: the rig's, and braided for muscles of a data sheet)"
+    out.option("--form", form, choices=par.FORCE_FORMS)
+    column = f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not give it"
+    out.repeated("--column", column, "QUANTITY=NAME[:UNIT[:gauge|absolute]]", _column)
+    reference = "what the pressures are, where the column's name does not say it"
+    out.option("--pressure", reference, default="", choices=("gauge", "absolute"))
+    slack = "largest force that means a slack muscle, for sensors whose zero wanders [N] (default: 0)"
+    out.option("--slack-below", slack, _newton, 0.0, "N")
+    out.option(
+        "--length", "muscle length at angle 0 [m], in place of the rig's geometry.length; without a rig the muscle's "
+        "nominal length, without pressure and load", float, metavar="L_0",
     )  # fmt: skip
-    out.add_argument(
-        "--pressure",
-        choices=("gauge", "absolute"),
-        default="",
-        help="what the pressures are, where the column's name does not say it",
-    )
-    out.add_argument(
-        "--slack-below", type=_newton, default=0.0, metavar="N",
-        help="largest force that means a slack muscle, for sensors whose zero wanders [N] (default: 0)",
-    )  # fmt: skip
-    out.add_argument(
-        "--length",
-        type=float,
-        metavar="L_0",
-        help="muscle length at angle 0 [m], in place of the rig's geometry.length; without a rig the muscle's nominal "
-        "length, without pressure and load",
-    )
-    out.add_argument(
-        "--report-only", action="store_true", help="write no rig.yaml; then the muscle need not fit the rig"
-    )
+    out.flag("--report-only", "write no rig.yaml; then the muscle need not fit the rig")
     common.add_json(out)
-    out.add_argument("--no-figures", action="store_true", help="leave the figures out of report.html (2 MB less)")
-    common.add_open(out)
+    common.add_page(out)
     return out
 
 
@@ -124,11 +95,8 @@ def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     result = _worked_out(arguments)
-    with common.output_folder(arguments.out) as folder:
-        if result.fitted is not None:
-            write_rig(result.fitted, folder / "rig.yaml", _remarks(result, result.fitted))
-        write_report(folder, result, with_figures=not arguments.no_figures)
-    print(f"{terminal.render(summary(result))}\n")
+    result.save(arguments.out, figures=not arguments.no_figures)
+    print(f"{result.summary()}\n")
     if result.fitted is not None:
         print(f"rig: {arguments.out / 'rig.yaml'}")
     common.announce_report(arguments, arguments.out)
@@ -147,25 +115,14 @@ def _worked_out(arguments: argparse.Namespace) -> StaticResult:
     columns = _columns(arguments)
     if arguments.rig is None and not arguments.report_only:
         raise BadInput("--rig: expected a rig file, or --report-only for a muscle without a rig")
-    length = 0.0
-    if arguments.length is not None:
-        length = arguments.length
-        if not 0.02 < length < 2.0:
-            raise BadInput(f"--length {length:g} m: expected the muscle's length at angle 0, 0.02 to 2 m")
-    rig = None if arguments.rig is None else load_rig(arguments.rig, regulators=True)
-    volumes = force_map = None
-    if arguments.volume is not None:
-        volumes = read_volumes(arguments.volume, columns)
-    if arguments.force_map is not None:
-        force_map = read_force_map(
-            arguments.force_map,
-            STANDARD_ATMOSPHERE if rig is None else rig.atmosphere.pressure,
-            columns,
-            arguments.pressure,
-            arguments.slack_below,
-        )
+    if arguments.length is not None and not 0.02 < arguments.length < 2.0:
+        raise BadInput(f"--length {arguments.length:g} m: expected the muscle's length at angle 0, 0.02 to 2 m")
     muscles = (1, 2) if arguments.muscle == "both" else (int(arguments.muscle),)
-    return work_out(rig, volumes, force_map, muscles, arguments.form or "", length, arguments.report_only)
+    return static(
+        arguments.rig, arguments.volume, arguments.force_map, muscles=muscles, form=arguments.form or "",
+        columns=columns, pressure=arguments.pressure, slack_below=arguments.slack_below, length=arguments.length,
+        report_only=arguments.report_only,
+    )  # fmt: skip
 
 
 def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
@@ -182,10 +139,3 @@ def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
             )
         chosen[quantity] = choice
     return chosen
-
-
-def _remarks(result: StaticResult, rig: Rig) -> list[str]:
-    tables = [table.name for table in result.tables]
-    whose = " and ".join(str(number) for number in result.muscles)
-    lines = [f"Rig {rig.name} with static fits of muscle {whose} from {' and '.join(tables)}; their errors: priors."]
-    return lines + [f"! {text}" for text in result.warnings]

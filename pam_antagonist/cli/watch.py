@@ -38,23 +38,16 @@ _LOOK_S = 4.0
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("watch", _DESCRIPTION, _EXAMPLES)
-    out.add_argument(
-        "--namespace", metavar="/NS", default=DEFAULT_NAMESPACE, help="namespace of the joint (default: %(default)s)"
-    )
-    out.add_argument("--joint-name", metavar="NAME", help="joint in measured/joint_states (default: the first)")
-    out.add_argument(
-        "--port", type=whole(0, 65535), default=8765, help="port of the page; 0: any free one (default: %(default)s)"
-    )
-    out.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS",
-        help="address to listen on (default: %(default)s, this machine alone)",
+    out.option("--namespace", "namespace of the joint (default: %(default)s)", None, DEFAULT_NAMESPACE, "/NS")
+    out.option("--joint-name", "joint in measured/joint_states (default: the first)", metavar="NAME")
+    out.option("--port", "port of the page; 0: any free one (default: %(default)s)", whole(0, 65535), 8765)
+    host = "address to listen on (default: %(default)s, this machine alone)"
+    out.option("--host", host, None, "127.0.0.1", "ADDRESS")
+    out.flag(
+        "--allow-commands", "let the page send references, enable and disable the controller, and clear stops; the "
+        "page needs the key in the address that is printed",
     )  # fmt: skip
-    out.add_argument(
-        "--allow-commands", action="store_true",
-        help="let the page send references, enable and disable the controller, and clear stops; the page needs the key "
-        "in the address that is printed",
-    )  # fmt: skip
-    out.add_argument("--open", action="store_true", help="open the page in the browser")
+    out.flag("--open", "open the page in the browser")
     return out
 
 

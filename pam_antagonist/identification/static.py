@@ -64,7 +64,7 @@ def reach(rig: Rig) -> Reach:
 
 
 @dataclass(frozen=True, eq=False)
-class StaticResult:
+class StaticFits:
     """The results of static tables.
 
     Attributes:
@@ -128,7 +128,7 @@ def work_out(
     form: str = "",
     length: float = 0.0,
     report_only: bool = False,
-) -> StaticResult:
+) -> StaticFits:
     """Fit static tables and put them into a rig.
 
     Args:
@@ -172,7 +172,7 @@ def work_out(
         warnings += _doubts_about_force(force, target) if target else []
         warnings += _better_form(forms, form, force)
     fitted = target and _with_fits(target, muscles, volume, force, _source(volumes, force_map, muscles))
-    return StaticResult(
+    return StaticFits(
         rig, fitted, tuple(muscles), volumes, volume, force_map, forms, form if force else "",
         tuple(dict.fromkeys(warnings)),
     )  # fmt: skip

@@ -1,241 +1,239 @@
-"""Results of ``close_loop`` as typed numbers, the content of its ``report.json``.
-
-The fields of :class:`CloseLoopReport` and of the classes in it are the keys of ``report.json``.
-"""
+"""The result of ``close_loop``: a diagnosis with its inputs, the rig files that follow, and ``report.json``."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.diagnosis import found_calibrations, thresholds
-from pam_antagonist.diagnosis.errors import ModelErrors
-from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
-from pam_antagonist.diagnosis.remaining import RemainingResidual
-from pam_antagonist.diagnosis.result import (
-    Ambiguity,
-    Diagnosis,
-    FoundEffect,
-    PartVerdict,
-    RecordingEntry,
-    Size,
-    SizeProfile,
-    Splits,
-    Verdict,
-)
-from pam_antagonist.diagnosis.rig_choice import RigChoice
+from typing_extensions import override
+
+from pam_antagonist.diagnosis import Diagnosis, found_calibrations, thresholds
+from pam_antagonist.diagnosis.from_pressures import Tried
+from pam_antagonist.diagnosis.result import FoundEffect, RecordingEntry, Size
+from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.warnings import like_a_curve
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.report import close_loop_document as pages
 from pam_antagonist.report.assumption import assumption
+from pam_antagonist.report.document import Block, Document
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.rig import Rig
-from pam_antagonist.shown import Shown
+from pam_antagonist.rig.schema import Calibration
+from pam_antagonist.rig.write import refusal, write_rig
 from pam_antagonist.software import versions
 
-
-@dataclass(frozen=True)
-class Calibration:
-    """A calibration of a sensor or a clock that the recordings need.
-
-    Attributes:
-        name: ``encoder_zero``, ``torque_zero``, ``torque_scale``, or ``delay_`` and the signal that is stamped early.
-        value: in ``unit``; positive where a sensor reads too high, or stamps are early.
-        ambiguous_with: effects and calibrations that the recordings cannot distinguish from this one.
-    """
-
-    name: str
-    value: float
-    std: float
-    unit: str
-    sentence: str
-    delta_bic: float
-    recordings: Mapping[str, Size]
-    ambiguous_with: tuple[str, ...]
-
-    @classmethod
-    def of(cls, found: FoundCalibration) -> Calibration:
-        """The entry of a calibration."""
-        each = {name: Size(value, std, found.unit) for name, (value, std) in found.by_recording.items()}
-        words = found_calibrations.in_words(found)
-        return cls(found.name, found.value, found.std, found.unit, words, found.delta_bic, each, found.rivals)
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A candidate in one round.
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnoseResult(Diagnosis, Result):
+    """The diagnosis, see :class:`pam_antagonist.diagnosis.Diagnosis`, with its inputs.
 
     Attributes:
-        round: from 1.
-        holdout_gain: share of the held-out excess that the candidate explains; None likewise.
-        score_by_muscle: score on each muscle alone; None where this was not tried.
+        start: the rig as configured.
+        hashes: SHA-256 of each recording, whole held-out recordings last.
+        seed: of the search.
+        kept: share of each recording that was held out, or names of held-out recordings.
+        typed: corrections with which the recordings were read.
     """
 
-    name: str
-    round: int
-    score: float
-    delta_bic: float | None
-    holdout_gain: float | None
-    taken: bool
-    score_by_muscle: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings of the diagnosis, and the thresholds of its decisions.
-
-    Attributes:
-        holdout: share of each recording that was held out, or names of recordings.
-        first_share: least share of the held-out excess that a first effect explains.
-    """
-
-    rig: str
-    rig_source: str
+    start: Rig
+    hashes: tuple[str, ...]
     seed: int
-    holdout: float | tuple[str, ...]
-    strong_evidence: float
-    first_share: float
-    further_share: float
-    explained_share: float
+    kept: float | tuple[str, ...]
+    typed: Corrections = field(default_factory=Corrections)
 
+    @override
+    def _brief(self) -> str:
+        pairs = [
+            (name, unit, getattr(self.errors.as_configured, name), getattr(self.errors.extended, name))
+            for name, unit in (("angle", "°"), ("torque", " N m"))
+        ]
+        errors = [f"{name} RMSE {a.rmse:.3g}{unit} -> {b.rmse:.3g}{unit}" for name, unit, a, b in pairs if a and b]
+        return "; ".join([self.verdict, *errors, self.sentence])
 
-@dataclass(frozen=True, repr=False)
-class CloseLoopReport(Shown):
-    """All numbers of a diagnosis.
+    @cached_property
+    def choice(self) -> RigChoice:
+        """The rig files that :meth:`save` writes, and the one to use."""
+        return choose(self, self.start.name, self._refusal)
 
-    Attributes:
-        verdict: ``effect``, ``none`` or ``unexplained``.
-        ambiguous_with: effects and calibrations that the recordings cannot distinguish from the detected ones.
-        ambiguities: effects that were compared with a detected one under equal conditions.
-        share_explained: share of the held-out excess over noise that the effects explain; None if that is a disturbance
-            torque in recordings of which nothing is held out.
-        parts: verdict on each part of the joint with a test of its own.
-        reference: errors of straight-line maps without physics [N m]; None where there is none.
-        base_friction_removed: whether the rig file's friction was removed before the tests.
-        timing: durations of the steps [s].
-        splits: of the effect with the fewest supporting splits; None without splits.
-        calibration: zeros, scales and late stamps that the recordings need; these are no effects.
-        corrections: command line options for this calibration, including those that were already given.
-        assumption: the uncertainty that the configured rig claims; None for an identified one.
-        next_rig: name of the rig file to use; None: keep the one that there is.
-    """
+    @property
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        return None if self.choice.proposed is None else self.choice.proposed.name
 
-    verdict: Verdict
-    sentence: str
-    effects: tuple[FoundEffect, ...]
-    ambiguous_with: tuple[str, ...]
-    experiments: Mapping[str, str]
-    ambiguities: tuple[Ambiguity, ...]
-    share_explained: float | None
-    parts: tuple[PartVerdict, ...]
-    reference: Mapping[str, float] | None
-    base_friction_removed: bool
-    errors: ModelErrors
-    recordings: tuple[RecordingEntry, ...]
-    ranking: tuple[Candidate, ...]
-    profiles: tuple[SizeProfile, ...]
-    remaining: tuple[str, ...]
-    left: tuple[RemainingResidual, ...]
-    unseen: tuple[str, ...]
-    warnings: tuple[str, ...]
-    settings: Settings
-    timing: Mapping[str, float]
-    software: Mapping[str, str]
-    splits: Splits | None = None
-    calibration: tuple[Calibration, ...] = ()
-    corrections: tuple[str, ...] = ()
-    assumption: str | None = None
-    next_steps: tuple[str, ...] = ()
-    next_rig: str | None = None
+    @property
+    def rig_files(self) -> tuple[str, ...]:
+        """Names of the rig files that :meth:`save` writes, those for all recordings first."""
+        return tuple(file.name for file in self.choice.files)
+
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """Recommended next steps, in sentences."""
+        return _next_steps(self, self.start, self.choice)
+
+    @property
+    def corrections(self) -> tuple[str, ...]:
+        """Command line options for what was typed and what was found together; none if that is too much for them."""
+        try:
+            further = found_calibrations.corrections({item.name: item.value for item in self.calibrations})
+            return tuple(self.typed.followed_by(further).options()) if self.calibrations else ()
+        except BadInput:
+            return ()
 
     @property
     def driven(self) -> bool:
         """Whether the measured angle drives the model, as for a sealed joint."""
-        return any(part.joint == "driven" for part in self.recordings)
+        return any(part.joint == "driven" for part in self.by_recording)
+
+    @property
+    def recordings(self) -> tuple[RecordingEntry, ...]:
+        """The recordings with the errors on them, and their checksums."""
+        return tuple(replace(part, sha256=value) for part, value in zip(self.by_recording, self.hashes, strict=True))
+
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effects": self.effects,
+            "ambiguous_with": self.ambiguous_with,
+            "experiments": self.experiment,
+            "ambiguities": self.ambiguities,
+            "share_explained": self.share,
+            "parts": self.parts,
+            "reference": self.reference,
+            "base_friction_removed": self.base_friction_removed,
+            "errors": self.errors,
+            "recordings": self.recordings,
+            "ranking": [
+                {
+                    "name": item.effect,
+                    "round": item.round,
+                    "score": item.score,
+                    "delta_bic": item.delta_bic,
+                    "holdout_gain": None if item.shares is None else item.shares[0],
+                    "taken": item.taken,
+                    "score_by_muscle": item.muscles,
+                }
+                for item in self.ranking
+            ],
+            "profiles": self.profiles,
+            "remaining": [item.line() for item in self.remaining],
+            "left": self.remaining,
+            "unseen": self.unseen,
+            "warnings": self.warnings,
+            "settings": {
+                "rig": self.start.name,
+                "rig_source": " ".join(self.start.source.split()),
+                "seed": self.seed,
+                "holdout": self.kept,
+                "strong_evidence": thresholds.STRONG,
+                "first_share": thresholds.FIRST_SHARE,
+                "further_share": thresholds.FURTHER_SHARE,
+                "explained_share": thresholds.EXPLAINED,
+            },
+            "timing": self.seconds,
+            "software": versions(),
+            "splits": min((effect.splits for effect in self.effects if effect.splits is not None), default=None),
+            "calibration": [
+                {
+                    "name": item.name,
+                    "value": item.value,
+                    "std": item.std,
+                    "unit": item.unit,
+                    "sentence": found_calibrations.in_words(item),
+                    "delta_bic": item.delta_bic,
+                    "recordings": {name: Size(*each, item.unit) for name, each in item.by_recording.items()},
+                    "ambiguous_with": item.rivals,
+                }
+                for item in self.calibrations
+            ],
+            "corrections": self.corrections,
+            "assumption": assumption(self.start),
+            "next_steps": self.next_steps,
+            "next_rig": self.next_rig,
+        }
+
+    @override
+    def blocks(self) -> Sequence[Block]:
+        """What a terminal shows."""
+        return pages.summary(self)
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        return pages.document(self, figures)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter of each detected effect (needs pandas)."""
+        return effects_frame(self.effects)
+
+    @override
+    def _write_rigs(self, folder: Path) -> None:
+        about = [
+            f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}",
+            "Recordings (SHA-256):",
+            *(f"  {own}: {value}" for (own, _), value in zip(self.own, self.hashes, strict=False)),
+            *(f"Attention: {warning}." for warning in self.warnings),
+        ]
+        remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
+        for file in self.choice.files:
+            alone = [] if file.number is None else [f"The values of {self.own[file.number][0]} alone."]
+            write_rig(self._written(file), folder / file.name, [*remarks, *alone])
+
+    def _written(self, file: RigFile) -> Rig:
+        """The content of a rig file: with its source, and with the calibration of its recordings."""
+        names = ", ".join(own for own, _ in self.own)
+        source = f"extended by close_loop from {names}; started from: {self.start.source}"
+        found = {item.name: item.value for item in self.calibrations}
+        if file.number is not None:
+            own = self.own[file.number][0]
+            source += f"; with the values of {own} alone"
+            found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
+        rig = with_known_curves(file.rig, self.start).replaced(
+            name=f"{self.start.name.removesuffix('_extended')}_extended", source=" ".join(source.split())
+        )
+        return _calibrated(rig, self.typed, found)
+
+    def _refusal(self, file: RigFile) -> str:
+        """Why no command would read a rig file; empty if all would."""
+        try:
+            return refusal(self._written(file))
+        except (BadInput, ValueError) as error:
+            return " ".join(str(error).split())
 
 
-def _least(effects: Sequence[FoundEffect]) -> Splits | None:
-    return min((effect.splits for effect in effects if effect.splits is not None), default=None)
+def effects_frame(effects: Sequence[FoundEffect | Tried]) -> DataFrame:
+    """A row for each parameter of each effect."""
+    rows = [
+        (effect.name, effect.muscle, name, value, std, unit, effect.delta_bic)
+        for effect in effects
+        for name, (value, std, unit) in effect.parameters.items()
+    ]
+    return frame_of(rows, ("effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"))
 
 
-def _options(typed: Corrections, found: Sequence[FoundCalibration]) -> tuple[str, ...]:
-    """Options for what was typed and what was found together; none if that is more than an option may say."""
+def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
+    """A rig with the calibration of its recordings: as read, combined with the found one."""
     try:
-        further = found_calibrations.corrections({item.name: item.value for item in found})
-        return tuple(typed.followed_by(further).options()) if found else ()
+        corrected = typed.followed_by(found_calibrations.corrections(found))
     except BadInput:
-        return ()
+        raise BadInput("its calibration would be larger than any that a rig file may have") from None
+    return rig.replaced(calibration=Calibration(**corrected.calibration()))
 
 
-def report(
-    found: Diagnosis,
-    rig: Rig,
-    hashes: Sequence[str],
-    seed: int,
-    holdout: float | Sequence[str],
-    typed: Corrections,
-    choice: RigChoice,
-) -> CloseLoopReport:
-    """The numbers of a diagnosis.
-
-    Args:
-        hashes: SHA-256 of each bag, whole held-out recordings last.
-        holdout: share of each recording that was held out, or names of held-out recordings.
-    """
-    return CloseLoopReport(
-        verdict=found.verdict,
-        sentence=found.sentence,
-        effects=found.effects,
-        calibration=tuple(map(Calibration.of, found.calibrations)),
-        corrections=_options(typed, found.calibrations),
-        ambiguous_with=tuple(found.ambiguous_with),
-        experiments=dict(found.experiment),
-        ambiguities=tuple(found.ambiguities),
-        share_explained=found.share,
-        parts=found.parts,
-        reference=None if found.reference is None else dict(found.reference),
-        base_friction_removed=found.base_friction_removed,
-        errors=found.errors,
-        recordings=tuple(replace(part, sha256=value) for part, value in zip(found.by_recording, hashes, strict=True)),
-        ranking=tuple(
-            Candidate(
-                item.effect,
-                item.round,
-                item.score,
-                item.delta_bic,
-                None if item.shares is None else item.shares[0],
-                item.taken,
-                item.muscles,
-            )
-            for item in found.ranking
-        ),
-        profiles=found.profiles,
-        remaining=tuple(item.line() for item in found.remaining),
-        left=found.remaining,
-        unseen=tuple(found.unseen),
-        warnings=tuple(found.warnings),
-        settings=Settings(
-            rig.name,
-            " ".join(rig.source.split()),
-            seed,
-            holdout if isinstance(holdout, float) else tuple(holdout),
-            thresholds.STRONG,
-            thresholds.FIRST_SHARE,
-            thresholds.FURTHER_SHARE,
-            thresholds.EXPLAINED,
-        ),
-        timing=dict(found.seconds),
-        software=versions(),
-        splits=_least(found.effects),
-        assumption=assumption(rig),
-        next_steps=next_steps(found, rig, choice),
-        next_rig=None if choice.proposed is None else choice.proposed.name,
-    )
-
-
-def next_steps(found: Diagnosis, rig: Rig, choice: RigChoice) -> tuple[str, ...]:
-    """Recommended next steps after a diagnosis, in sentences."""
+def _next_steps(found: Diagnosis, rig: Rig, choice: RigChoice) -> tuple[str, ...]:
     out, files = [], [file.name for file in choice.files]
     if choice.no_common:
         own = [file.name for file in choice.files if file.number is not None]

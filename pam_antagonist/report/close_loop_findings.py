@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.result import Ambiguity
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report.close_loop import CloseLoopReport
-from pam_antagonist.report.document import Finding
+from pam_antagonist.report.document import Finding, good, note, warn
 from pam_antagonist.report.table import number
+
+if TYPE_CHECKING:
+    from pam_antagonist.report.close_loop import DiagnoseResult
 
 _DEFINITIONS = (
     ("As configured", "The model with the values of the rig file."),
-    (
-        "Extended",
-        "The recalibrated model with the effects that were found.",
-    ),
+    ("Extended", "The recalibrated model with the effects that were found."),
     (
         "Held out",
         "The end of each recording, or whole recordings, which no fit used. All errors in this report are counted "
@@ -60,31 +62,31 @@ _DRIVEN = (
 )
 
 
-def findings(report: CloseLoopReport) -> tuple[Finding, ...]:
+def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
     """Findings in addition to the verdict."""
-    out = [Finding("warn", sentence(text)) for text in report.warnings]
-    rivals = {item.other: item for item in report.ambiguities if item.ambiguous}
-    for name in report.ambiguous_with:
+    out = [warn(sentence(text)) for text in found.warnings]
+    rivals = {item.other: item for item in found.ambiguities if item.ambiguous}
+    for name in found.ambiguous_with:
         text = f"{_title(name)} would explain the data as well{_compared(rivals.get(name))}."
-        out.append(Finding("warn", f"{text} To distinguish them: {report.experiments[name]}."))
-    for item in report.ambiguities:
+        out.append(warn(f"{text} To distinguish them: {found.experiment[name]}."))
+    for item in found.ambiguities:
         if not item.ambiguous:
-            out.append(Finding("good", f"{_title(item.other)} explains the data less well{_compared(item)}."))
-    if report.effects and not report.ambiguous_with:
-        out.append(Finding("good", "No other candidate explains the data nearly as well as what was found."))
-    return (*out, *_of_parts(report))
+            out.append(good(f"{_title(item.other)} explains the data less well{_compared(item)}."))
+    if found.effects and not found.ambiguous_with:
+        out.append(good("No other candidate explains the data nearly as well as what was found."))
+    return (*out, *_of_parts(found))
 
 
-def calibration_findings(report: CloseLoopReport) -> tuple[Finding, ...]:
+def calibration_findings(found: DiagnoseResult) -> tuple[Finding, ...]:
     """The calibrations that the recordings need, with command line options."""
-    if not report.calibration:
+    if not found.calibrations:
         return ()
-    what = "; ".join(item.sentence for item in report.calibration)
-    if not report.corrections:
-        return (Finding("warn", f"{what[0].upper()}{what[1:]}. Together with the options given, that is too much."),)
-    text = f"{what[0].upper()}{what[1:]}. To correct that, add `{' '.join(report.corrections)}` to every command"
+    what = "; ".join(map(found_calibrations.in_words, found.calibrations))
+    if not found.corrections:
+        return (warn(f"{what[0].upper()}{what[1:]}. Together with the options given, that is too much."),)
+    text = f"{what[0].upper()}{what[1:]}. To correct that, add `{' '.join(found.corrections)}` to every command"
     rig = "An extended rig file has it already: then the options are not needed."
-    return (Finding("warn", f"{text} that reads these recordings. {rig}"),)
+    return (warn(f"{text} that reads these recordings. {rig}"),)
 
 
 def _title(name: str) -> str:
@@ -105,33 +107,31 @@ def _compared(item: Ambiguity | None) -> str:
     return text
 
 
-def _of_parts(report: CloseLoopReport) -> list[Finding]:
+def _of_parts(found: DiagnoseResult) -> list[Finding]:
     out = []
-    if report.effects:
+    if found.effects:
         before, after = (
             None if model.sliding is None else model.sliding.rmse_sliding_nm
-            for model in (report.errors.as_configured, report.errors.extended)
+            for model in (found.errors.as_configured, found.errors.extended)
         )
         if before is not None and after is not None and before < after:
             out.append(
-                Finding(
-                    "note",
+                note(
                     f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, "
                     f"extended {number(after, 2)} N m). The reason: identify fits only the samples in which the joint "
-                    "slides. Here all samples count, and no law predicts the torque while the joint sticks.",
+                    "slides. Here all samples count, and no law predicts the torque while the joint sticks."
                 )
             )
         out += [
-            Finding("warn", f"The residual of the {part.name} is above noise, and no effect explains it.")
-            for part in report.parts
+            warn(f"The residual of the {part.name} is above noise, and no effect explains it.")
+            for part in found.parts
             if part.verdict == "unexplained"
         ]
-    if report.base_friction_removed and any(part.name == "torque" for part in report.parts):
+    if found.base_friction_removed and any(part.name == "torque" for part in found.parts):
         out.append(
-            Finding(
-                "note",
+            note(
                 "The rig file has Coulomb friction. It was removed before the test, so that every cause of a "
-                "hysteresis loop was tested. The extended rig has friction as an effect instead.",
+                "hysteresis loop was tested. The extended rig has friction as an effect instead."
             )
         )
     return out
@@ -144,26 +144,25 @@ def sentence(text: str) -> str:
     return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def definitions(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
+def definitions(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
     """Terms of the report and what they mean."""
     first, *others = _DEFINITIONS
-    recalibrated = ("Recalibrated", _RECALIBRATED_DRIVEN if report.driven else _RECALIBRATED)
-    return (first, recalibrated, *others, *(_DRIVEN if report.driven else ()))
+    recalibrated = ("Recalibrated", _RECALIBRATED_DRIVEN if found.driven else _RECALIBRATED)
+    return (first, recalibrated, *others, *(_DRIVEN if found.driven else ()))
 
 
-def assumed(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
+def assumed(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
     """Assumptions of the diagnosis."""
-    settings = report.settings
     noise = "Gaussian, of unknown size for each channel, at least the sensor's noise."
-    thresholds = (
+    needed = (
         "Thresholds",
-        f"An effect needs a ΔBIC of {settings.strong_evidence:g}. The first effect has to explain "
-        f"{100 * settings.first_share:.0f} % of the excess over noise on held-out data. Each further effect has to "
-        f"explain {100 * settings.further_share:.0f} % of the whole excess, and all effects together "
-        f"{100 * settings.explained_share:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
+        f"An effect needs a ΔBIC of {thresholds.STRONG:g}. The first effect has to explain "
+        f"{100 * thresholds.FIRST_SHARE:.0f} % of the excess over noise on held-out data. Each further effect has to "
+        f"explain {100 * thresholds.FURTHER_SHARE:.0f} % of the whole excess, and all effects together "
+        f"{100 * thresholds.EXPLAINED:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
         "simulated joints.",
     )
-    if report.driven:
+    if found.driven:
         return (
             ("Input", "The measured angle. Where it is noisy, it is smoothed at 3 Hz without a phase shift."),
             ("Volume and force", "As the rig file declares them, except for what `identify` finds on a sealed joint."),
@@ -173,15 +172,15 @@ def assumed(report: CloseLoopReport) -> tuple[tuple[str, str], ...]:
                 "is the rig file's; an error of the encoder changes the modelled pressures and torque as well.",
             ),
             ("Errors of the model", noise),
-            thresholds,
+            needed,
         )
-    tried = {item.name for item in report.ranking}
+    tried = {item.effect for item in found.ranking}
     tested = ", ".join(name for name in CATALOGUE if name in tried)
     return (
         ("Start", "Each recording begins at rest, and slow effects have settled."),
         ("Base parameters", "Known to 5 % before the fit (the supply to 1 %). Each recording has its own values."),
         ("Sensors", "White noise, estimated from the changes between samples, and the resolution of their converters."),
         ("Errors of the model", noise),
-        thresholds,
+        needed,
         ("Catalogue", f"{tested}. Anything else can only be called unexplained."),
     )

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from typing_extensions import override
 
 from pam_antagonist.diagnosis.from_pressures import LEAST_GAIN, FoundFromPressures, Tried
-from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
+from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report import identify_figures as drawn
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Section, Text, Tile, Tiles, background
-from pam_antagonist.report.identify import judged_of
+from pam_antagonist.report.close_loop import effects_frame
+from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
+from pam_antagonist.report.identify_figures import held_out_figures
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Comparison, Table, number, percent
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import refusal, write_rig
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _SHOWN = 10
 """Effects in the table."""
@@ -45,19 +56,6 @@ def _in_words(item: Tried) -> str:
 def _why_not(found: FoundFromPressures) -> str:
     best = found.extended or found.recalibrated
     return best.rejected or "no other is better on held-out data."
-
-
-def summary(found: FoundFromPressures) -> tuple[Block, ...]:
-    """Blocks for the terminal."""
-    items = [Finding("note", text) for text in (found.extended or found.recalibrated).notes]
-    if found.ambiguous_with:
-        items.append(Finding("warn", f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
-    for place in found.unexplained if found.taken else ():
-        items.append(Finding("warn", f"No effect explains what is left in {place} above the sensors' noise."))
-    blocks: list[Block] = [Text(sentence(found), "verdict")]
-    if items:
-        blocks.append(Findings(tuple(items)))
-    return (*blocks, _errors(found), _effects(found))
 
 
 def _results(found: FoundFromPressures) -> list[FromPressures]:
@@ -96,92 +94,154 @@ def _values(item: Tried) -> Table:
     return Table((item.name, "value", "std", "unit"), rows)
 
 
-def document(found: FoundFromPressures, hashes: Sequence[str], with_figures: bool) -> Document:
-    """The page.
+@dataclass(frozen=True, eq=False, repr=False)
+class PressuresDiagnoseResult(Result):
+    """An effect that the model of a rig lacks, from measured pressures.
 
-    Args:
+    Attributes:
         hashes: SHA-256 of the recordings.
     """
-    rig = found.recalibrated.start.name
-    best = found.proposed
-    now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
-    tiles = Tiles(
-        (
-            Tile("verdict", found.verdict, ", ".join(item.name for item in found.taken)),
-            Tile("angle, held-out", now, f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"),
+
+    start: Rig
+    found: FoundFromPressures
+    hashes: tuple[str, ...]
+
+    @override
+    def _brief(self) -> str:
+        return f"{self.verdict}; {self.sentence}"
+
+    @property
+    def verdict(self) -> str:
+        """``effect``, ``none`` or ``unexplained``."""
+        return self.found.verdict
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        return sentence(self.found)
+
+    @property
+    def effects(self) -> tuple[Tried, ...]:
+        """The detected effects."""
+        return self.found.taken
+
+    @property
+    def ambiguous_with(self) -> tuple[str, ...]:
+        """Effects that the recordings cannot tell from the detected ones."""
+        return self.found.ambiguous_with
+
+    @property
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        best = self.found.proposed
+        if best is None or refusal(best.rig):
+            return None
+        return "rig_extended.yaml" if best is self.found.extended else "rig_recalibrated.yaml"
+
+    @property
+    def rig_extended(self) -> Rig:
+        """The rig to use: with the effects, recalibrated, or as configured, whichever is best on held-out data."""
+        best = self.found.proposed
+        if best is None:
+            return self.start
+        names = ", ".join(name for name, _ in best.fitted)
+        source = " ".join(f"extended by close_loop from {names}; started from: {self.start.source.strip()}".split())
+        name = f"{self.start.name.removesuffix('_identified')}_extended"
+        return best.rig.replaced(name=name, source=source, identified=names)
+
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        base, best = self.found.recalibrated, self.found.extended or self.found.recalibrated
+        values, stds = base.final[0].values, base.final[0].stds
+        three = {
+            "as_configured": (base, "as_configured"), "recalibrated": (base, "identified"),
+            "extended": (best, "identified"),
+        }  # fmt: skip
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effects": [
+                {
+                    "name": item.name,
+                    "muscle": item.muscle,
+                    "place": item.place,
+                    "parameters": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in item.parameters.items()},
+                    "delta_bic": item.delta_bic,
+                    "holdout_gain": item.gain,
+                    "onset_s": None,
+                }
+                for item in self.effects
+            ],
+            "ambiguous_with": self.ambiguous_with,
+            "calibration": [
+                {"name": name, "value": value, "std": std, "unit": unit, "recording": None}
+                for name, value, std, unit in (
+                    ("encoder_zero", values[ZERO], stds[ZERO], "rad"),
+                    ("delay_angle", -values[DELAY], stds[DELAY], "s"),
+                )
+                if abs(value) > 5.0 * std
+            ],
+            "errors": {name: _model_errors(one, rig) for name, (one, rig) in three.items()},
+            "filter_errors_deg": {name: one.pooled(rig) for name, (one, rig) in three.items()},
+            "candidates": [
+                {"name": item.name, "muscle": item.muscle, "place": item.place, "holdout_gain": item.gain,
+                 "delta_bic": item.delta_bic}
+                for item in self.found.tried
+            ],
+            "unexplained": self.found.unexplained,
+            "next_rig": self.next_rig,
+            "rig": base.start.name,
+            "recordings_sha256": self.hashes,
+        }  # fmt: skip
+
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        found = self.found
+        items = [note(text) for text in (found.extended or found.recalibrated).notes]
+        if found.ambiguous_with:
+            items.append(warn(f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
+        for place in found.unexplained if found.taken else ():
+            items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
+        remarks = (Findings(tuple(items)),) if items else ()
+        return Text(self.sentence, "verdict"), *remarks, _errors(found), _effects(found)
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        found, rig = self.found, self.found.recalibrated.start.name
+        best = found.proposed
+        now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
+        was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
+        names = ", ".join(item.name for item in found.taken)
+        tiles = Tiles((Tile("verdict", self.verdict, names), Tile("angle, held-out", now, was)))
+        verdict, *rest = self.blocks()
+        shown = found.extended or found.recalibrated
+        drawn = [
+            Section(item.name, tuple(held_out_figures(item, shown.rig)), anchor=f"held-{k}")
+            for k, item in enumerate(shown.held if figures else ())
+        ]
+        definitions = (
+            ("Held-out", "Data that no fit used."),
+            ("Recalibrated", "The model of the rig file with all its values fitted, without a further effect."),
+            ("Driven by pressures", "The measured pressures drive the joint, and no filter runs."),
         )
-    )
-    verdict, *rest = summary(found)
-    values = [_values(item) for item in found.taken]
-    shown = found.extended or found.recalibrated
-    figures = [
-        Section(item.name, tuple(drawn.held_out_figures(item, shown.rig)), anchor=f"held-{k}")
-        for k, item in enumerate(judged_of(shown) if with_figures else ())
-    ]
-    definitions = (
-        ("Held-out", "Data that no fit used."),
-        ("Recalibrated", "The model of the rig file with all its values fitted, without a further effect."),
-        ("Driven by pressures", "The measured pressures drive the joint, and no filter runs."),
-    )
-    provenance = [("Rig", rig), *(("Recording", text) for text in hashes)]
-    lede = Text(f"Rig {rig}: which effect its model lacks.", "lede")
-    blocks = (lede, verdict, tiles, *rest, *values, *figures, *background(definitions, provenance))
-    return Document("Closed loop", rig, blocks)
+        ends = background(definitions, [("Rig", rig), *(("Recording", text) for text in self.hashes)])
+        lede = Text(f"Rig {rig}: which effect its model lacks.", "lede")
+        values = [_values(item) for item in found.taken]
+        return Document("Closed loop", rig, (lede, verdict, tiles, *rest, *values, *drawn, *ends))
 
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter of each detected effect (needs pandas)."""
+        return effects_frame(self.effects)
 
-def numbers(found: FoundFromPressures, hashes: Sequence[str], next_rig: str | None) -> dict[str, Any]:
-    """Content of ``report.json``.
-
-    Args:
-        hashes: SHA-256 of the recordings.
-        next_rig: name of the rig file to use; None: keep the one that there is.
-    """
-    base, best = found.recalibrated, found.extended or found.recalibrated
-    values, stds = base.final[0].values, base.final[0].stds
-    return {
-        "verdict": found.verdict,
-        "sentence": sentence(found),
-        "effects": [
-            {
-                "name": item.name,
-                "muscle": item.muscle,
-                "place": item.place,
-                "parameters": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in item.parameters.items()},
-                "delta_bic": item.delta_bic,
-                "holdout_gain": item.gain,
-                "onset_s": None,
-            }
-            for item in found.taken
-        ],
-        "ambiguous_with": list(found.ambiguous_with),
-        "calibration": [
-            {"name": name, "value": value, "std": std, "unit": unit, "recording": None}
-            for name, value, std, unit in (
-                ("encoder_zero", values[ZERO], stds[ZERO], "rad"),
-                ("delay_angle", -values[DELAY], stds[DELAY], "s"),
-            )
-            if abs(value) > 5.0 * std
-        ],
-        "errors": {
-            "as_configured": _model_errors(base, "as_configured"),
-            "recalibrated": _model_errors(base, "identified"),
-            "extended": _model_errors(best, "identified"),
-        },
-        "filter_errors_deg": {
-            "as_configured": base.pooled("as_configured"),
-            "recalibrated": base.pooled("identified"),
-            "extended": best.pooled("identified"),
-        },
-        "candidates": [
-            {"name": item.name, "muscle": item.muscle, "place": item.place, "holdout_gain": item.gain,
-             "delta_bic": item.delta_bic}
-            for item in found.tried
-        ],
-        "unexplained": list(found.unexplained),
-        "next_rig": next_rig,
-        "rig": base.start.name,
-        "recordings_sha256": list(hashes),
-    }  # fmt: skip
+    @override
+    def _write_rigs(self, folder: Path) -> None:
+        """The proposed rig file, if there is one."""
+        about = textwrap.wrap(f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}", 110)
+        if self.next_rig is not None:
+            write_rig(self.rig_extended, folder / self.next_rig, about)
 
 
 def _model_errors(found: FromPressures, rig: str) -> dict[str, Any]:

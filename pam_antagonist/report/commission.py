@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from pam_antagonist.recording import Recording
-from pam_antagonist.report import figures, html
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Links, Text, background
+from pam_antagonist.report import figures as drawn
+from pam_antagonist.report.document import Block, Document, Findings, Links, Text, background, good, warn
 from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel, Reference
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import MEASURED, MODEL, SECOND
 from pam_antagonist.report.table import Table
-from pam_antagonist.rig import Rig
 
 _DEFINITIONS = (
     ("Rig time", "How long the joint was driven. The remaining time is design, fits and waiting."),
@@ -27,11 +27,9 @@ _DEFINITIONS = (
 
 @dataclass(frozen=True)
 class Step:
-    """A step of a commissioning.
+    """A step of a commissioning; `rig_seconds` is the part of its duration in which the joint was driven [s].
 
     Attributes:
-        seconds: its duration [s].
-        rig_seconds: part of the duration in which the joint was driven [s].
         folder: of a report of its own, beside this one.
     """
 
@@ -43,21 +41,7 @@ class Step:
     folder: str = ""
 
 
-@dataclass(frozen=True)
-class CommissionReport:
-    """Content of ``report.json``.
-
-    Attributes:
-        rig_seconds: total time in which the joint was driven [s].
-    """
-
-    rig: str
-    steps: tuple[Step, ...]
-    rig_seconds: float
-    left: tuple[str, ...]
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Driven:
     """A recording of a step in which the joint was driven.
 
@@ -72,38 +56,57 @@ class Driven:
     angle_limit: float
 
 
-def write_report(
-    folder: Path,
-    rig: Rig,
-    steps: Sequence[Step],
-    command: str,
-    left: Sequence[str] = (),
-    driven: Sequence[Driven] = (),
-    next_line: str = "",
-) -> None:
-    """Write ``report.json`` and ``report.html``.
+@dataclass(frozen=True, repr=False, eq=False)
+class CommissionResult(Result):
+    """What was done so far; `left` are the steps that were not begun, `next_line` is to be typed when all is done."""
 
-    Args:
-        next_line: what to type when all is done.
-    """
-    report = CommissionReport(rig.name, tuple(steps), sum(step.rig_seconds for step in steps), tuple(left))
-    findings = Findings(tuple(Finding("good" if step.done else "warn", f"{step.name}: {step.said}") for step in steps))
-    rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in steps)
-    table = Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
-    pages = [(f"{step.name}: its report", f"{step.folder}/report.html") for step in steps if step.folder]
-    blocks: list[Block] = [Text(_lede(steps, left), "lede"), findings]
-    if next_line and not left and all(step.done for step in steps):
-        blocks.append(Text(f"Next, type: {next_line}"))
-    if pages:
-        blocks.append(Links(tuple(pages)))
-    blocks += [table, *map(figure_of, driven), *background(_DEFINITIONS, [("Rig", rig.name), ("Command", command)])]
-    html.write(folder, Document("Commissioning", rig.name, tuple(blocks)), report)
+    rig: str
+    steps: tuple[Step, ...]
+    command: str
+    left: tuple[str, ...] = ()
+    driven: tuple[Driven, ...] = ()
+    next_line: str = ""
+
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        driven = sum(step.rig_seconds for step in self.steps)
+        return {"rig": self.rig, "steps": self.steps, "rig_seconds": driven, "left": self.left}
+
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        found = tuple((good if step.done else warn)(f"{step.name}: {step.said}") for step in self.steps)
+        rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in self.steps)
+        return Findings(found), Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows."""
+        findings, table = self.blocks()
+        blocks: list[Block] = [Text(self._lede(), "lede"), findings]
+        if self.next_line and not self.left and all(step.done for step in self.steps):
+            blocks.append(Text(f"Next, type: {self.next_line}"))
+        pages = tuple((f"{step.name}: its report", f"{step.folder}/report.html") for step in self.steps if step.folder)
+        if pages:
+            blocks.append(Links(pages))
+        blocks += [table, *map(figure_of, self.driven if figures else ())]
+        ends = background(_DEFINITIONS, [("Rig", self.rig), ("Command", self.command)])
+        return Document("Commissioning", self.rig, (*blocks, *ends))
+
+    def _lede(self) -> str:
+        """What failed, else what is left, else that all is done."""
+        failed = [f"Step {step.name} failed: {step.said.rstrip('.')}." for step in self.steps if not step.done]
+        if failed or self.left:
+            rest = [f"Not begun: {', '.join(self.left)}."] if self.left else []
+            return " ".join([*failed, *rest, "Do what it says, then type the command again." if failed else ""]).strip()
+        return "All is done."
 
 
 def figure_of(driven: Driven) -> Figure:
     """What a step asked of the joint, and what it did."""
     recording = driven.recording
-    x = figures.seconds(recording.stamp_ns, int(recording.stamp_ns[0]))
+    x = drawn.seconds(recording.stamp_ns, int(recording.stamp_ns[0]))
     pressure = recording.pressure * 1e-3
     bounds = tuple(Reference(value * 1e-3) for value in driven.pressure_limits)
     both = (Line("P1", x, pressure[:, 0], MODEL), Line("P2", x, pressure[:, 1], SECOND))
@@ -113,12 +116,3 @@ def figure_of(driven: Driven) -> Figure:
         angle = Line("angle", x, np.degrees(recording.angle), MEASURED, quiet=True)
         panels.append(Panel(TIME, Axis("Angle [°]"), (Reference(-limit), Reference(limit, "limit"), angle), 200))
     return Figure(f"Step {driven.name}", "Measured values; dashed: the limits of the experiment.", tuple(panels))
-
-
-def _lede(steps: Sequence[Step], left: Sequence[str]) -> str:
-    """What failed, else what is left, else that all is done."""
-    failed = [f"Step {step.name} failed: {step.said.rstrip('.')}." for step in steps if not step.done]
-    if failed or left:
-        rest = [f"Not begun: {', '.join(left)}."] if left else []
-        return " ".join([*failed, *rest, "Do what it says, then type the command again." if failed else ""]).strip()
-    return "All is done."

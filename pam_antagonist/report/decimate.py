@@ -33,11 +33,7 @@ def _buckets(values: FloatArray, width: int, fill: float) -> FloatArray:
 
 
 def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
-    """Indices of the least and the largest sample of each bucket.
-
-    Args:
-        values: (N,), NaN where missing.
-    """
+    """Indices of the least and the largest sample of each bucket."""
     width = bucket_width(len(values), limit)
     if width == 1:
         return np.arange(len(values))
@@ -48,12 +44,7 @@ def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
 
 
 def envelope(lower: FloatArray, upper: FloatArray, limit: int = LIMIT) -> tuple[IndexArray, FloatArray, FloatArray]:
-    """Decimate a band so that it still covers the full one.
-
-    Args:
-        lower: (N,) lower edge.
-        upper: (N,) upper edge.
-    """
+    """Decimate a band so that it still covers the full one."""
     width = bucket_width(len(lower), limit)
     low = _buckets(lower, width, np.inf).min(axis=1)
     high = _buckets(upper, width, -np.inf).max(axis=1)
@@ -99,8 +90,6 @@ def curve(x: FloatArray, y: FloatArray, with_pauses: bool) -> tuple[FloatArray, 
     """A curve with at most about `LIMIT` points.
 
     Args:
-        x: (N,).
-        y: (N,), NaN where missing.
         with_pauses: whether `x` is the time of a recording, whose pauses become gaps.
     """
     index = min_max_indices(y)
@@ -116,9 +105,6 @@ def band(
     """The uninterrupted stretches of a decimated band: x, lower and upper edge of each.
 
     Args:
-        x: (N,).
-        lower: (N,), NaN where missing.
-        upper: (N,).
         with_pauses: whether `x` is the time of a recording, whose pauses become gaps.
     """
     index, low, high = envelope(lower, upper)

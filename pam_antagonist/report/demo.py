@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from pam_antagonist.control import Mode
-from pam_antagonist.control.tracking import SETTLED, SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
+from pam_antagonist.control.tracking import SETTLED, SHORTEST_STEP, STEADY_PART, Tracking, held, tracking, yielded
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
-from pam_antagonist.report import html
 from pam_antagonist.report.channels import judged
-from pam_antagonist.report.demo_yielding import Yielding, spring_and_damper
 from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.figures import tracking_figure
@@ -25,6 +23,7 @@ from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
 from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.rig.limits import rest_pressure, rest_voltage
@@ -42,6 +41,85 @@ _LAWS = {
 }
 
 
+def spring_and_damper(recording: Recording, damped: bool = True) -> FloatArray:
+    """Angle of the commanded spring and damper at each sample, under the applied torque (N,) [rad]."""
+    reference, applied = recording.reference, recording.external_torque
+    if reference is None or applied is None:
+        raise BadInput(f"{recording.path}: no reference or no measured/external_torque was recorded")
+    asked = np.where(reference.mode == Mode.IMPEDANCE, reference.value, np.nan)
+    columns = (asked, reference.stiffness, np.nan_to_num(reference.damping) * damped)
+    equilibrium, stiffness, damping = (held(recording.stamp_ns, reference.stamp_ns, column) for column in columns)
+    period = float(np.median(np.diff(recording.stamp_ns))) * 1e-9
+    return yielded(applied, equilibrium, stiffness, damping, period)
+
+
+@dataclass(frozen=True)
+class Yielding:
+    """Comparison of the joint with the commanded spring and damper.
+
+    Attributes:
+        rmse_deg: RMS difference of the measured angle from that of spring and damper [°].
+        largest_deg: largest difference [°].
+        moved_deg: root mean square of the motion of spring and damper [°].
+        within: share of the samples with a difference within the 95 % interval, from the covariance of angle and
+            external torque [-].
+    """
+
+    rmse_deg: float
+    largest_deg: float
+    moved_deg: float
+    within: float
+
+    @classmethod
+    def of(cls, replay: Replay) -> Yielding:
+        """Compare a replay with spring and damper."""
+        recording, rows = replay.recording, replay.run.rows
+        if recording.angle is None:
+            raise BadInput(f"{recording.path}: no measured angle was recorded")
+        wanted = spring_and_damper(recording)[replay.run.index]
+        reference = recording.reference
+        assert reference is not None  # spring_and_damper() has checked it
+        stiffness = held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness)
+        error = recording.angle[replay.run.index] - wanted
+        # The law moves the estimated angle to that of spring and damper under the estimated torque.
+        of_torque = rows["external_torque_covariance"]
+        variance = rows["covariance"][:, 0, 0] - 2.0 * of_torque[:, 0] / stiffness + of_torque[:, 3] / stiffness**2
+        known = np.isfinite(error)
+        if not known.any():
+            raise BadInput(f"{recording.path}: no sample has both a reference and a measurement")
+        centre = held(replay.run.stamp_ns, reference.stamp_ns, reference.value)
+        return cls(
+            math.degrees(math.sqrt(np.mean(error[known] ** 2))),
+            math.degrees(np.max(np.abs(error[known]))),
+            math.degrees(math.sqrt(np.mean((wanted - centre)[known] ** 2))),
+            float(np.mean(np.abs(error[known]) <= 1.96 * np.sqrt(variance[known]))),
+        )
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        return (
+            f"The pushes would move the spring and damper by {number(self.moved_deg, 2)}° (RMS); the joint differed "
+            f"from them by {number(self.rmse_deg, 2)}°."
+        )
+
+    def tiles(self) -> list[Tile]:
+        """The two main numbers."""
+        return [
+            Tile("Joint minus spring and damper", f"{number(self.rmse_deg, 2)}°", "root mean square"),
+            Tile("They move by", f"{number(self.moved_deg, 2)}°", "root mean square"),
+        ]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Rows of the table."""
+        return [
+            ("Measured angle minus that of spring and damper, RMSE", f"{number(self.rmse_deg)}°"),
+            ("The same, largest", f"{number(self.largest_deg)}°"),
+            ("Motion of spring and damper, RMS", f"{number(self.moved_deg)}°"),
+            ("Difference within the 95 % interval of angle and torque", percent(self.within)),
+        ]
+
+
 @dataclass(frozen=True)
 class Simulated:
     """The simulated joint.
@@ -54,9 +132,9 @@ class Simulated:
     seed: int
 
 
-@dataclass(frozen=True, eq=False)
-class Demo:
-    """A finished demo: the key ``demo`` of ``report.json``; angles in degrees, torques in N m, times in ms.
+@dataclass(frozen=True, eq=False, repr=False)
+class Demo(Result):
+    """A finished demo; angles in degrees, torques in N m, times in ms.
 
     Attributes:
         gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model; ``found`` for
@@ -91,10 +169,11 @@ class Demo:
         accounting = account(replay.recording, replay.rig.sample_period)
         return cls(replay, mode, simulated, gains, followed, stiffness, yielding, accounting, stopped)
 
+    @override
     def to_json(self) -> dict[str, Any]:
-        """The entry of ``report.json``; keys contain the unit of the controlled quantity."""
+        """The content of ``report.json``: of the replay, and the key ``demo``, whose keys contain a unit."""
         unit, followed = _UNIT[self.mode.quantity], self.tracking
-        return {
+        about = {
             "mode": self.mode.name.lower(),
             "simulated_joint": self.simulated,
             "gains": self.gains,
@@ -120,16 +199,22 @@ class Demo:
             "pipeline": self.accounting,
             "stopped_for_safety": self.stopped or None,
         }
+        return {**replay_numbers([self.replay]), "demo": about}
 
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        return Text(_verdict(self)), errors_table(self.replay.report), control_table(self)
 
-def write_report(folder: Path, demo: Demo, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder."""
-    html.write(folder, document(demo, with_figures), replay_numbers([demo.replay], demo=demo))
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        return document(self, figures)
 
 
 def document(demo: Demo, with_figures: bool = True) -> Document:
     """An overview figure, the numbers of the loop, and the replay's report below."""
-    replayed = replay_document([demo.replay], with_figures=with_figures)
+    replayed = replay_document([demo.replay], with_figures)
     what = demo.mode.quantity.name.lower()
     task = "yielded to pushes" if demo.yielding is not None else f"followed steps of its {what}"
     if demo.stopped:
@@ -207,11 +292,6 @@ def _tiles(demo: Demo) -> tuple[Tile, ...]:
     if live is not None:
         out.append(Tile("Replay equals live", f"{live.equal} of {live.compared}", "estimates, bit by bit"))
     return tuple(out)
-
-
-def summary(demo: Demo) -> tuple[Block, ...]:
-    """Blocks for the terminal."""
-    return Text(_verdict(demo)), errors_table(demo.replay.report), control_table(demo)
 
 
 def follow(recording: Recording, mode: Mode) -> Tracking:
@@ -305,14 +385,8 @@ def _figure(demo: Demo) -> Figure:
         wanted = spring_and_damper(recording)[replay.run.index]
         about += " The reference is where spring and damper would be, by the torque that was applied."
     signals = (measured * scale, rows[name] * scale, wanted * scale)
-    return tracking_figure(
-        f"{name.capitalize()}: reference, measurement and estimate",
-        about,
-        (name, sign),
-        time(replay),
-        signals,
-        replay.name,
-    )
+    title = f"{name.capitalize()}: reference, measurement and estimate"
+    return tracking_figure(title, about, (name, sign), time(replay), signals, replay.name)
 
 
 def _stiffness(replay: Replay) -> tuple[FloatArray, FloatArray]:

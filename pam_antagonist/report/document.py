@@ -5,7 +5,7 @@ Every command builds one :class:`Document` from its typed result.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -36,6 +36,21 @@ class Finding:
 
     status: Literal["good", "warn", "note"]
     text: str
+
+
+def good(text: str) -> Finding:
+    """A finding that is as expected."""
+    return Finding("good", text)
+
+
+def warn(text: str) -> Finding:
+    """A finding that is a problem."""
+    return Finding("warn", text)
+
+
+def note(text: str) -> Finding:
+    """A finding that is information."""
+    return Finding("note", text)
 
 
 @dataclass(frozen=True)
@@ -103,6 +118,17 @@ class Section:
 
 
 Block: TypeAlias = Text | Findings | Tiles | Links | Definitions | Table | Figure | Columns | Section
+
+
+def figures_of(blocks: Sequence[Block]) -> Iterator[Figure]:
+    """All figures in blocks, in their order."""
+    for block in blocks:
+        if isinstance(block, Figure):
+            yield block
+        elif isinstance(block, Section):
+            yield from figures_of(block.blocks)
+        elif isinstance(block, Columns):
+            yield from figures_of((block.left, block.right))
 
 
 def _software() -> str:

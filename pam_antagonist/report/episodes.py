@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from typing_extensions import override
 
 from pam_antagonist.diagnosis.episode_drift import PARTS, WINDOWS
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import write_rig
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _WORDS = {
     "friction": "constant (Coulomb) friction",
@@ -100,93 +109,61 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
     out = [_not_told_apart(found, name, instead_of, row) for name, instead_of, row in found.others]
     base = next(row for row in found.rows if row.model.startswith("mechanics"))
     if found.effects and found.rows[-1].forecast.value >= base.forecast.value:
-        text = (
-            "On later episodes the model's error is no smaller with these effects, so they may be chance: record "
-            "more episodes."
-        )
-        out.append(Finding("warn", text))
+        out.append(warn("On later episodes the model's error is no smaller with these effects, so they may be chance: "
+                        "record more episodes."))  # fmt: skip
     if found.left is not None and found.left.low <= ABOVE_NOISE:
-        text = (
+        out.append(note(
             f"The remaining error is hardly more than noise: the model's squared error is {interval(found.left)} "
             "times what the noise of the readings alone would leave. No further effect is named."
-        )
-        out.append(Finding("note", text))
+        ))  # fmt: skip
     last = max(item.round for item in found.tried)
-    not_needed = [item for item in found.tried if item.round == last and not item.taken]
-    for item in not_needed:
-        how = "was not fitted, since its score is lower than those of the others" if item.removed is None else (
-            f"removes {percent(item.removed.value)} of the squared error of unseen episodes "
-            f"({percent(item.removed.low)} to {percent(item.removed.high)})"
-        )  # fmt: skip
-        name = in_words(item.name)
-        out.append(Finding("note", f"{name[:1].upper()}{name[1:]} is not needed beside these: it {how}."))
+    for item in found.tried:
+        if item.round == last and not item.taken:
+            how = "was not fitted, since its score is lower than those of the others" if item.removed is None else (
+                f"removes {percent(item.removed.value)} of the squared error of unseen episodes "
+                f"({percent(item.removed.low)} to {percent(item.removed.high)})"
+            )  # fmt: skip
+            name = in_words(item.name)
+            out.append(note(f"{name[:1].upper()}{name[1:]} is not needed beside these: it {how}."))
     whole, recent = found.rows[-1].later, found.rows[-1].recent
     if found.window < 1.0 and recent is not None:
-        kind: Literal["warn", "note"] = "warn" if recent.value < _DRIFT * whole.value else "note"
-        out.append(
-            Finding(
-                kind,
-                f"The rig drifts: on later episodes the model's error is {number(recent.value)}° if only the last "
-                f"{percent(found.window)} of the fitted episodes are used, and {number(whole.value)}° if all are "
-                "used. The share was chosen by forecasts within the fitted episodes.",
-            )
-        )
+        kind = warn if recent.value < _DRIFT * whole.value else note
+        out.append(kind(
+            f"The rig drifts: on later episodes the model's error is {number(recent.value)}° if only the last "
+            f"{percent(found.window)} of the fitted episodes are used, and {number(whole.value)}° if all are used. "
+            "The share was chosen by forecasts within the fitted episodes."
+        ))  # fmt: skip
     lines = found.lines
     assert lines.interleaved is not None
-    out.append(
-        Finding(
-            "note",
-            "A model whose numbers change along straight lines over the fitted episodes, and then stay at their last "
-            f"values, has an error of {number(lines.later.value)}° on later episodes and of "
-            f"{number(lines.interleaved.value)}° on interleaved ones.",
-        )
-    )
-    moved = _moved(found, joint.rig)
-    if moved:
-        out.append(
-            Finding(
-                "warn",
-                "These numbers change over the recording (straight-line fit, corrected 95 % intervals): "
-                f"{'; '.join(moved)}.",
-            )
-        )
+    out.append(note(
+        "A model whose numbers change along straight lines over the fitted episodes, and then stay at their last "
+        f"values, has an error of {number(lines.later.value)}° on later episodes and of "
+        f"{number(lines.interleaved.value)}° on interleaved ones."
+    ))  # fmt: skip
+    if moved_values := _moved(found, joint.rig):
+        changes = "; ".join(moved_values)
+        out.append(warn("These numbers change over the recording (straight-line fit, corrected 95 % intervals): "
+                        f"{changes}."))  # fmt: skip
     if found.ratio is not None and found.effects:
-        out.append(
-            Finding(
-                "note",
-                f"On interleaved episodes the extended model leaves {interval(found.ratio)} of the squared error of "
-                "the model with Coulomb friction alone.",
-            )
-        )
-    return (*out, *units_findings(joint), Finding("note", next_step(found, joint)))
+        out.append(note(f"On interleaved episodes the extended model leaves {interval(found.ratio)} of the squared "
+                        "error of the model with Coulomb friction alone."))  # fmt: skip
+    return (*out, *units_findings(joint), note(next_step(found, joint)))
 
 
 def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
     """Findings about unknown units, and about episodes that were left out."""
-    out = []
-    units = joint.rig.units
+    out, units = [], joint.rig.units
     if units.force == "per_inertia":
-        out.append(
-            Finding(
-                "note",
-                "Forces are known per inertia only: torque, areas and stiffness are not known in their own units.",
-            )
-        )
+        out.append(note(
+            "Forces are known per inertia only: torque, areas and stiffness are not known in their own units."
+        ))  # fmt: skip
     if units.pressure == "unknown":
-        out.append(
-            Finding(
-                "note",
-                "The unit of the recorded pressures is not known: gain and offset in the rig file are assumed, and "
-                "so is every bar in this report.",
-            )
-        )
+        out.append(note("The unit of the recorded pressures is not known: gain and offset in the rig file are assumed, "
+                        "and so is every bar in this report."))  # fmt: skip
     if joint.left_out:
-        out.append(
-            Finding(
-                "warn",
-                f"{joint.left_out} episodes are too short, or lack pressures, signals or the first angle: left out.",
-            )
-        )
+        out.append(warn(
+            f"{joint.left_out} episodes are too short, or lack pressures, signals or the first angle: left out."
+        ))  # fmt: skip
     return tuple(out)
 
 
@@ -196,12 +173,11 @@ def _not_told_apart(found: EpisodeDiagnosis, name: str, instead_of: str, row: Ro
     assert taken.removed is not None and other.removed is not None
     after = [item.score for item in found.tried if item.name == name and item.round > taken.round]
     left = f" With the first in the model, the second scores {percent(after[0])}." if after else ""
-    return Finding(
-        "warn",
+    return warn(
         f"The episodes do not decide between two effects: {in_words(instead_of)} removes "
         f"{percent(taken.removed.value)} of the remaining error, {in_words(name)} "
         f"{percent(other.removed.value)}.{left} With the second in place of the first, the error on later episodes is "
-        f"{number(row.forecast.value)}° instead of {number(found.rows[-1].forecast.value)}°.",
+        f"{number(row.forecast.value)}° instead of {number(found.rows[-1].forecast.value)}°."
     )
 
 
@@ -292,11 +268,6 @@ def tried_table(found: EpisodeDiagnosis) -> Table:
     )  # fmt: skip
 
 
-def summary(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Block, ...]:
-    """Blocks for the terminal."""
-    return Text(verdict(found)), Findings(findings(found, joint)), errors_table(found), values_table(found, joint.rig)
-
-
 def figure(found: EpisodeDiagnosis, rig: Rig) -> Figure:
     """The drift: errors and numbers over the recording."""
     parts = np.arange(1.0, PARTS + 1.0)
@@ -320,11 +291,7 @@ def figure(found: EpisodeDiagnosis, rig: Rig) -> Figure:
 
 
 def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, ...], with_figures: bool) -> Document:
-    """The report.
-
-    Args:
-        hashes: SHA-256 of the recordings.
-    """
+    """The page; with the SHA-256 of the recordings."""
     given, after = found.rows[0], found.rows[-1]
     tiles = Tiles((
         Tile("Later episodes", f"{number(after.forecast.value)}°", f"as configured {number(given.forecast.value)}°"),
@@ -351,33 +318,100 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
     return Document("What the model of a joint lacks", joint.name, blocks)
 
 
-def numbers(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, ...]) -> dict[str, Any]:
-    """Content of ``report.json``; intervals are value, lower and upper end.
+@dataclass(frozen=True, eq=False, repr=False)
+class EpisodesDiagnoseResult(Result):
+    """Effects that the model of a joint lacks, from episodes.
 
-    Args:
-        hashes: SHA-256 of the recordings.
+    Attributes:
+        found: effects, errors on whole held-out episodes, and the drift.
+        hashes: SHA-256 of the recordings, a whole held-out one last.
     """
-    return {
-        "verdict": "effect" if found.effects else "none",
-        "sentence": verdict(found),
-        "next_steps": [next_step(found, joint)],
-        "next_rig": "rig_extended.yaml" if found.is_better else None,
-        "effects": found.effects,
-        "errors_deg": found.rows,
-        "ratio_to_coulomb_interleaved": found.ratio,
-        "ratio_to_noise": found.left,
-        "longest_step_s": found.longest_step,
-        "values": found.values,
-        "tried": found.tried,
-        "window": found.window,
-        "forecasts_deg": dict(zip(map(str, WINDOWS), found.forecasts, strict=True)),
-        "course": found.drift.values,
-        "changes": found.drift.changes,
-        "course_errors_deg": found.drift.errors,
-        "straight_lines_deg": found.lines,
-        "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
-        "episodes": {"fitted": found.counts[0], "later": found.counts[1], "interleaved": found.counts[2]},
-        "rig": joint.rig.name,
-        "units": {"pressure": joint.rig.units.pressure, "force": joint.rig.units.force},
-        "recordings_sha256": hashes,
-    }
+
+    found: EpisodeDiagnosis
+    joint: PressureDriven
+    hashes: tuple[str, ...]
+
+    @override
+    def _brief(self) -> str:
+        return f"{self.joint.name}: {self.sentence}"
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the detected effects, each with its signal if there is one."""
+        return self.found.effects
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        return verdict(self.found)
+
+    @property
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        return "rig_extended.yaml" if self.found.is_better else None
+
+    @property
+    def rig_extended(self) -> Rig:
+        """The rig with the effects, and the further signals that they need."""
+        start, values = self.joint.rig, self.joint.values(self.found.model)
+        last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
+        source = f"extended by close_loop from {self.joint.name}; started from: {start.source}"
+        signals = dict(list(start.signals.items())[:last])
+        return moved(start, values).replaced(name=f"{start.name}_extended", source=source, signals=signals)
+
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``; intervals are value, lower and upper end."""
+        found, rig = self.found, self.joint.rig
+        return {
+            "verdict": "effect" if found.effects else "none",
+            "sentence": self.sentence,
+            "next_steps": [next_step(found, self.joint)],
+            "next_rig": self.next_rig,
+            "effects": found.effects,
+            "errors_deg": found.rows,
+            "ratio_to_coulomb_interleaved": found.ratio,
+            "ratio_to_noise": found.left,
+            "longest_step_s": found.longest_step,
+            "values": found.values,
+            "tried": found.tried,
+            "window": found.window,
+            "forecasts_deg": dict(zip(map(str, WINDOWS), found.forecasts, strict=True)),
+            "course": found.drift.values,
+            "changes": found.drift.changes,
+            "course_errors_deg": found.drift.errors,
+            "straight_lines_deg": found.lines,
+            "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
+            "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
+            "rig": rig.name,
+            "units": {"pressure": rig.units.pressure, "force": rig.units.force},
+            "recordings_sha256": self.hashes,
+        }
+
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        found, joint = self.found, self.joint
+        listed = Findings(findings(found, joint))
+        return Text(self.sentence), listed, errors_table(found), values_table(found, joint.rig)
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        return document(self.found, self.joint, self.hashes, figures)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each number of the extended model: its value and 95 % interval by episode (needs pandas)."""
+        return intervals_frame(self.found.values)
+
+    @override
+    def _write_rigs(self, folder: Path) -> None:
+        about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
+        if self.next_rig is not None:
+            write_rig(self.rig_extended, folder / self.next_rig, [about])
+
+
+def intervals_frame(values: Mapping[str, Interval]) -> DataFrame:
+    """A row for each value: it, and its interval."""
+    rows = [(name, *value) for name, value in values.items()]
+    return frame_of(rows, ("value_of", "value", "low", "high"), "value_of")

@@ -1,6 +1,7 @@
 """Figures as typed data, independent of how they are drawn.
 
-A figure holds panels. A panel holds two axes and the series on them, from back to front.
+A figure holds panels. A panel holds two axes and the series on them, from back to front. Arrays of a series are (N,),
+NaN where a value is missing; series of one name have one entry in the legend, and are switched together.
 :mod:`pam_antagonist.report.plotly_renderer` draws it on the page.
 Colours are CSS colours of the light theme; the page maps them to the dark one.
 """
@@ -48,9 +49,6 @@ class Line:
     """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.decimate`).
 
     Attributes:
-        name: in the legend; series of one name are switched together.
-        x: (N,).
-        y: (N,), NaN where missing.
         opacity: 0 to 1; a translucent line is in the background and has no hover text.
     """
 
@@ -66,13 +64,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The area between two curves, an interval for example.
-
-    Attributes:
-        x: (N,).
-        lower: (N,), NaN where missing.
-        upper: (N,).
-    """
+    """The area between two curves, an interval for example."""
 
     name: str
     x: FloatArray
@@ -87,9 +79,6 @@ class Points:
     """Single values.
 
     Attributes:
-        name: in the legend; series of one name are switched together.
-        x: (N,).
-        y: (N,).
         opacity: 0 to 1.
         half_width: half width of an interval around `x` (N,), drawn as a bar; None: no bars.
     """
@@ -108,12 +97,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Bars from 0; bars of several series are side by side.
-
-    Attributes:
-        x: (N,) positions.
-        y: (N,) heights.
-    """
+    """Bars from 0; bars of several series are side by side."""
 
     name: str
     x: FloatArray

@@ -1,4 +1,4 @@
-"""Figures that several commands draw: one function for each, from arrays."""
+"""Figures that several commands draw: one function for each, from arrays; `x` and what is drawn over it are (N,)."""
 
 from __future__ import annotations
 
@@ -22,17 +22,7 @@ from pam_antagonist.report.figure import (
     Region,
     Series,
 )
-from pam_antagonist.report.style import (
-    DEEP,
-    ESTIMATE,
-    FAINT,
-    MEASURED,
-    MODEL,
-    PALE,
-    PALETTE,
-    QUIET,
-    SECOND,
-)
+from pam_antagonist.report.style import DEEP, ESTIMATE, FAINT, MEASURED, MODEL, PALE, PALETTE, QUIET, SECOND
 
 
 def seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> FloatArray:
@@ -52,12 +42,7 @@ def moving_mean(values: FloatArray, window: int) -> FloatArray:
 
 
 def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: int) -> tuple[Line, Line]:
-    """Single samples as a faint line, and in front their moving mean, which reduces the sensor's noise.
-
-    Args:
-        x: horizontal axis (N,).
-        values: samples (N,).
-    """
+    """Single samples as a faint line, and in front their moving mean, which reduces the sensor's noise."""
     faint = Line(name, x, values, color, width=0.8, quiet=True, opacity=0.3)
     return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
 
@@ -66,7 +51,6 @@ def lines(x: FloatArray, values: Mapping[str, FloatArray], quiet: bool = False, 
     """A line for each name, in the palette's colours.
 
     Args:
-        x: horizontal axis (N,).
         values: name -> samples (N,).
     """
     named = zip(values.items(), PALETTE, strict=False)
@@ -87,7 +71,6 @@ def residual_figure(
     """Residuals over time, a panel for each channel.
 
     Args:
-        x: time (N,) [s].
         models: name, residuals (N, C) and colour of each model.
         noise: standard deviation of each channel's noise (C,); dashed lines are drawn at twice this. None: no lines.
         edges: times [s] at which an effect begins or ends; a line is drawn at each.
@@ -116,7 +99,6 @@ def tracking_figure(
     """A control loop: measurement, estimate and reference over time, the tracking error below.
 
     Args:
-        x: time (N,) [s].
         signals: measured, estimated and reference values, (N,) each, in this unit.
     """
     (name, unit), (measured, estimated, wanted) = quantity, signals
@@ -137,8 +119,6 @@ def nis_figure(x: FloatArray, nis: FloatArray, bounds: tuple[float, float], wind
     """Normalised innovation squared of two pressures over time.
 
     Args:
-        x: time (N,) [s].
-        nis: (N,).
         bounds: interval with 95 % of a consistent filter's values.
     """
     parts = (
@@ -183,7 +163,6 @@ def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, colu
     Args:
         names: of the categories, with a short name before a colon; a category that never occurs has no row.
         category: (N,) indices into `names`.
-        x: time (N,) [s].
     """
     middle, share = decimate.shares(category, len(names), columns)
     seen = [int(number) for number in np.flatnonzero(share.sum(axis=1) > 0.0)]

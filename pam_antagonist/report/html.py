@@ -17,8 +17,7 @@ from jinja2.filters import do_mark_safe
 
 from pam_antagonist import strict_json
 from pam_antagonist.report import plotly_renderer
-from pam_antagonist.report.document import Block, Columns, Document, Section
-from pam_antagonist.report.figure import Figure
+from pam_antagonist.report.document import Document, Section, figures_of
 from pam_antagonist.report.style import DARK
 from pam_antagonist.report.units import with_unit
 
@@ -28,7 +27,7 @@ _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 
 def render(document: Document) -> str:
     """The whole page."""
-    library = plotly_renderer.library() if any(_has_figure(block) for block in document.blocks) else ""
+    library = plotly_renderer.library() if any(figures_of(document.blocks)) else ""
     sections = [block for block in document.blocks if isinstance(block, Section) and block.anchor]
     page = _environment().get_template("page.html.j2")
     return page.render(document=document, sections=sections, library=library, dark=DARK, serial=itertools.count(1))
@@ -71,11 +70,3 @@ def _unbroken(text: str) -> str:
 def _json(value: Any) -> str:
     """JSON for a script element, with ``<`` escaped because ``</script>`` in a string would end the element."""
     return strict_json.dumps(value, indent=None).replace("<", "\\u003c")
-
-
-def _has_figure(block: Block) -> bool:
-    if isinstance(block, Section):
-        return any(_has_figure(inner) for inner in block.blocks)
-    if isinstance(block, Columns):
-        return _has_figure(block.left) or _has_figure(block.right)
-    return isinstance(block, Figure)

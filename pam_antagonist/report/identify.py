@@ -1,40 +1,42 @@
-"""Numbers of an identification's ``report.json``."""
+"""The result of ``identify``: the identified rig, its numbers, and the rig files."""
 
 from __future__ import annotations
 
+import datetime
 import math
+import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
-from pam_antagonist.identification.result import FromPressures
+from pam_antagonist.identification.result import FromPressures, Held
 from pam_antagonist.identification.unknowns import Fit, Unknown
+from pam_antagonist.recording import Recording, recording_hash
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.replays.result import JointFacts, ReplayReport
+from pam_antagonist.replays.result import JointFacts
+from pam_antagonist.report import identify_document as pages
 from pam_antagonist.report.assumption import assumption
-from pam_antagonist.report.held_out import Given, HeldOut, Judged, pooled_coverage
-from pam_antagonist.report.identify_entries import (
-    Between,
-    DifferenceEntry,
-    IdentifyReport,
-    Noise,
-    Pair,
-    ParameterEntry,
-    RecordingEntry,
-    SensorNoise,
-    Settings,
-    StageEntry,
-    TuningEntry,
-)
-from pam_antagonist.report.identify_findings import rejection
+from pam_antagonist.report.document import Block, Document
+from pam_antagonist.report.held_out import COLUMNS, entry, pooled_coverage
+from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect, rejection
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.units import unit_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
 from pam_antagonist.software import versions
 
-COLUMNS = ("identified", "as_configured", "model_alone", "pressures_alone", "linear")
-"""What gives an angle that is compared on held-out data."""
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from pam_antagonist.identification.sealed import SealedIdentified
+
 STRONG = 0.9
 """Least correlation of two parameters that are listed as a pair."""
 _PAIRS = 12
@@ -61,58 +63,231 @@ _WHAT_SHOWS = (
 _UNITS = {ZERO: "rad", DELAY: "s"}
 
 
-def judged_of(found: FromPressures) -> list[Judged]:
-    """The recordings of an identification with errors on their held-out parts."""
-    return [
-        Judged(item.name, item.from_s, item.replays, item.reports,
-               {key: item.error(key) for key in COLUMNS if math.isfinite(item.error(key))})
-        for item in found.held
-    ]  # fmt: skip
+class ParameterEntry(NamedTuple):
+    """A free parameter before and after the fit, in SI units; `record` would determine it."""
+
+    name: str
+    start: float
+    value: float
+    std: float
+    relative_change: float
+    prior_std: float
+    bound: float | None
+    determined: bool
+    reason: str
+    record: str | None
+    unit: str
 
 
-def report(recordings: Sequence[Given], found: FromPressures, refused: str = "") -> IdentifyReport:
-    """The numbers of an identification.
+class Difference(NamedTuple):
+    """Relative differences between the recordings in one parameter."""
 
-    Args:
-        refused: why the file of the identified rig would be refused; empty if it would not.
+    name: str
+    deviations: tuple[float, ...]
+    largest: float
+    std: float
+    certain: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifyResult(Result):
+    """An identified rig.
+
+    Attributes:
+        rig: with the identified parameters, noise and tuning.
+        own: with several recordings, a rig with each one's own values; otherwise empty.
+        found: all results.
+        held: errors on the part of each recording that no step used, with the compared rigs.
+        recordings: each with its joint condition and name.
+        seed: of further starts.
     """
-    judged, asked = judged_of(found), found.options
-    now, before = found.rig.tuning("default"), found.start.tuning("default")
-    whole = {item.name: item.whole["identified"].report for item in judged}
-    numbers = IdentifyReport(
-        held_out=tuple(HeldOut.of(item) for item in judged),
-        coverage95=pooled_coverage(judged),
-        coverage95_own=pooled_coverage(judged, "own"),
-        errors_deg={key: found.pooled(key) for key in COLUMNS if math.isfinite(found.pooled(key))},
-        parameters=tuple(entry for fit in found.fits for entry in _parameters(found.start, fit)),
-        stages=tuple(StageEntry.of(step) for step in found.steps),
-        correlations=tuple(pair for fit in found.fits for pair in _correlations(fit)),
-        between=_between(found),
-        noise=Noise(SensorNoise.of(found.start), SensorNoise.of(found.rig)),
-        tuning=TuningEntry(
-            tuple(now.process), tuple(before.process), tuple(now.measurement), tuple(before.measurement),
-            found.covered.torque, found.rig.directions,
-        ),
-        recordings=tuple(_recording(whole[name], name, state, end) for (_, state, name), (_, end)
-                         in zip(recordings, _ends(recordings, found), strict=True) if name in whole),
-        warnings=found.notes,
-        settings=Settings(found.start.name, asked.free, asked.frozen, asked.holdout, asked.starts, asked.seed),
-        software=versions(),
-        assumption=assumption(found.start, identified=True),
-    )  # fmt: skip
-    declared = rejection(numbers.held_out, refused, numbers.parameters, found.start.bounds)
-    return replace(numbers, rejected=found.rejected or declared)
 
+    rig: Rig
+    own: tuple[Rig, ...]
+    found: FromPressures | SealedIdentified
+    held: tuple[Held, ...]
+    recordings: tuple[tuple[Recording, JointCondition, str], ...]
+    seed: int = 0
 
-def _ends(recordings: Sequence[Given], found: FromPressures) -> list[tuple[str, float]]:
-    known = dict(found.fitted)
-    return [(name, min(known.get(name, 0.0), recording.duration_s)) for recording, _, name in recordings]
+    @override
+    def _brief(self) -> str:
+        names = ", ".join(name for _, _, name in self.recordings)
+        return f"rig {self.rig.name} from {names}; {len(self.warnings)} warnings; .summary() has the errors"
 
+    @property
+    def full(self) -> FromPressures:
+        """All results of a joint that is not sealed."""
+        assert isinstance(self.found, FromPressures), "of a sealed joint"
+        return self.found
 
-def unit_of_unknown(rig: Rig, item: Unknown) -> str:
-    """SI unit of an unknown."""
-    path = next(iter((*item.paths, *item.adds)), "")
-    return unit_of(rig, path) if path else _UNITS.get(item.name, "N m")
+    @cached_property
+    def rejected(self) -> str:
+        """Why the identified rig should not be used, in a sentence; empty if it may."""
+        found = self.full
+        return found.rejected or rejection(self.held, refusal(self.rig), self.parameters, found.start.bounds)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """For the user."""
+        return (*([do_not_use(self.rejected)] if self.rejected else []), *self.full.notes)
+
+    @property
+    def lacks_an_effect(self) -> bool:
+        """Whether the filter got no better on held-out data; :func:`diagnose` then searches for the missing effect."""
+        no_better = self.errors_deg.get("identified", 0.0) > self.errors_deg.get("as_configured", math.inf)
+        return no_better or lacks_an_effect(self.held)
+
+    @cached_property
+    def parameters(self) -> tuple[ParameterEntry, ...]:
+        """All free parameters before and after the fit."""
+        return tuple(item for fit in self.full.fits for item in _parameters(self.full.start, fit))
+
+    @cached_property
+    def errors_deg(self) -> dict[str, float]:
+        """Errors of the angle, over all held-out data of free joints, by what gives it, RMS [deg]."""
+        return {key: self.full.pooled(key) for key in COLUMNS if math.isfinite(self.full.pooled(key))}
+
+    @property
+    def coverage95(self) -> tuple[float, float]:
+        """Mean coverage of the 95 % interval on held-out parts, and with own values; NaN where there is none."""
+        return pooled_coverage(self.held), pooled_coverage(self.held, "own")
+
+    @cached_property
+    def correlations(self) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of strongly correlated parameters, the strongest of each fit first."""
+        return tuple(pair for fit in self.full.fits for pair in _correlations(fit))
+
+    @cached_property
+    def between(self) -> tuple[Difference, ...]:
+        """How the recordings deviate from each other; empty where they may not."""
+        out = [item for fit in self.full.fits for item in _differences(fit)]
+        return tuple(sorted(out, key=lambda item: -item.largest / max(item.std, 1e-12)))
+
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        found, asked = self.full, self.full.options
+        now, before = found.rig.tuning("default"), found.start.tuning("default")
+        coverage, own = self.coverage95
+        return {
+            "held_out": [entry(held) for held in self.held],
+            "coverage95": coverage,
+            "coverage95_own": own,
+            "errors_deg": self.errors_deg,
+            "parameters": [item._asdict() for item in self.parameters],
+            "stages": [
+                {
+                    "name": step.name,
+                    "source": step.source,
+                    "values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()},
+                    "before": step.before,
+                    "after": step.after,
+                    "note": step.note,
+                }
+                for step in found.steps
+            ],
+            "correlations": [{"first": a, "second": b, "correlation": value} for a, b, value in self.correlations],
+            "between": {"differences": [item._asdict() for item in self.between]} if self.between else None,
+            "noise": {"declared": _noise(found.start), "found": _noise(found.rig)},
+            "tuning": {
+                "process": now.process,
+                "process_before": before.process,
+                "measurement": now.measurement,
+                "measurement_before": before.measurement,
+                "unknown_torque_nm": found.covered.torque,
+                "directions": found.rig.directions,
+            },
+            "recordings": self._recordings(),
+            "warnings": found.notes,
+            "settings": {
+                "rig": found.start.name,
+                "free": asked.free,
+                "frozen": asked.frozen,
+                "holdout": asked.holdout,
+                "starts": asked.starts,
+                "seed": asked.seed,
+            },
+            "software": versions(),
+            "assumption": assumption(found.start, identified=True),
+            "rejected": self.rejected,
+        }
+
+    def _recordings(self) -> list[dict[str, Any]]:
+        whole, ends, out = {held.name: held.whole.report for held in self.held}, dict(self.full.fitted), []
+        for recording, state, name in self.recordings:
+            if (report := whole.get(name)) is not None:
+                facts, end = JointFacts.of(state), min(ends.get(name, 0.0), recording.duration_s)
+                out.append({
+                    "sha256": report.recording.sha256, "topics": report.recording.topics,
+                    "issues": report.recording.issues, "name": name, **vars(facts), "samples": report.samples,
+                    "duration_s": report.duration_s, "fitted_until_s": end,
+                })  # fmt: skip
+        return out
+
+    @override
+    def blocks(self) -> Sequence[Block]:
+        """What a terminal shows."""
+        return pages.summary(self)
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        return pages.document(self, figures)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each identified parameter: start value, identified value, standard error (needs pandas)."""
+        return frame_of(self._values(), ("parameter", "start", "value", "std"), "parameter")
+
+    def _values(self) -> list[tuple[Any, ...]]:
+        return [(item.name, item.start, item.value, item.std) for item in self.parameters]
+
+    def _fitted(self) -> list[str]:
+        """The part of each recording that was fitted, in words."""
+        until = dict(self.full.fitted)
+        return [
+            "held out" if name not in until else "all" if until[name] > one.duration_s else f"first {until[name]:.1f} s"
+            for one, _, name in self.recordings
+        ]
+
+    _ABOUT: ClassVar[tuple[str, ...]] = (
+        "Standard errors are in report.json. The directions below are the combinations of errors that change the "
+        "estimate most.",
+    )
+    """Last lines of the head of rig.yaml."""
+
+    @override
+    def _write_rigs(self, folder: Path) -> None:
+        """``rig.yaml``, and ``rig_1.yaml`` ...; a rejected rig as ``rig_rejected.yaml`` alone, of several none."""
+        start = self.found.start
+        when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+        about = [
+            f"Identified on {when} by pam_antagonist identify, from rig {start.name}, seed {self.seed}.",
+            "Recordings (the part that was fitted, joint, SHA-256):",
+            *(
+                f"  {name}: {until}, {state.condition}, {recording_hash(recording)}"
+                for (recording, state, name), until in zip(self.recordings, self._fitted(), strict=True)
+            ),
+            *self._ABOUT,
+        ]
+        names = ", ".join(name for _, _, name in self.recordings)
+        source = f"identified from {names}; started from: {start.source.strip()}"
+
+        def named(rig: Rig, more: str = "") -> Rig:
+            plain = start.name.removesuffix("_identified")
+            return rig.replaced(
+                name=f"{plain}_identified", source=" ".join(f"{source}{more}".split()), identified=names
+            )
+
+        if self.rejected:
+            lines = textwrap.wrap(f"Do not use this rig: {self.rejected}", 110)
+            write_unread(named(self.rig), folder / "rig_rejected.yaml", [*lines, *about])
+            return
+        write_rig(named(self.rig), folder / "rig.yaml", about)
+        for number, (own, (_, _, name)) in enumerate(zip(self.own, self.recordings, strict=False), 1):
+            remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
+            with suppress(RefusedRig):  # nobody is asked to use it
+                rig = named(own, f"; with the values of {name} alone")
+                write_rig(rig, folder / f"rig_{number}.yaml", [*about, remark])
 
 
 def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
@@ -133,52 +308,42 @@ def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
     return out
 
 
+def unit_of_unknown(rig: Rig, item: Unknown) -> str:
+    """SI unit of an unknown."""
+    path = next(iter((*item.paths, *item.adds)), "")
+    return unit_of(rig, path) if path else _UNITS.get(item.name, "N m")
+
+
 def recording_that_shows(name: str) -> str:
     """What to record so that a value shows."""
     return next((text for part, text in _WHAT_SHOWS if part in name), "a longer recording with larger steps")
 
 
-def _correlations(fit: Fit) -> list[Pair]:
-    """Pairs of strongly correlated parameters, the strongest first."""
+def _correlations(fit: Fit) -> list[tuple[str, str, float]]:
     common = [k for k, item in enumerate(fit.unknowns) if not item.recording]
     stds = np.sqrt(np.diag(fit.covariance))
     matrix = fit.covariance / np.outer(stds, stds)
     pairs = [(float(matrix[i, j]), i, j) for i in common for j in common if j < i]
     strong = sorted((pair for pair in pairs if abs(pair[0]) >= STRONG), key=lambda pair: -abs(pair[0]))
-    return [Pair(fit.unknowns[j].name, fit.unknowns[i].name, value) for value, i, j in strong[:_PAIRS]]
+    return [(fit.unknowns[j].name, fit.unknowns[i].name, value) for value, i, j in strong[:_PAIRS]]
 
 
-def _between(found: FromPressures) -> Between | None:
-    """How the recordings deviate from each other; None where they may not."""
-    out = []
-    for fit in found.fits:
-        ways: dict[str, list[int]] = {}
-        for k, item in enumerate(fit.unknowns):
-            if item.recording:
-                ways.setdefault(item.name.removeprefix(f"{item.recording}: "), []).append(k)
-        for name, places in ways.items():
-            values = np.array([fit.unknowns[k].value(float(fit.amounts[k])) for k in places])
-            low, high = places[int(np.argmin(values))], places[int(np.argmax(values))]
-            pick = np.zeros(len(fit.unknowns))
-            pick[low] -= fit.unknowns[low].std
-            pick[high] += fit.unknowns[high].std
-            std, largest = math.sqrt(float(pick @ fit.covariance @ pick)), float(np.ptp(values))
-            out.append(DifferenceEntry(name, tuple(values.tolist()), largest, std, largest > _CERTAIN * std))
-    out.sort(key=lambda item: -item.largest / max(item.std, 1e-12))
-    return Between(tuple(out)) if out else None
+def _differences(fit: Fit) -> list[Difference]:
+    out, ways = [], dict[str, list[int]]()
+    for k, item in enumerate(fit.unknowns):
+        if item.recording:
+            ways.setdefault(item.name.removeprefix(f"{item.recording}: "), []).append(k)
+    for name, places in ways.items():
+        values = np.array([fit.unknowns[k].value(float(fit.amounts[k])) for k in places])
+        low, high = places[int(np.argmin(values))], places[int(np.argmax(values))]
+        pick = np.zeros(len(fit.unknowns))
+        pick[low] -= fit.unknowns[low].std
+        pick[high] += fit.unknowns[high].std
+        std, largest = math.sqrt(float(pick @ fit.covariance @ pick)), float(np.ptp(values))
+        out.append(Difference(name, tuple(values.tolist()), largest, std, largest > _CERTAIN * std))
+    return out
 
 
-def _recording(whole: ReplayReport, name: str, state: JointCondition, end: float) -> RecordingEntry:
-    joint = JointFacts.of(state)
-    return RecordingEntry(
-        sha256=whole.recording.sha256,
-        topics=whole.recording.topics,
-        issues=whole.recording.issues,
-        name=name,
-        condition=joint.condition,
-        lock_angle_rad=joint.lock_angle_rad,
-        source=joint.source,
-        samples=whole.samples,
-        duration_s=whole.duration_s,
-        fitted_until_s=end,
-    )
+def _noise(rig: Rig) -> dict[str, float]:
+    names = ("pressure_std", "angle_std", "angle_step", "torque_std", "torque_step")
+    return {name: float(getattr(rig.sensors, name)) for name in names}

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from typing_extensions import override
 
 from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background
-from pam_antagonist.report.episodes import interval, times, unit, units_findings, value_name
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background, note, warn
+from pam_antagonist.report.episodes import interval, intervals_frame, times, unit, units_findings, value_name
 from pam_antagonist.report.identify_findings import WORSE, do_not_use
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal
+from pam_antagonist.rig.write import refusal, write_rig, write_unread
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""
@@ -30,44 +38,6 @@ def rejection(found: EpisodesIdentified) -> str:
         f"the error of the angle on later episodes is {number(now.value)}°, with the rig file as given "
         f"{number(before.value)}°. The joint drifts, or it moved too little to be identified."
     )
-
-
-def summary(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Block, ...]:
-    """Blocks for the terminal."""
-    later, between = found.errors["identified"]
-    before = found.errors["as configured"][0]
-    said = (
-        f"Identified from {found.counts[0]} episodes: the error of the angle on later episodes is "
-        f"{number(later.value)}°, on interleaved ones {number(between.value)}°; as configured it was "
-        f"{number(before.value)}° on the later ones."
-    )
-    rejected = rejection(found)
-    blocks: list[Block] = [
-        Text(do_not_use(rejected) if rejected else said, "verdict"),
-        Findings(_findings(found, joint)),
-        _errors(found),
-        _values(found),
-    ]
-    if found.regulators is not None:
-        blocks.append(regulators_table(found.regulators, found.rig))
-    return tuple(blocks)
-
-
-def _findings(found: EpisodesIdentified, joint: PressureDriven) -> tuple[Finding, ...]:
-    out = []
-    if found.errors["identified"][0].value > found.errors["as configured"][0].value:
-        out.append(
-            Finding(
-                "warn",
-                "On later episodes the rig as configured has the smaller error: the joint drifts, or it moved too "
-                "little to be identified.",
-            )
-        )
-    if found.regulators is None:
-        out.append(Finding("note", "No commands were recorded: the regulators stay as configured."))
-    else:
-        out += [Finding("note", text) for text in regulators_sentences(found.regulators)]
-    return (*out, *units_findings(joint))
 
 
 def _errors(found: EpisodesIdentified) -> Table:
@@ -127,31 +97,95 @@ def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
     return tuple(out)
 
 
-def document(found: EpisodesIdentified, joint: PressureDriven, sha256: str) -> Document:
-    """The report."""
-    definitions = (
-        ("Later", "Episodes at the end of the recording; no fit sees them."),
-        ("Interleaved", "Every fifth episode of what comes before; no fit sees them either."),
-        ("Interval", "A bootstrap of blocks of neighbouring episodes."),
-    )
-    lede = Text("A joint driven by pressure regulators, in many short recordings.", "lede")
-    provenance = [("Rig", found.start.name), ("Recording", sha256)]
-    return Document(
-        "Identified joint", joint.name, (lede, *summary(found, joint), *background(definitions, provenance))
-    )
+@dataclass(frozen=True, eq=False, repr=False)
+class EpisodesIdentifyResult(Result):
+    """A rig that was identified from episodes.
 
+    Attributes:
+        found: the values with their intervals, and errors on whole held-out episodes.
+        hashes: SHA-256 of the recording, a tuple of one.
+    """
 
-def numbers(found: EpisodesIdentified, sha256: str) -> dict[str, Any]:
-    """Content of ``report.json``; intervals are value, lower and upper end."""
-    return {
-        "values": found.values,
-        "errors_deg": {name: {"later": a, "interleaved": b} for name, (a, b) in found.errors.items()},
-        "regulators": None if found.regulators is None else regulators_numbers(found.regulators),
-        "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
-        "rig": found.start.name,
-        "recordings_sha256": [sha256],
-        "rejected": rejection(found),
-    }
+    rig: Rig
+    found: EpisodesIdentified
+    joint: PressureDriven
+    hashes: tuple[str, ...]
+
+    @override
+    def _brief(self) -> str:
+        return f"rig {self.rig.name} from the episodes of {self.joint.name}"
+
+    @property
+    def rejected(self) -> str:
+        """Why the identified rig should not be used, in a sentence; empty if it may."""
+        return rejection(self.found)
+
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``; intervals are value, lower and upper end."""
+        found = self.found
+        return {
+            "values": found.values,
+            "errors_deg": {name: {"later": a, "interleaved": b} for name, (a, b) in found.errors.items()},
+            "regulators": None if found.regulators is None else regulators_numbers(found.regulators),
+            "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
+            "rig": found.start.name,
+            "recordings_sha256": self.hashes,
+            "rejected": self.rejected,
+        }
+
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        found = self.found
+        later, between = (item.value for item in found.errors["identified"])
+        before = found.errors["as configured"][0].value
+        said = (
+            f"Identified from {found.counts[0]} episodes: the error of the angle on later episodes is "
+            f"{number(later)}°, on interleaved ones {number(between)}°; as configured it was {number(before)}° on the "
+            "later ones."
+        )
+        remarks: list[Finding] = []
+        if later > before:
+            remarks.append(warn("On later episodes the rig as configured has the smaller error: the joint drifts, or "
+                                "it moved too little to be identified."))  # fmt: skip
+        if found.regulators is None:
+            remarks.append(note("No commands were recorded: the regulators stay as configured."))
+        else:
+            remarks += map(note, regulators_sentences(found.regulators))
+        tables = () if found.regulators is None else (regulators_table(found.regulators, found.rig),)
+        return (
+            Text(do_not_use(self.rejected) if self.rejected else said, "verdict"),
+            Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables,
+        )  # fmt: skip
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; it has no figures."""
+        definitions = (
+            ("Later", "Episodes at the end of the recording; no fit sees them."),
+            ("Interleaved", "Every fifth episode of what comes before; no fit sees them either."),
+            ("Interval", "A bootstrap of blocks of neighbouring episodes."),
+        )
+        lede = Text("A joint driven by pressure regulators, in many short recordings.", "lede")
+        provenance = [("Rig", self.found.start.name), ("Recording", self.hashes[0])]
+        blocks = (lede, *self.blocks(), *background(definitions, provenance))
+        return Document("Identified joint", self.joint.name, blocks)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each identified value: the value and its 95 % interval by episode (needs pandas)."""
+        regulators = {} if self.found.regulators is None else self.found.regulators.values
+        return intervals_frame({**self.found.values, **regulators})
+
+    @override
+    def _write_rigs(self, folder: Path) -> None:
+        """``rig.yaml``; a rejected rig as ``rig_rejected.yaml``."""
+        episodes = f"{self.found.counts[0]} episodes of {self.joint.name}."
+        remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {episodes}"
+        if self.rejected:
+            write_unread(self.rig, folder / "rig_rejected.yaml", [remark, self.rejected])
+        else:
+            write_rig(self.rig, folder / "rig.yaml", [remark])
 
 
 def regulators_numbers(found: RegulatorsFound) -> dict[str, Any]:

@@ -4,38 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pam_antagonist.estimation import metrics
+from pam_antagonist.identification.result import Held
 from pam_antagonist.report import figures
-from pam_antagonist.report.figure import (
-    TIME,
-    Axis,
-    Band,
-    Figure,
-    FloatArray,
-    Line,
-    Panel,
-    Points,
-    Region,
-    Series,
-)
-from pam_antagonist.report.held_out import Judged
-from pam_antagonist.report.identify_entries import ParameterEntry
+from pam_antagonist.report.figure import TIME, Axis, Band, Figure, FloatArray, Line, Panel, Points, Region, Series
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.style import BAND, ESTIMATE, FAINT, MEASURED, MODEL, QUIET, SECOND
 from pam_antagonist.rig import Reading, Rig
 
+if TYPE_CHECKING:
+    from pam_antagonist.report.identify import ParameterEntry
 
-def held_out_figures(judged: Judged, rig: Rig) -> list[Figure]:
+
+def held_out_figures(held: Held, rig: Rig) -> list[Figure]:
     """Measurement, estimates and errors of one recording with two rigs; the held-out part is shaded."""
-    replay, out, reading = judged.whole["identified"], [], rig.sensors.reading
-    if judged.reports["identified"].joint.condition == "free" and _known(replay.measured_angle):
-        out.append(_held_out(judged, "angle", "Joint angle", "°", float(np.degrees(1.0)), 0, reading("angle")))
+    replay, out, reading = held.whole, [], rig.sensors.reading
+    if held.identified.joint.condition == "free" and _known(replay.measured_angle):
+        out.append(_held_out(held, "angle", "Joint angle", "°", float(np.degrees(1.0)), 0, reading("angle")))
     if _known(replay.measured_torque):
-        out.append(_held_out(judged, "torque", "Joint torque", "N m", 1.0, 2, reading("torque")))
-    out.append(_pressures(judged))
+        out.append(_held_out(held, "torque", "Joint torque", "N m", 1.0, 2, reading("torque")))
+    out.append(_pressures(held))
     return out
 
 
@@ -48,8 +40,8 @@ def _mean_error(x: FloatArray, name: str, error: FloatArray, color: str, period:
     return Line(name, x, figures.moving_mean(error, max(1, round(0.1 / period))), color, width=1.8, quiet=quiet)
 
 
-def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, place: int, reading: Reading) -> Figure:
-    before, now = judged.whole["as_configured"], judged.whole["identified"]
+def _held_out(held: Held, name: str, title: str, unit: str, scale: float, place: int, reading: Reading) -> Figure:
+    before, now = held.replays["as_configured"], held.whole
     recorded = now.measured_angle if name == "angle" else now.measured_torque
     assert recorded is not None
     measured, period, x = np.asarray(recorded * scale), now.recording.sample_period_s, time(now)
@@ -66,7 +58,7 @@ def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, pl
         # The panel above has the identified rig in the legend.
         line = _mean_error(at, f"UKF, {label}", error, color, period, quiet=replay is now)
         filtered.append(replace(line, dash="dot") if replay is before else line)
-    shade = Region(judged.from_s, float(x[-1]))
+    shade = Region(held.from_s, float(x[-1]))
     panels = (
         Panel(TIME, Axis(f"{name.capitalize()} [{unit}]"), (shade, *signal), 200),
         Panel(TIME, Axis(f"Model error [{unit}]"), (shade, *alone), 170),
@@ -76,21 +68,21 @@ def _held_out(judged: Judged, name: str, title: str, unit: str, scale: float, pl
         "Errors are estimate minus measurement, mean over 0.1 s. The shaded end was held out: it was used neither for "
         "the parameters nor for the tuning."
     )
-    return Figure(f"{title}: before and after", about, panels, judged.name)
+    return Figure(f"{title}: before and after", about, panels, held.name)
 
 
-def _pressures(judged: Judged) -> Figure:
+def _pressures(held: Held) -> Figure:
     shown = (
         ("as_configured", "as configured", QUIET),
         ("identified", "identified", MODEL),
         ("own", "own values", SECOND),
     )
-    shade = Region(judged.from_s, float(time(judged.whole["identified"])[-1]))
+    shade = Region(held.from_s, float(time(held.whole)[-1]))
     panels = []
     for muscle in (0, 1):
         parts: list[Series] = [shade]
         for key, label, color in shown:
-            replay = judged.whole.get(key)
+            replay = held.replays.get(key)
             if replay is not None:
                 error = (replay.model.pressure[:, muscle] - replay.measured_pressure[:, muscle]) * 1e-3
                 parts.append(
@@ -98,7 +90,7 @@ def _pressures(judged: Judged) -> Figure:
                 )
         panels.append(Panel(TIME, Axis(f"P{muscle + 1} error [kPa]"), tuple(parts), 160))
     about = "Predicted minus measured pressure, mean over 0.1 s; the model sees voltages only."
-    return Figure("Muscle pressures: before and after", about, tuple(panels), judged.name)
+    return Figure("Muscle pressures: before and after", about, tuple(panels), held.name)
 
 
 def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
+from pam_antagonist.identification.result import Held
 from pam_antagonist.report.channels import ANGLE, CHANNELS, HIGH_COVERAGE, Channel
-from pam_antagonist.report.document import Finding
-from pam_antagonist.report.held_out import HeldOut
-from pam_antagonist.report.identify_entries import IdentifyReport, ParameterEntry
+from pam_antagonist.report.document import Finding, good, note, warn
+from pam_antagonist.report.held_out import known, rigs_of
 from pam_antagonist.report.table import number, percent
 from pam_antagonist.report.units import readable
 from pam_antagonist.rig.physical import is_positive
+
+if TYPE_CHECKING:
+    from pam_antagonist.report.identify import IdentifyResult, ParameterEntry
 
 _LOW, _HIGH = 0.92, HIGH_COVERAGE
 """Range of the coverage on held-out data in which a 95 % interval is called honest."""
@@ -72,20 +75,17 @@ def do_not_use(rejected: str) -> str:
 
 
 def rejection(
-    held_out: Sequence[HeldOut],
-    refused: str = "",
-    parameters: Sequence[ParameterEntry] = (),
-    declared: Collection[str] = (),
+    every: Sequence[Held], refused: str = "", parameters: Sequence[ParameterEntry] = (), declared: Collection[str] = ()
 ) -> str:
     """Why the identified rig should not be used, in a sentence; empty if it may."""
-    if lost := [entry.name for entry in held_out if _diverged(entry)]:
+    if lost := [held.name for held in every if _diverged(held)]:
         return f"the model with the identified values diverges on the held-out part of {', '.join(lost)}."
     if refused:
         return f"the values that fit best are impossible ({refused})."
-    if worse := _became_worse(held_out):
+    if worse := _became_worse(every):
         return worse
     met = at_bounds(parameters)
-    if any(item.name in declared for item in met) or (met and not _much_better(held_out)):
+    if any(item.name in declared for item in met) or (met and not _much_better(every)):
         return (
             f"the search ended at a bound of {_bounds(met)}. The best values lie beyond it, so the model does not fit. "
             "Correct the rig file, or keep a parameter as configured with --freeze NAME."
@@ -108,14 +108,14 @@ def _bounds(met: Sequence[ParameterEntry]) -> str:
     )
 
 
-def _much_better(held_out: Sequence[HeldOut]) -> bool:
+def _much_better(every: Sequence[Held]) -> bool:
     """Whether no channel got worse on held-out data, and their errors at most half as large as before in the mean."""
-    both = [_pooled(held_out, channel, model) for channel in CHANNELS for model in _MODELS]
+    both = [_pooled(every, channel, model) for channel in CHANNELS for model in _MODELS]
     ratios = [max(now, 1e-12) / max(before, 1e-12) for before, now in filter(None, both)]
     return bool(ratios) and max(ratios) <= 1.0 and math.prod(ratios) <= 0.5 ** len(ratios)
 
 
-def _became_worse(held_out: Sequence[HeldOut]) -> str:
+def _became_worse(every: Sequence[Held]) -> str:
     """Whether the filter got worse on all held-out parts together, in a sentence; empty if not.
 
     The filter's error counts twice as much as that of the model alone. A worse torque counts if the angle did not
@@ -123,7 +123,7 @@ def _became_worse(held_out: Sequence[HeldOut]) -> str:
     """
     overall, judged = 1.0, False
     for channel in CHANNELS:
-        filters, models = (_pooled(held_out, channel, model) for model in _MODELS)
+        filters, models = (_pooled(every, channel, model) for model in _MODELS)
         if filters is None or models is None:
             continue
         judged = True
@@ -141,7 +141,7 @@ def _became_worse(held_out: Sequence[HeldOut]) -> str:
     if judged:
         return ""
     before, now = (
-        math.hypot(*(value for entry in held_out for value in getattr(entry, rig).model_alone.pressure.rmse_pa))
+        math.hypot(*(value for held in every for value in held.reports[rig].model_alone.pressure.rmse_pa))
         for rig in ("as_configured", "identified")
     )
     if now > WORSE * before:
@@ -152,183 +152,164 @@ def _became_worse(held_out: Sequence[HeldOut]) -> str:
     return ""
 
 
-def _pooled(held_out: Sequence[HeldOut], channel: Channel, model: _Model) -> tuple[float, float] | None:
+def _pooled(every: Sequence[Held], channel: Channel, model: _Model) -> tuple[float, float] | None:
     """RMS error of a channel over all recordings that have it, as configured and identified."""
-    known = [errors for entry in held_out if (errors := entry.known(channel, model))]
-    if not known:
+    found = [errors for held in every if (errors := known(held, channel, model))]
+    if not found:
         return None
-    before, now = (math.sqrt(sum(errors[k].rmse ** 2 for errors in known) / len(known)) for k in (0, 1))
+    before, now = (math.sqrt(sum(errors[k].rmse ** 2 for errors in found) / len(found)) for k in (0, 1))
     return before, now
 
 
-def _diverged(entry: HeldOut) -> bool:
+def _diverged(held: Held) -> bool:
     """Whether filter or model have no error that is a number."""
-    figures = entry.identified
+    figures = held.identified
     errors = [item for channel in CHANNELS for part in (figures.ukf, figures.model_alone) if (item := channel.of(part))]
     numbers = (*figures.model_alone.pressure.rmse_pa, figures.innovation.nis_mean, *(item.rmse for item in errors))
     return not all(map(math.isfinite, numbers))
 
 
-def verdict(report: IdentifyReport) -> str:
+def verdict(found: IdentifyResult) -> str:
     """The errors on held-out data before and after, of each channel in the recording where they are largest."""
-    if report.rejected:
-        return do_not_use(report.rejected)
+    if found.rejected:
+        return do_not_use(found.rejected)
     parts = []
     for channel in CHANNELS:
-        known = [errors for entry in report.held_out if (errors := entry.known(channel))]
-        if known:
-            before, now, *_ = max(known, key=lambda errors: errors[1].rmse)
+        if every := [errors for held in found.held if (errors := known(held, channel))]:
+            before, now, *_ = max(every, key=lambda errors: errors[1].rmse)
             parts.append(f"{channel.name} {channel.write(now.rmse)} (rig as configured: {channel.write(before.rmse)})")
     if not parts:
         return "No angle or torque was measured. Only the pressures could be judged."
     return f"Errors of the filter with the identified rig on held-out data (RMS): {', '.join(parts)}."
 
 
-def findings(report: IdentifyReport) -> tuple[Finding, ...]:
+def findings(found: IdentifyResult) -> tuple[Finding, ...]:
     """All findings."""
-    out = [Finding("warn", text) for text in report.warnings]
-    if (met := at_bounds(report.parameters)) and not report.rejected:
-        text = (
+    out = [warn(text) for text in found.full.notes]
+    if (met := at_bounds(found.parameters)) and not found.rejected:
+        out.append(warn(
             f"The search ended at a bound of {_bounds(met)}: the best values lie beyond it, and these may be wrong. "
             "Held-out data are still predicted much better than with the rig file as given."
-        )
-        out.append(Finding("warn", text))
-    for entry in report.held_out:
-        out += [*_worse(entry), *_against_model(entry), *_large(entry), *_of_recording(entry)]
-    return (*out, *_coverage(report), _differences(report), *_undetermined(report), *_pairs(report))
+        ))  # fmt: skip
+    for held in found.held:
+        out += [*_worse(held), *_against_model(held), *_large(held), *_of_recording(held)]
+    return (*out, *_coverage(found), _differences(found), *_undetermined(found), *_pairs(found))
 
 
-def lacks_an_effect(report: IdentifyReport) -> bool:
+def lacks_an_effect(every: Sequence[Held]) -> bool:
     """Whether the filter got worse on held-out data, so that the model seems to lack an effect."""
-    return any(_worse(entry) for entry in report.held_out)
+    return any(_worse(held) for held in every)
 
 
-def _worse(entry: HeldOut) -> list[Finding]:
+def _worse(held: Held) -> list[Finding]:
     """Channels in which the filter got worse: the fit compensated an effect that the model lacks."""
-    out = []
-    for channel in CHANNELS:
-        before, now, *_ = entry.known(channel) or (None, None)
-        if before is not None and now is not None and now.rmse > WORSE * before.rmse:
-            errors = f"{channel.write(now.rmse)}, as configured {channel.write(before.rmse)}"
-            text = (
-                f"{entry.name}, held-out part: the filter's {channel.name} is worse with the identified rig "
-                f"({errors}). "
-                "The model may lack an effect, which the parameters cannot replace: close_loop looks for it."
-            )
-            out.append(Finding("warn", text))
-    return out
+    return [
+        warn(
+            f"{held.name}, held-out part: the filter's {channel.name} is worse with the identified rig "
+            f"({channel.write(now.rmse)}, as configured {channel.write(before.rmse)}). The model may lack an effect, "
+            "which the parameters cannot replace: close_loop looks for it."
+        )
+        for channel in CHANNELS
+        for before, now, *_ in filter(None, [known(held, channel)])
+        if now.rmse > WORSE * before.rmse
+    ]
 
 
-def _against_model(entry: HeldOut) -> list[Finding]:
+def _against_model(held: Held) -> list[Finding]:
     """Channels in which the filter is worse than the model without measured pressures."""
     out = []
     for channel in CHANNELS:
-        known, alone = entry.known(channel), entry.known(channel, "model_alone")
-        if known and alone and known[1].rmse > WORSE * alone[1].rmse:
-            text = (
-                f"{entry.name}, held-out part: the filter's {channel.name} ({channel.write(known[1].rmse)}) is worse "
+        errors, alone = known(held, channel), known(held, channel, "model_alone")
+        if errors and alone and errors[1].rmse > WORSE * alone[1].rmse:
+            out.append(warn(
+                f"{held.name}, held-out part: the filter's {channel.name} ({channel.write(errors[1].rmse)}) is worse "
                 f"than that of the model alone ({channel.write(alone[1].rmse)}). The measured pressures contradict the "
                 "model, and correcting it by them does harm."
-            )
-            out.append(Finding("warn", text))
+            ))  # fmt: skip
     return out
 
 
-def _large(entry: HeldOut) -> list[Finding]:
+def _large(held: Held) -> list[Finding]:
     """An angle whose error is a large share of its range."""
-    for errors in entry.known(ANGLE)[1:2]:
+    for errors in known(held, ANGLE)[1:2]:
         share = errors.ratio * errors.rmse / errors.largest if errors.largest else 0.0
         if share > _LARGE:
-            text = (
-                f"{entry.name}, held-out part: the error is {percent(share)} of the angle's range: the joint is no "
+            return [warn(
+                f"{held.name}, held-out part: the error is {percent(share)} of the angle's range: the joint is no "
                 "plain pair of muscles, or the model lacks something. Run close_loop."
-            )
-            return [Finding("warn", text)]
+            )]  # fmt: skip
     return []
 
 
-def _of_recording(entry: HeldOut) -> list[Finding]:
+def _of_recording(held: Held) -> list[Finding]:
     before, now, *own = (
         " and ".join(number(value * 1e-3, 2) for value in figures.model_alone.pressure.rmse_pa)
-        for _, figures in entry.rigs
+        for _, figures in rigs_of(held)
     )
     parts = [f"pressures {now} kPa ({before} as configured{''.join(f', {text} with its own values' for text in own)})"]
     for channel in CHANNELS:
-        known = entry.known(channel, "model_alone")
-        if known:
-            parts.append(f"{channel.name} {channel.write(known[1].rmse)} ({channel.write(known[0].rmse)})")
-    out = [Finding("note", f"{entry.name}, held-out part, model alone, RMS error: {'; '.join(parts)}.")]
+        if alone := known(held, channel, "model_alone"):
+            parts.append(f"{channel.name} {channel.write(alone[1].rmse)} ({channel.write(alone[0].rmse)})")
+    out = [note(f"{held.name}, held-out part, model alone, RMS error: {'; '.join(parts)}.")]
     for channel in CHANNELS:
-        for errors in entry.known(channel)[1:2]:
+        for errors in known(held, channel)[1:2]:
             share = errors.coverage95 or 0.0
-            text = f"{entry.name}, held-out part: {percent(share)} of the measured {channel.name}s lie in the 95 % "
+            kind, how = (note, "larger than needed") if share > _HIGH else (warn, "too small")
             if _LOW <= share <= _HIGH:
-                out.append(Finding("good", text + "interval. The filter's covariance is honest."))
-            elif share > _HIGH:
-                out.append(Finding("note", text + "interval. The filter's covariance is larger than needed."))
-            else:
-                out.append(Finding("warn", text + "interval. The filter's covariance is too small."))
+                kind, how = good, "honest"
+            inside = f"{percent(share)} of the measured {channel.name}s lie in the 95 % interval"
+            out.append(kind(f"{held.name}, held-out part: {inside}. The filter's covariance is {how}."))
     return out
 
 
-def _coverage(report: IdentifyReport) -> list[Finding]:
-    share, own = report.coverage95, report.coverage95_own
+def _coverage(found: IdentifyResult) -> list[Finding]:
+    share, own = found.coverage95
     if not math.isfinite(share):
         return []
     beside = f"; with each recording's own values {percent(own)}" if math.isfinite(own) else ""
-    text = f"All held-out parts and channels together: {percent(share)} lie in the 95 % interval{beside}."
-    return [Finding("good" if _LOW <= share <= _HIGH else "note", text)]
+    kind = good if _LOW <= share <= _HIGH else note
+    return [kind(f"All held-out parts and channels together: {percent(share)} lie in the 95 % interval{beside}.")]
 
 
-def _differences(report: IdentifyReport) -> Finding:
-    if report.between is None:
-        text = "One recording does not show how much the rig changes between recordings. Give several for that."
-        return Finding("note", text)
-    certain = [item for item in report.between.differences if item.certain]
+def _differences(found: IdentifyResult) -> Finding:
+    if not found.between:
+        return note("One recording does not show how much the rig changes between recordings. Give several for that.")
+    certain = [item for item in found.between if item.certain]
     if not certain:
-        return Finding("good", "The recordings agree in all parameters within their error bars.")
+        return good("The recordings agree in all parameters within their error bars.")
     named = ", ".join(f"{item.name} by {100 * item.largest:.1f} %" for item in certain[:_LISTED])
     more = f" and {len(certain) - _LISTED} more" if len(certain) > _LISTED else ""
     if max(abs(item.largest) for item in certain) > _USUAL_DIFFERENCE:
-        return Finding(
-            "warn",
+        return warn(
             f"The recordings differ by more than {percent(_USUAL_DIFFERENCE)}, as those of one rig hardly do: "
-            f"{named}{more}. Either the rig changed, or the model lacks an effect. The common values suit neither.",
+            f"{named}{more}. Either the rig changed, or the model lacks an effect. The common values suit neither."
         )
-    return Finding(
-        "note",
+    return note(
         f"The recordings differ a little, as those of one rig may: {named}{more}. The common values lie between them, "
-        "and the filter's covariance includes the differences.",
+        "and the filter's covariance includes the differences."
     )
 
 
-def undetermined(report: IdentifyReport) -> dict[str, list[str]]:
+def undetermined(found: IdentifyResult) -> dict[str, list[str]]:
     """Recording that would help -> parameters that are not determined without it."""
     records: dict[str, list[str]] = {}
-    for item in report.parameters:
+    for item in found.parameters:
         if item.record is not None:
             records.setdefault(item.record, []).append(item.name)
     return records
 
 
-def _undetermined(report: IdentifyReport) -> list[Finding]:
-    records = undetermined(report)
-    if not records:
-        return [Finding("good", "The recordings determine every free parameter.")]
-    why = {item.name: item.reason for item in report.parameters}
+def _undetermined(found: IdentifyResult) -> list[Finding]:
+    why, records = {item.name: item.reason for item in found.parameters}, undetermined(found)
     return [
-        Finding(
-            "note",
-            f"Not determined: {', '.join(f'{name} ({why[name]})' for name in names)}. To determine it, record {text}.",
-        )
+        note(f"Not determined: {', '.join(f'{name} ({why[name]})' for name in names)}. To determine it, record {text}.")
         for text, names in records.items()
-    ]
+    ] or [good("The recordings determine every free parameter.")]
 
 
-def _pairs(report: IdentifyReport) -> list[Finding]:
-    pairs = report.correlations
+def _pairs(found: IdentifyResult) -> list[Finding]:
+    pairs = found.correlations
     if not pairs:
         return []
-    named = "; ".join(f"{pair.first} with {pair.second} ({pair.correlation:+.2f})" for pair in pairs[:2])
-    text = f"{len(pairs)} pairs of parameters are strongly correlated. The strongest: {named}."
-    return [Finding("note", text)]
+    named = "; ".join(f"{first} with {second} ({value:+.2f})" for first, second, value in pairs[:2])
+    return [note(f"{len(pairs)} pairs of parameters are strongly correlated. The strongest: {named}.")]

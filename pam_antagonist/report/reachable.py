@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist.control import Box, Reachable
 from pam_antagonist.control.yielding import largest_torque
-from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Document, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
@@ -36,14 +37,12 @@ _DEFINITIONS = (
 )
 
 
-@dataclass(frozen=True)
-class ReachableReport:
-    """Content of ``report.json``.
+@dataclass(frozen=True, eq=False, repr=False)
+class ReachableResult(Result):
+    """The reachable set: angles of rest and torques at angle 0 with the least and largest stiffness at each.
 
     Attributes:
-        lowest_pressure: of the bounds, absolute [Pa].
-        highest_pressure: of the bounds, absolute [Pa].
-        least_force: of a muscle [N].
+        box: bounds of pressures and of the force.
         angles: lowest and highest angle of rest (2,) [rad].
         torques: lowest and highest torque at angle 0 (2,) [N m].
         angle: angles of rest (N,) [rad].
@@ -54,10 +53,8 @@ class ReachableReport:
         torque_stiffest: largest stiffness at each (N,) [N m/rad].
     """
 
-    rig: str
-    lowest_pressure: float
-    highest_pressure: float
-    least_force: float
+    rig: Rig
+    box: Box
     angles: tuple[float, float]
     torques: tuple[float, float]
     angle: NDArray[np.float64]
@@ -68,7 +65,7 @@ class ReachableReport:
     torque_stiffest: NDArray[np.float64]
 
     @classmethod
-    def of(cls, rig: Rig, box: Box) -> ReachableReport:
+    def of(cls, rig: Rig, box: Box) -> ReachableResult:
         """Compute the reachable set of a rig, within bounds of pressures and forces."""
         reach = Reachable(rig.parameters(), box)
         torques = reach.torques(0.0)
@@ -76,43 +73,60 @@ class ReachableReport:
         at_angle = [reach.at_angle(float(value)) for value in angle]
         at_torque = [reach.at_torque(float(value), 0.0) for value in torque]
         return cls(
-            rig.name, *box, reach.angles, torques,
+            rig, box, reach.angles, torques,
             angle, np.array([each.softest for each in at_angle]), np.array([each.stiffest for each in at_angle]),
             torque, np.array([each.softest for each in at_torque]), np.array([each.stiffest for each in at_torque]),
         )  # fmt: skip
 
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        low, high, force = self.box
+        given = {"rig": self.rig.name, "lowest_pressure": low, "highest_pressure": high, "least_force": force}
+        return given | {item.name: getattr(self, item.name) for item in fields(self)[2:]}
 
-def write_report(folder: Path, rig: Rig, report: ReachableReport, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder."""
-    html.write(folder, document(rig, report, with_figures), report)
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        return Text(_lede(self)), table(self), *_yielding(self)
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        low, high = (f"{math.degrees(angle):.1f}" for angle in self.angles)
+        tiles = (
+            Tile("Angles of rest", f"{low} to {high}°"),
+            Tile("Stiffness", f"{number(self.softest.min())} to {number(self.stiffest.max())} N m/rad"),
+            Tile("Torque at angle 0", f"{self.torques[0]:.2f} to {self.torques[1]:.2f} N m"),
+        )
+        blocks: tuple[Block, ...] = (
+            Text(_lede(self), "lede"), Tiles(tiles), *(_figures(self) if figures else ()), table(self),
+            *_yielding(self), *background(_DEFINITIONS, [("Rig", self.rig.name)]),
+        )  # fmt: skip
+        return Document("What a joint can reach", self.rig.name, blocks)
 
 
-def summary(rig: Rig, report: ReachableReport) -> tuple[Block, ...]:
-    """Blocks for the terminal."""
-    return Text(_lede(report)), table(rig, report), *_yielding(rig, report)
-
-
-def table(rig: Rig, report: ReachableReport) -> Table:
+def table(found: ReachableResult) -> Table:
     """Stiffness over the angle, with the pressures at both ends."""
-    reach = Reachable(rig.parameters(), Box(report.lowest_pressure, report.highest_pressure, report.least_force))
-    low, high = (math.degrees(angle) for angle in report.angles)
+    reach = Reachable(found.rig.parameters(), found.box)
+    low, high = (math.degrees(angle) for angle in found.angles)
     inner = [step * _TABLE_STEP for step in range(math.ceil(low / _TABLE_STEP), math.floor(high / _TABLE_STEP) + 1)]
     rows = []
     for degrees in sorted({low, *inner, high}):
         angle = math.radians(degrees)
-        found = reach.at_angle(angle)
-        ends = [reach.pressures(angle, stiffness) for stiffness in (found.softest, found.stiffest)]
+        at = reach.at_angle(angle)
+        ends = [reach.pressures(angle, stiffness) for stiffness in (at.softest, at.stiffest)]
         pressures = [", ".join(f"{pressure * 1e-3:.0f}" for pressure in pair) for pair in ends]
-        rows.append((f"{degrees:.1f}", number(found.softest), pressures[0], number(found.stiffest), pressures[1]))
+        rows.append((f"{degrees:.1f}", number(at.softest), pressures[0], number(at.stiffest), pressures[1]))
     header = ("angle [°]", "softest [N m/rad]", "at [kPa]", "stiffest [N m/rad]", "at [kPa]")
     return Table(header, tuple(rows), "Stiffness within reach, and the absolute pressures of muscle 1 and 2")
 
 
-def _yielding(rig: Rig, report: ReachableReport) -> tuple[Table, ...]:
+def _yielding(found: ReachableResult) -> tuple[Table, ...]:
     """Largest torques to which the joint yields in mode IMPEDANCE around angle 0; none for pressure regulators."""
-    if rig.drive != "valve":
+    if found.rig.drive != "valve":
         return ()
-    box = Box(report.lowest_pressure, report.highest_pressure, report.least_force)
+    rig, box = found.rig, found.box
     middle = Reachable(rig.parameters(), box).at_angle(0.0)
     stiffness = 0.5 * (middle.softest + middle.stiffest)
     rows = [
@@ -124,24 +138,7 @@ def _yielding(rig: Rig, report: ReachableReport) -> tuple[Table, ...]:
     return (Table(header, tuple(rows), f"{about}; friction aside"),)
 
 
-def document(rig: Rig, report: ReachableReport, with_figures: bool = True) -> Document:
-    """The report as a document."""
-    low, high = (f"{math.degrees(angle):.1f}" for angle in report.angles)
-    tiles = (
-        Tile("Angles of rest", f"{low} to {high}°"),
-        Tile("Stiffness", f"{number(report.softest.min())} to {number(report.stiffest.max())} N m/rad"),
-        Tile("Torque at angle 0", f"{report.torques[0]:.2f} to {report.torques[1]:.2f} N m"),
-    )
-    blocks: tuple[Block, ...] = (Text(_lede(report), "lede"), Tiles(tiles))
-    blocks += figures(report) if with_figures else ()
-    return Document(
-        "What a joint can reach",
-        rig.name,
-        (*blocks, table(rig, report), *_yielding(rig, report), *background(_DEFINITIONS, [("Rig", rig.name)])),
-    )
-
-
-def figures(report: ReachableReport) -> tuple[Figure, ...]:
+def _figures(report: ReachableResult) -> tuple[Figure, ...]:
     """The set over the angle of rest, and over the torque at angle 0."""
 
     def panel(axis: str, x: NDArray[np.float64], ends: Sequence[NDArray[np.float64]]) -> Panel:
@@ -165,10 +162,11 @@ def figures(report: ReachableReport) -> tuple[Figure, ...]:
     )  # fmt: skip
 
 
-def _lede(report: ReachableReport) -> str:
+def _lede(report: ReachableResult) -> str:
     low, high = (f"{math.degrees(angle):.1f}" for angle in report.angles)
+    lowest, highest, force = report.box
     return (
-        f"Rig {report.rig} with {report.lowest_pressure * 1e-3:.0f} to {report.highest_pressure * 1e-3:.0f} kPa in its "
-        f"muscles and {report.least_force:g} N in each at least: it rests at {low} to {high}°, with a stiffness of "
+        f"Rig {report.rig.name} with {lowest * 1e-3:.0f} to {highest * 1e-3:.0f} kPa in its "
+        f"muscles and {force:g} N in each at least: it rests at {low} to {high}°, with a stiffness of "
         f"{number(report.softest.min())} to {number(report.stiffest.max())} N m/rad that depends on the angle."
     )

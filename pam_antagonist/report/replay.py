@@ -3,112 +3,124 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from typing_extensions import override
 
 from pam_antagonist.replays.result import Replay, ReplayReport
-from pam_antagonist.report import html
+from pam_antagonist.replays.table import columns, write_estimate
 from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.channels import CHANNELS, joint_text, judged
-from pam_antagonist.report.document import (
-    Block,
-    Columns,
-    Document,
-    Findings,
-    Section,
-    Text,
-    Tile,
-    Tiles,
-    background,
-)
+from pam_antagonist.report.document import Block, Columns, Document, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.replay_findings import DEFINITIONS, findings, overall_verdict, verdict
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import plain
 
-
-@dataclass(frozen=True)
-class TuningSettings:
-    """The filter's tuning; variances in squared SI units.
-
-    Attributes:
-        initial: diagonal of P(0).
-        consider: consider parameters -> standard deviations in SI units.
-        gate: largest Mahalanobis distance of a reading that is used.
-    """
-
-    name: str
-    initial: tuple[float, ...]
-    process: tuple[float, ...]
-    measurement: tuple[float, ...]
-    kappa: float
-    consider: Mapping[str, float]
-    gate: float
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
-@dataclass(frozen=True)
-class ReplaySettings:
-    """Settings of a replay.
+@dataclass(frozen=True, eq=False, repr=False)
+class ReplayResult(Replay, Result):
+    """A replayed recording.
 
     Attributes:
-        sample_period_s: of the rig [s].
-        assumption: the uncertainty that the rig claims; None for an identified one.
+        recording: the recording.
+        rig: the rig as configured.
+        tuning: name of the filter's tuning.
+        joint: whether the joint was free or locked.
+        run: M estimates; ``run.index`` are their samples in the recording.
+        model: the model alone at the same samples.
+        report: the numbers of ``report.json``.
+        plan: where the filter was started.
     """
 
-    rig: str
-    rig_source: str
-    sample_period_s: float
-    tuning: TuningSettings
-    assumption: str | None
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        return numbers([self])
 
-    @classmethod
-    def of(cls, replay: Replay) -> ReplaySettings:
-        """The settings of a replay."""
-        rig, tuning = replay.rig, replay.rig.tuning(replay.tuning)
-        return cls(
-            rig.name,
-            rig.source.strip(),
-            rig.sample_period,
-            TuningSettings(
-                replay.tuning,
-                tuple(tuning.initial),
-                tuple(tuning.process),
-                tuple(tuning.measurement),
-                tuning.kappa,
-                dict(rig.uncertainty) if tuning.consider else {},
-                tuning.gate,
-            ),
-            assumption(rig, replay.tuning),
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        report = self.report
+        head = (
+            f"{self.name}: {report.duration_s:.1f} s, {report.samples} samples, joint {report.joint.condition} "
+            f"(source: {report.joint.source})"
         )
+        how = f"rig {self.rig.name}, tuning {self.tuning}, {report.realtime_factor:.1f} × real time"
+        rests_on = in_first_lines(assumption(self.rig, self.tuning))
+        return Text(head), Text(how), *rests_on, errors_table(report), Findings(findings(report))
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        return document([self], figures)
+
+    @override
+    def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
+        """Write the report or the estimates.
+
+        Args:
+            path: of a new folder for ``report.html`` and ``report.json``, or of a new file ``*.csv`` or ``*.mcap`` for
+                the estimates.
+            figures: False leaves the figures out of the page.
+            overwrite: True replaces an earlier result there.
+
+        Returns:
+            The path.
+
+        Raises:
+            BadInput: the path exists, or cannot be written.
+        """
+        path = Path(path)
+        if path.suffix not in (".csv", ".mcap"):
+            return super().save(path, figures, overwrite)
+        write_estimate(path, self, overwrite)
+        return path
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each estimate, with standard deviations and measurements (needs pandas).
+
+        The columns are those of ``replay --save estimate.csv``; each name contains the unit.
+        """
+        return frame_of(columns(self))
 
 
-def numbers(replays: Sequence[Replay], **more: Any) -> dict[str, Any]:
-    """Content of ``report.json``.
+def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
+    """Content of ``report.json``: of one recording its numbers, of several those of each in a list."""
+    first, reports = replays[0], [plain(replay.report) for replay in replays]
+    rig, tuning = first.rig, first.rig.tuning(first.tuning)
+    settings = {
+        "rig": rig.name,
+        "rig_source": rig.source.strip(),
+        "sample_period_s": rig.sample_period,
+        "tuning": {
+            "name": first.tuning,
+            "initial": tuning.initial,
+            "process": tuning.process,
+            "measurement": tuning.measurement,
+            "kappa": tuning.kappa,
+            "consider": rig.uncertainty if tuning.consider else {},
+            "gate": tuning.gate,
+        },
+        "assumption": assumption(rig, first.tuning),
+    }
+    whole = reports[0] if len(reports) == 1 else {"recordings": reports}
+    return {**whole, "settings": settings, "software": versions()}
 
-    One recording gives its :class:`ReplayReport` with ``settings`` and ``software`` added; several give
-    ``{"recordings": [...], "settings": ..., "software": ...}``.
-    """
-    shared = {"settings": ReplaySettings.of(replays[0]), "software": versions(), **more}
+
+def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
+    """The page of one or several recordings; without figures it lacks plotly's 2 MB."""
     reports = [replay.report for replay in replays]
-    content = plain(reports[0]) if len(reports) == 1 else {"recordings": plain(reports)}
-    return {**content, **plain(shared)}
-
-
-def document(
-    replays: Sequence[Replay], title: str = "", with_figures: bool = True, first: Sequence[Block] = ()
-) -> Document:
-    """The report as a document.
-
-    Args:
-        with_figures: False leaves the figures (and plotly's 2 MB) out.
-        first: blocks of another command that uses a replay, put before the recordings.
-    """
-    reports = [replay.report for replay in replays]
-    name = title or (replays[0].name if len(replays) == 1 else f"{len(replays)} recordings")
+    name = replays[0].name if len(replays) == 1 else f"{len(replays)} recordings"
     seconds = sum(report.duration_s for report in reports)
     lede = (
         f"The estimator that runs live was run again on {seconds:.0f} s of recorded muscle pressures and valve "
@@ -117,12 +129,12 @@ def document(
     parts: list[Block] = [Text(lede, "lede"), Text(overall_verdict(reports), "verdict")]
     rests_on = in_first_lines(assumption(replays[0].rig, replays[0].tuning))
     if len(replays) == 1:
-        parts += [*first, *_recording(replays[0], _figures(replays[0], with_figures), with_figures, rests_on)]
+        parts += _recording(replays[0], _figures(replays[0], with_figures), with_figures, rests_on)
     else:
         # The first figure comes before the table of all recordings, so that it is on the first screen.
         shown = [_figures(replay, with_figures) for replay in replays]
         parts += [replace(figure, title=f"{replays[0].name}: {figure.title}") for figure in shown[0][:1]]
-        parts += [*rests_on, overview(reports), *first]
+        parts += [*rests_on, overview(reports)]
         shown[0] = shown[0][1:]
         for place, (replay, figures) in enumerate(zip(replays, shown, strict=True), 1):
             above = " Its first figure is at the top of the page." if place == 1 and with_figures else ""
@@ -131,23 +143,6 @@ def document(
             parts.append(Section(replay.name, blocks, 2, f"r{place}"))
     parts += background(DEFINITIONS, _provenance(replays))
     return Document("Replay of a pneumatic muscle joint", name, tuple(parts))
-
-
-def summary(replay: Replay) -> tuple[Block, ...]:
-    """Blocks for the terminal, for one recording."""
-    report = replay.report
-    head = (
-        f"{replay.name}: {report.duration_s:.1f} s, {report.samples} samples, joint {report.joint.condition} "
-        f"(source: {report.joint.source})"
-    )
-    how = f"rig {replay.rig.name}, tuning {replay.tuning}, {report.realtime_factor:.1f} × real time"
-    rests_on = in_first_lines(assumption(replay.rig, replay.tuning))
-    return Text(head), Text(how), *rests_on, errors_table(report), Findings(findings(report))
-
-
-def write_report(folder: Path, replays: Sequence[Replay], with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder."""
-    html.write(folder, document(replays, with_figures=with_figures), numbers(replays))
 
 
 def _figures(replay: Replay, with_figures: bool) -> Sequence[Figure]:
@@ -170,17 +165,17 @@ def _recording(
 
 
 def _provenance(replays: Sequence[Replay]) -> list[tuple[str, str]]:
-    settings = ReplaySettings.of(replays[0])
-    tuning = settings.tuning
+    rig, name = replays[0].rig, replays[0].tuning
+    tuning = rig.tuning(name)
     rows = [
-        ("Rig", settings.rig),
-        ("Source of its values", settings.rig_source),
-        ("Filter tuning", f"{tuning.name}: κ {tuning.kappa:g}, gate {tuning.gate:g} standard deviations"),
+        ("Rig", rig.name),
+        ("Source of its values", rig.source.strip()),
+        ("Filter tuning", f"{name}: κ {tuning.kappa:g}, gate {tuning.gate:g} standard deviations"),
         ("Process noise Q, a step", ", ".join(f"{value:g}" for value in tuning.process) + " [rad², rad²/s², Pa², Pa²]"),
         ("Measurement noise R", ", ".join(f"{value:g}" for value in tuning.measurement) + " [Pa²]"),
     ]
-    if tuning.consider:
-        known = ", ".join(f"{name} ± {std:g}" for name, std in tuning.consider.items())
+    if tuning.consider and rig.uncertainty:
+        known = ", ".join(f"{name} ± {std:g}" for name, std in rig.uncertainty.items())
         rows.append(("Parameters carried as uncertain", known))
     for report in (replay.report for replay in replays):
         rows += [
@@ -196,11 +191,7 @@ def tiles(report: ReplayReport) -> tuple[Tile, ...]:
     known = judged(report)
     return (
         *(
-            Tile(
-                f"{channel.title} error (RMS)",
-                channel.write(ukf.rmse),
-                f"model alone {channel.write(model.rmse)}",
-            )
+            Tile(f"{channel.title} error (RMS)", channel.write(ukf.rmse), f"model alone {channel.write(model.rmse)}")
             for channel, ukf, model in known
         ),
         *(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pam_antagonist.replays.live import ENDED, LiveComparison
 from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.report.channels import CHANNELS, Judged, joined, joint_text, judged
-from pam_antagonist.report.document import Finding
+from pam_antagonist.report.document import Finding, good, note, warn
 from pam_antagonist.report.table import number, percent
 
 HONEST_COVERAGE = 0.88
@@ -106,7 +106,7 @@ def findings(report: ReplayReport) -> tuple[Finding, ...]:
     """All findings of one recording."""
     if report.duration_s < SHORTEST_S:
         text = f"{report.duration_s:.3f} s is too short to judge the filter by; expected {SHORTEST_S:g} s or more."
-        return (Finding("warn", text), *_live(report), *_quality(report))
+        return (warn(text), *_live(report), *_quality(report))
     known = judged(report)
     against = [_against_model(item) for item in known]
     return (*against, *_honesty(known), *_innovations(report), *_live(report), *_quality(report))
@@ -119,13 +119,13 @@ def _against_model(item: Judged) -> Finding:
         f"{channel.write(ukf.largest)}, {percent(ukf.ratio)} of the measured range. The model alone "
     )
     if math.isinf(model.rmse):
-        return Finding("warn", f"{text}diverges: this rig file does not describe the joint.")
+        return warn(f"{text}diverges: this rig file does not describe the joint.")
     text += f"has {channel.write(model.rmse)} (RMS)"
     if model.rmse > ukf.rmse * MARGIN:
-        return Finding("good", f"{text}, {number(model.rmse / ukf.rmse, 2)} × as much.")
+        return good(f"{text}, {number(model.rmse / ukf.rmse, 2)} × as much.")
     if ukf.rmse > model.rmse * MARGIN:
-        return Finding("warn", f"{text}, less than the filter. Here the correction by the pressures does not help.")
-    return Finding("note", f"{text}. The correction by the pressures changes little.")
+        return warn(f"{text}, less than the filter. Here the correction by the pressures does not help.")
+    return note(f"{text}. The correction by the pressures changes little.")
 
 
 def _honesty(known: Sequence[Judged]) -> list[Finding]:
@@ -133,29 +133,28 @@ def _honesty(known: Sequence[Judged]) -> list[Finding]:
         return []
     text = joined([f"{percent(item.coverage)} of the measured {item.channel.name}s" for item in known])
     if min(item.coverage for item in known) < HONEST_COVERAGE:
-        return [Finding("warn", f"The filter's covariance is too small: its 95 % interval holds {text}.")]
+        return [warn(f"The filter's covariance is too small: its 95 % interval holds {text}.")]
     wide = [item for item in known if item.wide]
     if wide:
         times = [f"that of the {item.channel.name} {number((item.ukf.width or 0.0) / 1.96, 2)} times" for item in wide]
         return [
-            Finding(
-                "note",
+            note(
                 f"The filter's covariance is larger than needed: its 95 % interval holds {text} and is wide. The "
-                f"standard deviations are larger than the RMS errors: {joined(times)}.",
+                f"standard deviations are larger than the RMS errors: {joined(times)}."
             )
         ]
-    return [Finding("good", f"The filter's covariance is honest: its 95 % interval holds {text}.")]
+    return [good(f"The filter's covariance is honest: its 95 % interval holds {text}.")]
 
 
 def _innovations(report: ReplayReport) -> list[Finding]:
     mean, p, out = report.innovation.nis_mean, report.innovation.whiteness_p, []
     size = f"(mean NIS {number(mean, 2)}, 2 is right)."
     if mean > NIS_HIGH:
-        out.append(Finding("warn", f"The innovations are larger than the filter expects {size}"))
+        out.append(warn(f"The innovations are larger than the filter expects {size}"))
     elif mean < NIS_LOW:
-        out.append(Finding("note", f"The innovations are smaller than the filter expects {size}"))
+        out.append(note(f"The innovations are smaller than the filter expects {size}"))
     elif math.isfinite(mean):
-        out.append(Finding("good", f"The innovations are as large as the filter expects {size}"))
+        out.append(good(f"The innovations are as large as the filter expects {size}"))
     if math.isfinite(p):
         out.append(_whiteness(p, report.innovation.largest_correlation))
     return out
@@ -166,14 +165,14 @@ def _whiteness(p: float, correlation: float) -> Finding:
     small = "p < 0.001" if p < 1e-3 else f"p = {number(p, 2)}"
     size = f"largest autocorrelation {number(correlation, 2)}"
     if p >= CERTAIN:
-        return Finding("good", f"The innovations are white noise ({small}): the filter has used all of the pressures.")
+        return good(f"The innovations are white noise ({small}): the filter has used all of the pressures.")
     if abs(correlation) < FAINT:
         text = f"The innovations are nearly white: their autocorrelation is significant ({small}) but small ({size})."
-        return Finding("note", text)
+        return note(text)
     if correlation > 0.0:
-        return Finding("note", f"Successive innovations have the same sign ({size}): the model lacks a slow effect.")
+        return note(f"Successive innovations have the same sign ({size}): the model lacks a slow effect.")
     text = f"Successive innovations have opposite signs ({size}): the filter follows the sensors' noise too closely."
-    return Finding("note", text)
+    return note(text)
 
 
 def _live(report: ReplayReport) -> list[Finding]:
@@ -182,13 +181,13 @@ def _live(report: ReplayReport) -> list[Finding]:
         return []
     if report.live_without:
         text = f"The live filter missed part of {report.live_without} samples, which came too late. The replay leaves "
-        out.append(Finding("warn", text + "them out as well."))
+        out.append(warn(text + "them out as well."))
     if live.not_compared:
         out.append(_not_compared(live, report))
         if not live.compared:
             return out
     elif report.estimator.refused:
-        out.append(Finding("note", f"The filter ran from its start: {report.estimator.refused[0]}."))
+        out.append(note(f"The filter ran from its start: {report.estimator.refused[0]}."))
     return [*out, _equality(live, live_rig(report))]
 
 
@@ -200,12 +199,12 @@ def _not_compared(live: LiveComparison, report: ReplayReport) -> Finding:
         largest, last = (number(value, 2) for value in live.apart_deg)
         text += f" There the two angles differ by {largest}° at most, and by {last}° at the end."
     if live.why_not == (ENDED,):
-        return Finding("note", text)
+        return note(text)
     if report.estimator.refused:
         text += f" A checkpoint was of no use: {report.estimator.refused[0]}."
     elif not report.estimator.resumed_ns:
         text += " The recording holds no checkpoint of the live filter (topic filter_checkpoint) to go on from."
-    return Finding("note", text)
+    return note(text)
 
 
 def live_rig(report: ReplayReport) -> str:
@@ -218,24 +217,23 @@ def live_rig(report: ReplayReport) -> str:
 
 def _equality(live: LiveComparison, rig: str = "") -> Finding:
     if live.compared == 0:
-        return Finding("warn", "The recorded live estimate has no sample in common with the replay.")
+        return warn("The recorded live estimate has no sample in common with the replay.")
     if live.equal == live.compared and not live.only_live and not live.only_replay:
         text = f"The replay equals the estimate published live, bit for bit, in all {live.compared} samples"
         text += " that were compared." if live.not_compared else "."
-        return Finding("good", text)
-    return Finding(
-        "warn",
+        return good(text)
+    return warn(
         f"The replay equals the estimate published live in {live.equal} of {live.compared} samples "
         f"(fields that differ: {', '.join(live.differing) or 'none'}; {live.only_live} samples only live, "
-        f"{live.only_replay} only here).{rig}",
+        f"{live.only_replay} only here).{rig}"
     )
 
 
 def _quality(report: ReplayReport) -> list[Finding]:
     counts, issues = report.estimator.counts, report.recording.issues
-    out = [Finding("warn", f"{issue[:1].upper()}{issue[1:].rstrip('.')}.") for issue in issues[:_ISSUES]]
+    out = [warn(f"{issue[:1].upper()}{issue[1:].rstrip('.')}.") for issue in issues[:_ISSUES]]
     if len(issues) > _ISSUES:
-        out.append(Finding("warn", f"{len(issues) - _ISSUES} more such remarks are in report.json."))
+        out.append(warn(f"{len(issues) - _ISSUES} more such remarks are in report.json."))
     events = (
         (counts.outliers, "samples with a pressure outside the gate, which it left out"),
         (counts.gaps, "gaps, which it bridged by prediction"),
@@ -244,7 +242,7 @@ def _quality(report: ReplayReport) -> list[Finding]:
     )
     seen = [f"{count} {text}" for count, text in events if count]
     if seen:
-        out.append(Finding("note", f"The filter met {joined(seen)}."))
+        out.append(note(f"The filter met {joined(seen)}."))
     if report.joint.source == "nothing":
-        out.append(Finding("note", "The recording does not say whether the joint could move. It was taken as free."))
+        out.append(note("The recording does not say whether the joint could move. It was taken as free."))
     return out

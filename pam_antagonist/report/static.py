@@ -1,19 +1,28 @@
-"""The report of static fits: ``report.json`` and ``report.html``."""
+"""The result of ``static``: fits of static tables, the rig with them, and their page."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from typing_extensions import override
 
-from pam_antagonist.identification.static import Forms, StaticResult
+from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
+from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
-from pam_antagonist.report import html
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background
-from pam_antagonist.report.static_figures import static_figures
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
+from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series
+from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, PALETTE, SECOND
 from pam_antagonist.report.table import MISSING, Table, number
 from pam_antagonist.report.units import readable
+from pam_antagonist.rig.write import write_rig
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 DEFINITIONS = (
     (
@@ -37,22 +46,70 @@ DEFINITIONS = (
         "takes them as priors.",
     ),
 )
+COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND, "braided": PALETTE[3]}
+"""Colours of the forms of the force map."""
+_LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
+"""Colours from the shortest to the longest length; lighter is longer, also without colour vision."""
+_POINTS = 60
 
 
-def write_report(folder: Path, result: StaticResult, with_figures: bool = True) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder.
+@dataclass(frozen=True, eq=False)
+class StaticResult(StaticFits, Result):
+    """Fits of a muscle's static tables.
 
-    Args:
-        result: of ``static``.
+    Attributes:
+        rig: that the fits are for; None for a muscle without a rig.
+        fitted: that rig with the fits, None where only a report was requested.
+        muscles: that get the coefficients.
+        volumes: the table of volumes.
+        volume: the parabola that was fitted to it.
+        force_map: the table of forces.
+        forms: the fits of each form to it.
+        form: the one for the rig, without a rig that with the least error at lengths left out; empty without a map.
+        warnings: for the user.
     """
-    html.write(folder, document(result, with_figures), result)
+
+    @override
+    def _brief(self) -> str:
+        return f"{verdict(self)} {len(self.warnings)} warnings"
+
+    @override
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``, in SI units."""
+        return StaticFits.to_json(self)
+
+    @override
+    def blocks(self) -> tuple[Block, ...]:
+        """What a terminal shows."""
+        forms = () if self.force_map is None else (forms_table(self),)
+        return coefficients_table(self), *forms, Text(verdict(self)), Findings(tuple(map(_warning, self.warnings)))
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        """What a page shows; False leaves the figures out."""
+        return document(self, figures)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each coefficient: value, standard deviation and unit (needs pandas)."""
+        rows = [
+            (f"{part}.{name}", value, std, unit)
+            for part, fit in (("volume", self.volume), ("force", self.force))
+            if fit is not None
+            for (name, unit), value, std in zip(UNITS[fit.form.name].items(), fit.coefficients, fit.std, strict=True)
+        ]
+        return frame_of(rows, ("coefficient", "value", "std", "unit"), "coefficient")
+
+    @override
+    def _write_rigs(self, folder: Path) -> None:
+        if self.fitted is None:
+            return
+        tables, whose = (" and ".join(map(str, names)) for names in ([t.name for t in self.tables], self.muscles))
+        about = f"Rig {self.fitted.name} with static fits of muscle {whose} from {tables}; their errors: priors."
+        write_rig(self.fitted, folder / "rig.yaml", [about, *(f"! {text}" for text in self.warnings)])
 
 
-def summary(result: StaticResult) -> tuple[Block, ...]:
-    """Blocks for the terminal."""
-    forms = () if result.force_map is None else (forms_table(result),)
-    warnings = Findings(tuple(Finding("warn", f"{text}.") for text in result.warnings))
-    return coefficients_table(result), *forms, Text(verdict(result)), warnings
+def _warning(text: str) -> Finding:
+    return warn(f"{text}.")
 
 
 def forms_table(result: StaticResult) -> Table:
@@ -65,18 +122,12 @@ def forms_table(result: StaticResult) -> Table:
             continue
         values = (fit.left_out_rmse, fit.inner_rmse, largest(fit.left_out_errors), fit.overshoot, fit.fitted_rmse)
         rows.append((name + mark, *(number(value) for value in values)))
-    return Table(
-        (
-            "Form",
-            "Left out: RMS [N]",
-            "between the ends [N]",
-            "largest [N]",
-            "above 0 where slack [N]",
-            "fitted points: RMS [N]",
-        ),
-        tuple(rows),
-        "Force maps. Each is fitted without one length in turn and predicts the forces there.",
-    )
+    header = (
+        "Form", "Left out: RMS [N]", "between the ends [N]", "largest [N]", "above 0 where slack [N]",
+        "fitted points: RMS [N]",
+    )  # fmt: skip
+    about = "Force maps. Each is fitted without one length in turn and predicts the forces there."
+    return Table(header, tuple(rows), about)
 
 
 def lengths_table(forms: Forms) -> Table:
@@ -122,25 +173,21 @@ def _known(error: float, unit: str) -> str:
     return f"a root mean square error of {number(error)} {unit}" if np.isfinite(error) else ""
 
 
-def _begun(text: str) -> str:
-    """A text with its first letter in upper case."""
-    return f"{text[:1].upper()}{text[1:]}"
-
-
 def document(result: StaticResult, with_figures: bool = True) -> Document:
-    """The report as a document."""
+    """The page."""
     names = " and ".join(table.name for table in result.tables)
     whose = "both muscles" if len(result.muscles) == 2 else f"muscle {result.muscles[0]}"
     rig = f"for {whose} of rig {result.fitted.name}" if result.fitted else "without a rig to put them into"
     lede = f"Static measurements of a muscle, fitted {rig}."
     starts = tuple(table.name for table in result.tables)
-    findings = [Finding("warn", f"{text if text.startswith(starts) else _begun(text)}.") for text in result.warnings]
+    begun = (text if text.startswith(starts) else f"{text[:1].upper()}{text[1:]}" for text in result.warnings)
+    findings = [_warning(text) for text in begun]
     if len(result.muscles) == 2 and result.fitted is not None:
         text = (
             "Both muscles get the same coefficients. If you have a table of each, run once with --muscle 1, then with "
             "--muscle 2 on the rig that came out."
         )
-        findings.append(Finding("note", text))
+        findings.append(note(text))
     figures = static_figures(result) if with_figures else ()
     parts: list[Block] = [
         Text(lede, "lede"), Text(verdict(result), "verdict"), *figures[:1], Tiles(_tiles(result)),
@@ -161,8 +208,8 @@ def document(result: StaticResult, with_figures: bool = True) -> Document:
 def _tiles(result: StaticResult) -> tuple[Tile, ...]:
     out = []
     if result.volume is not None and result.volumes is not None:
-        note = f"{len(result.volumes)} volumes at {result.volumes.lengths} lengths"
-        out.append(Tile("Volume, lengths left out", f"{number(result.volume.left_out_rmse * 1e6)} cm³", note))
+        about = f"{len(result.volumes)} volumes at {result.volumes.lengths} lengths"
+        out.append(Tile("Volume, lengths left out", f"{number(result.volume.left_out_rmse * 1e6)} cm³", about))
     if result.force is not None and result.force_map is not None:
         table = result.force_map
         seen = len(table) - int(table.slack.sum())
@@ -183,3 +230,89 @@ def _provenance(result: StaticResult) -> list[tuple[str, str]]:
         rows.append(("Length that contractions count from", f"{force.form.rest_length:g} m"))
     rows += [(f"File {table.name}", f"SHA-256 {table.sha256}") for table in result.tables]
     return rows
+
+
+def static_figures(result: StaticResult) -> list[Figure]:
+    """All figures for the available tables."""
+    out = []
+    if result.force_map is not None and result.force is not None:
+        out += [force_figure(result.force_map, result.force), form_figure(result.forms)]
+    if result.volumes is not None and result.volume is not None:
+        out.append(volume_figure(result.volumes, result.volume, result))
+    return out
+
+
+def force_figure(table: StaticTable, fit: StaticFit) -> Figure:
+    """Force over pressure, a line for each length."""
+    parts: list[Series] = []
+    grid = np.linspace(table.pressure.min(), table.pressure.max(), _POINTS)
+    for group in range(table.lengths):
+        inside = table.group == group
+        length = float(table.length[inside].mean())
+        color = _color(group, table.lengths)
+        name = f"{length * 1e3:.4g} mm"
+        line = fit.value(np.full(_POINTS, length), grid)
+        shown = np.where(line >= table.limit, line, np.nan)
+        parts.append(Line(name, grid / 1e3, shown, color, width=1.8, quiet=True))
+        filled = bool(np.any(inside & ~table.slack))
+        for slack in (False, True):
+            rows = inside & (table.slack == slack)
+            if rows.any():
+                size = 6.0 if slack else 7.0
+                pressure, force = table.pressure[rows] / 1e3, table.value[rows]
+                parts.append(Points(name, pressure, force, color, size, hollow=slack, quiet=slack and filled))
+    panel = Panel(Axis("Absolute pressure [kPa]"), Axis("Contraction force [N]"), tuple(parts), 342)
+    about = (
+        f"Filled: measured; open: slack or not measured, of which the fit knows only that the force is not above "
+        f"{table.limit:g} N. Lines: form {fit.form.name}, cut off where it falls below that."
+    )
+    return Figure("Force over pressure at each length", about, (panel,), "force")
+
+
+def form_figure(forms: Forms) -> Figure:
+    """Error at each length of a fit without this length, a line for each form."""
+    parts: list[Series] = []
+    for name, fit in forms.items():
+        if isinstance(fit, StaticFit):
+            known = [item for item in fit.left_out if item.measured]
+            lengths = np.array([item.length for item in known]) * 1e3
+            errors = np.array([rms(item.errors) for item in known])
+            parts.append(Line(name, lengths, errors, COLORS[name], width=1.8))
+            parts.append(Points(name, lengths, errors, COLORS[name], 7.0, quiet=True))
+    panel = Panel(Axis("Length left out [mm]"), Axis("RMS error there [N]", from_zero=True), tuple(parts), 222)
+    about = (
+        "Each form was fitted without one length and then predicted the forces measured at it. At the two ends this "
+        "is extrapolation. A length at which every point was slack has no value here."
+    )
+    return Figure("Error of each form at a length that was left out", about, (panel,), "forms")
+
+
+def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> Figure:
+    """Volume over length with the fitted parabola and its 95 % interval.
+
+    Args:
+        result: with the rig; the range of its muscle lengths is marked if a rig was fitted.
+    """
+    low, high = float(table.length.min()), float(table.length.max())
+    edges: list[Reference] = []
+    if result.fitted is not None:
+        span = reach(result.fitted)
+        low, high = min(low, span.shortest), max(high, span.longest)
+        edges = [Reference(edge * 1e3, vertical=True) for edge in (span.shortest, span.longest)]
+    grid = np.linspace(low, high, _POINTS)
+    volume, half = fit.value(grid), fit.value_std(grid) * fit.reach95
+    parts: list[Series] = [*edges]
+    if np.all(np.isfinite(half)):
+        parts.append(Band("95 % interval", grid * 1e3, (volume - half) * 1e6, (volume + half) * 1e6, BAND))
+    parts.append(Line("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, width=1.8))
+    parts.append(Points("measured", table.length * 1e3, table.value * 1e6, MEASURED, 7.0))
+    panel = Panel(Axis("Length [mm]"), Axis("Volume [cm³]"), tuple(parts), 262)
+    about = "Equation (3)." + (" Dashed: the lengths between which the rig's joint takes its muscles." if edges else "")
+    return Figure("Volume over length", about, (panel,), "volume")
+
+
+def _color(number: int, count: int) -> str:
+    place = 0.0 if count == 1 else number / (count - 1) * (len(_LENGTH_COLORS) - 1)
+    stops = np.array([[int(color[k : k + 2], 16) for k in (1, 3, 5)] for color in _LENGTH_COLORS])
+    red, green, blue = (round(float(np.interp(place, np.arange(len(stops)), part))) for part in stops.T)
+    return f"#{red:02x}{green:02x}{blue:02x}"

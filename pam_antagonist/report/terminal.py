@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
-from pam_antagonist.report.document import Block, Finding, Findings, Section, Text
+from pam_antagonist.report.document import Block, Finding, Findings, Section, Text, warn
 from pam_antagonist.report.table import Table
 from pam_antagonist.report.units import with_unit
 
@@ -52,7 +52,7 @@ def _wrapped(text: str, first: str = "", others: str = "") -> str:
 
 def warnings(texts: Sequence[str]) -> str:
     """Warnings, each with its mark and wrapped."""
-    return "\n".join(finding(Finding("warn", text)) for text in texts)
+    return "\n".join(finding(warn(text)) for text in texts)
 
 
 def table(content: Table, indent: str = "  ") -> str:

@@ -27,6 +27,7 @@ from pam_antagonist import (
     diagnose,
     identify,
     load_rig,
+    new_rig,
     read_bag,
     replay,
     simulate,
@@ -37,7 +38,10 @@ from pam_antagonist.replays.table import columns
 from pam_antagonist.rig import Rig
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ("check", "identify", "load_rig", "read_bag", "replay", "simulate", "Estimator")
+EXAMPLES = (
+    "check", "excite", "identify", "import_csv", "load_rig", "new_rig", "read_bag", "replay", "simulate", "static",
+    "Estimator",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +140,25 @@ def test_results_are_short_in_a_console_and_tables_in_a_notebook(replayed: Repla
         assert len(repr(item)) <= 500 and "\n" not in repr(item)
     assert re.match(r"ReplayResult: .*joint free, rig shin2022; angle RMSE 0\.\d+° \(model alone", repr(replayed))
     assert replayed._repr_html_() == f"<pre>{html.escape(replayed.summary())}</pre>"
+
+
+def test_a_figure_of_a_result_is_plotted(replayed: ReplayResult) -> None:
+    pytest.importorskip("plotly", reason="the extra [reports] is not installed")
+    plot = replayed.plot()
+    assert plot.layout.title.text.startswith("Joint angle") and len(plot.data) > 3
+    with pytest.raises(BadInput, match=r"number 99: this result has \d+ figures"):
+        replayed.plot(99)
+
+
+def test_answers_of_a_new_rig_are_judged() -> None:
+    for answers, said in (
+        ({"radios": "3mm"}, "radios: no such answer"),
+        ({"radius": "36.5"}, "radius '36.5': expected a number and its unit"),
+        ({"radius": "36.5mm", "muscle": "DMSP-10", "muscle_force": "9N"}, "muscle_force: only with muscle own"),
+        ({}, "radius: missing"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            new_rig(**answers)
 
 
 def test_a_value_of_a_rig_is_changed_and_checked_as_in_its_file(rig: Rig) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -30,8 +32,11 @@ def in_kilopascals(free: Recording, tmp_path_factory: pytest.TempPathFactory) ->
     return folder
 
 
-def test_a_good_bag_ends_with_status_0(free: Recording, capsys: pytest.CaptureFixture[str]) -> None:
-    assert check.main([str(free.path), "--rig", "shin2022"]) == 0
+def test_a_good_bag_ends_with_status_0(
+    free: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str], golden: Callable[[str, Any], None]
+) -> None:
+    assert check.main([str(free.path), "--rig", "shin2022", "--json", str(tmp_path / "found")]) == 0
+    golden("check", list(json.loads((tmp_path / "found").read_text()).values()))
     out = capsys.readouterr().out
     assert "✗" not in out
     # What the intervals of other commands rest on comes last.

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist.__main__ import main as dispatch
-from pam_antagonist.cli import import_csv, replay
+from pam_antagonist.api import import_csv as importing
+from pam_antagonist.cli import replay
 from pam_antagonist.cli.import_csv import main
 from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.notes import sealed_muscles
@@ -114,14 +115,14 @@ def test_nothing_is_left_of_an_output_that_failed(
     as_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], where: str
 ) -> None:
     before = sorted(tmp_path.iterdir())
-    real = getattr(import_csv, where)
+    real = getattr(importing, where)
 
     def full_disk(folder: Path, *rest: object) -> None:
         real(folder, *rest)
         assert (folder / "metadata.yaml").exists() and not (tmp_path / "out").exists()
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(import_csv, where, full_disk)
+    monkeypatch.setattr(importing, where, full_disk)
     assert main(arguments(as_csv, tmp_path / "out")) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
@@ -199,7 +200,7 @@ def test_an_interrupt_leaves_nothing(as_csv: Path, tmp_path: Path, monkeypatch: 
         raise KeyboardInterrupt
 
     before = sorted(tmp_path.iterdir())
-    monkeypatch.setattr(import_csv, "write_notes", interrupted)
+    monkeypatch.setattr(importing, "write_notes", interrupted)
     assert main(arguments(as_csv, tmp_path / "out")) == 130
     assert sorted(tmp_path.iterdir()) == before
 

@@ -49,7 +49,7 @@ def arguments(tables: tuple[Path, Path], out: Path, *more: str) -> list[str]:
     return ["--volume", str(tables[0]), "--force-map", str(tables[1]), "--rig", "shin2022", "--out", str(out), *more]
 
 
-def test_the_rig_file_holds_the_fits_and_their_errors(tables, tmp_path, capsys):
+def test_the_rig_file_holds_the_fits_and_their_errors(tables, tmp_path, capsys, golden):
     assert dispatch(["static", *arguments(tables, tmp_path / "out")]) == 0
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "report.json", "rig.yaml"]
     before, after = load_rig("shin2022"), load_rig(tmp_path / "out" / "rig.yaml")
@@ -66,10 +66,9 @@ def test_the_rig_file_holds_the_fits_and_their_errors(tables, tmp_path, capsys):
     for name in ("geometry", "valve_1", "joint", "friction", "tunings", "uncertainty", "model"):
         assert getattr(after, name) == getattr(before, name), name
     report = json.loads((tmp_path / "out" / "report.json").read_text())
+    golden("static", report)
     linear = report["force"]["forms"]["linear"]
     assert linear["coefficients"]["v1"]["std"] == pytest.approx(after.priors["muscle_1.force.v1"], rel=1e-9)
-    assert linear["left_out"]["rmse_n"] < 0.6 and len(linear["left_out"]["by_length"]) == 7
-    assert np.array(report["volume"]["covariance"]).shape == (3, 3)
     said = capsys.readouterr().out
     assert "form linear gives the force with a root mean square error of 0." in " ".join(said.split())
 

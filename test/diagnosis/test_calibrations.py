@@ -12,7 +12,6 @@ from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, found_calibrations
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
-from pam_antagonist.diagnosis.rig_choice import choose
 from pam_antagonist.diagnosis.search import hypotheses, search
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
@@ -21,8 +20,7 @@ from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.report import close_loop, terminal
-from pam_antagonist.report.close_loop_document import summary
+from pam_antagonist.rig import Rig
 
 
 def misread(recording: Recording, **wrong: float) -> Recording:
@@ -31,6 +29,11 @@ def misread(recording: Recording, **wrong: float) -> Recording:
     if "torque_zero" in wrong:
         undone["torque_zero"] /= wrong.get("torque_scale", 1.0)
     return Corrections(**undone).applied(recording)
+
+
+def result_of(found: Diagnosis, rig: Rig, typed: Corrections) -> DiagnoseResult:
+    values = {item.name: getattr(found, item.name) for item in fields(Diagnosis)}
+    return DiagnoseResult(**values, start=rig, hashes=("-",), seed=0, kept=1 / 3, typed=typed)
 
 
 @pytest.fixture(scope="module")
@@ -49,23 +52,20 @@ def test_late_stamps_are_a_calibration_and_no_effect(late) -> None:
 
 
 def test_a_report_says_the_calibration_and_what_to_type(late, rig) -> None:
-    choice = choose(late, rig.name, lambda file: "")
-    report = close_loop.report(late, rig, ["-"], 0, 1 / 3, Corrections(delay_voltage=0.01, gauge=True), choice)
-    (entry,) = report.calibration
-    assert (entry.name, entry.unit) == ("delay_voltage", "s")
+    report = result_of(late, rig, Corrections(delay_voltage=0.01, gauge=True))
+    (entry,) = report.to_json()["calibration"]
+    assert (entry["name"], entry["unit"]) == ("delay_voltage", "s")
     gauge, delay = report.corrections
     assert gauge == "--gauge"
     # What was typed already counts.
     assert float(delay.removeprefix("--delay-voltage ")) == pytest.approx(40.0, abs=1.5)
-    shown = " ".join(terminal.render(summary(report)).split())
+    shown = " ".join(report.summary().split())
     assert "the voltages are stamped" in shown and "ms too early" in shown
     assert delay in shown
 
 
 def test_the_extended_rig_corrects_its_recordings(late, rig, tmp_path) -> None:
-    found = {item.name: getattr(late, item.name) for item in fields(Diagnosis)}
-    read = Corrections(delay_voltage=0.01, encoder_zero=0.2, gauge=True)
-    result = DiagnoseResult(**found, start=rig, hashes=("-",), seed=0, kept=1 / 3, typed=read)
+    result = result_of(late, rig, Corrections(delay_voltage=0.01, encoder_zero=0.2, gauge=True))
     extended = load_rig(result.save(tmp_path / "found", figures=False) / "rig_extended.yaml")
     # What was typed already counts; what it says of bags is no number of the rig.
     assert extended.calibration.delay_voltage == pytest.approx(0.04, abs=1.5e-3)

@@ -111,21 +111,21 @@ def test_a_rig_with_which_anything_is_worse_is_neither_written_nor_proposed(resu
     for number, factors in enumerate(((0.5, 1.2), (1.9, 0.5), (0.5, float("nan")))):
         worse = with_errors(result, extended=factors, recalibrated=(1.0, 1.0))
         assert worse.rig_files == () and worse.choice.proposed is None
-        said = worse.report.next_steps
+        said = worse.next_steps
         assert said[0].startswith("There is no rig_extended.yaml, since this rig would be worse than shin2022 (the ")
-        assert said[-1].endswith("until then, keep the rig file of shin2022.") and worse.report.next_rig is None
+        assert said[-1].endswith("until then, keep the rig file of shin2022.") and worse.next_rig is None
         worse.save(tmp_path / str(number), figures=False)
         assert sorted(path.name for path in (tmp_path / str(number)).iterdir()) == ["report.html", "report.json"]
     # Near the noise, one error of the model alone may grow a little where the filter gains much.
-    assert with_errors(result, extended=(1.1, 0.5), recalibrated=(1.0, 1.0)).report.next_rig == "rig_extended.yaml"
+    assert with_errors(result, extended=(1.1, 0.5), recalibrated=(1.0, 1.0)).next_rig == "rig_extended.yaml"
     assert with_errors(result, extended=(1.1, 1.0), recalibrated=(1.0, 1.0)).rig_files == ()
 
 
 def test_the_best_of_the_three_rigs_is_proposed_and_the_only_one_that_is_named(result, tmp_path) -> None:
     base = with_errors(result, extended=(1.0, 1.3), recalibrated=(0.4, 0.4))
-    assert base.rig_files == ("rig_recalibrated.yaml",) and base.report.next_rig == "rig_recalibrated.yaml"
-    assert "or use rig_recalibrated.yaml, which" in base.report.next_steps[-1]
-    assert "the filter's torque error" in base.report.next_steps[-1]
+    assert base.rig_files == ("rig_recalibrated.yaml",) and base.next_rig == "rig_recalibrated.yaml"
+    assert "or use rig_recalibrated.yaml, which" in base.next_steps[-1]
+    assert "the filter's torque error" in base.next_steps[-1]
     base.save(tmp_path / "out", figures=False)
     assert not load_rig(tmp_path / "out" / "rig_recalibrated.yaml").effects
     # Its parameters were fitted to the effect as well: a little better here may be worse elsewhere.
@@ -137,15 +137,15 @@ def test_the_best_of_the_three_rigs_is_proposed_and_the_only_one_that_is_named(r
 
 def test_recalibration_is_compared_with_what_the_user_had(result) -> None:
     nothing = dataclasses.replace(result, verdict="none", effects=())
-    (use,) = with_errors(nothing, extended=(0.5, 0.5)).report.next_steps
+    (use,) = with_errors(nothing, extended=(0.5, 0.5)).next_steps
     assert use.startswith("Next: nothing to repair; use rig_extended.yaml, which every command")
     assert use.endswith("it is shin2022, recalibrated by these recordings.")
-    (keep,) = with_errors(nothing, extended=(1.0, 1.0)).report.next_steps
+    (keep,) = with_errors(nothing, extended=(1.0, 1.0)).next_steps
     assert keep == "Next: nothing; keep the rig file of shin2022."
     # Where nothing explains the recordings, the file has to halve every error.
     unexplained = dataclasses.replace(nothing, verdict="unexplained")
     assert with_errors(unexplained, extended=(0.6, 0.4)).choice.proposed is None
-    halved = with_errors(unexplained, extended=(0.4, 0.4)).report
+    halved = with_errors(unexplained, extended=(0.4, 0.4))
     assert halved.next_rig == "rig_extended.yaml" and "use rig_extended.yaml, which" in halved.next_steps[-1]
 
 
@@ -153,14 +153,14 @@ def test_a_rig_that_no_command_would_read_is_not_proposed(result) -> None:
     impossible = result.rig_extended.replaced(uncertainty={"friction.shaft": 1.0})
     refused = with_errors(dataclasses.replace(result, rig_extended=impossible), recalibrated=(1.0, 1.0))
     assert refused.rig_files == () and "no command would read it (" in refused.choice.no_common
-    assert refused.report.next_rig is None
+    assert refused.next_rig is None
 
 
 def test_a_calibration_beyond_every_option_is_said_and_written_nowhere(result) -> None:
     scale = FoundCalibration("torque_scale", -0.84, 0.01, "-", 99.0, {})
     found = dataclasses.replace(result, calibrations=(scale,), typed=Corrections(torque_scale=0.3))
-    assert found.report.corrections == () and "its calibration would be larger than" in found.choice.no_common
-    (finding,) = calibration_findings(found.report)
+    assert found.corrections == () and "its calibration would be larger than" in found.choice.no_common
+    (finding,) = calibration_findings(found)
     assert finding.text.endswith("Together with the options given, that is too much.")
 
 
@@ -168,7 +168,7 @@ def test_headline_and_tiles_start_from_what_the_user_had(result) -> None:
     """A rig that was good before recalibration: what the effect regains is no gain for its user."""
     start, _, end = result.errors.all
     assert f"{start.torque.rmse:.2g} N m" in result.sentence and f"{end.torque.rmse:.2g} N m" in result.sentence
-    shown = next(item for item in document(result.report, result, False).blocks if isinstance(item, Tiles)).items
+    shown = next(item for item in document(result, False).blocks if isinstance(item, Tiles)).items
     (torque,) = (tile for tile in shown if tile.label.startswith("Torque"))
     assert torque.note == f"as configured {TORQUE.write(start.torque.rmse)}"
 
@@ -189,7 +189,7 @@ def test_recordings_with_different_faults_get_a_rig_each(result, tmp_path) -> No
     rigs = sorted(path.name for path in (tmp_path / "different").glob("*.yaml"))
     assert rigs == ["rig_extended_1.yaml", "rig_extended_2.yaml"]
     assert "rig_extended.yaml" not in (tmp_path / "different" / rigs[0]).read_text(encoding="utf-8")
-    assert "or use rig_extended_1.yaml for one, which" in different.report.next_steps[-1]
+    assert "or use rig_extended_1.yaml for one, which" in different.next_steps[-1]
 
     alike = with_errors(found, extended=(1e6, 1.0), recalibrated=(1.0, 1.0))
     assert alike.choice.no_common.startswith("one rig for all recordings would be worse than shin2022 (the model's ")
@@ -206,21 +206,21 @@ def test_recordings_with_different_faults_get_a_rig_each(result, tmp_path) -> No
 
 
 def test_a_report_says_what_to_do_next(rig, result) -> None:
-    (repair,) = result.report.next_steps
+    (repair,) = result.next_steps
     assert repair.startswith("Next: repair the joint and record again, or use rig_extended.yaml,")
     assert " ".join(result.summary().split()).endswith(repair)
     assert plain(result.report)["next_steps"] == [repair]
     assert plain(result.report)["next_rig"] == "rig_extended.yaml"
     undecided = dataclasses.replace(result, ambiguous_with=["valve_offset", "encoder_zero"])
-    decide, _ = undecided.report.next_steps
+    decide, _ = undecided.next_steps
     assert decide.startswith("Next: record once more, to decide between leak and valve offset.")
     assert "--tell-apart" in decide
     # A sealed joint has no valves that excite could move.
     sealed = dataclasses.replace(undecided, start=load_rig("sealed_joint"))
-    assert all("--tell-apart" not in step for step in sealed.report.next_steps)
+    assert all("--tell-apart" not in step for step in sealed.next_steps)
     # The same leak, beside curves that are a guess.
     guessed = rig.replaced(priors={"effects.valve_offset.voltage_1": 0.5})
-    measure = dataclasses.replace(result, start=guessed).report.next_steps[-1]
+    measure = dataclasses.replace(result, start=guessed).next_steps[-1]
     assert measure.startswith("Next: measure the valves' curves before you repair anything")
     assert warnings.guessed_curves(guessed, ["leak", "friction"])[0].count("leak") == 1
     assert not warnings.guessed_curves(rig, ["leak"]) and not warnings.guessed_curves(guessed, ["friction"])

@@ -17,7 +17,6 @@ import pytest
 
 import pam_antagonist
 from pam_antagonist import load_rig
-from pam_antagonist.api.episodes import EpisodesDiagnoseResult
 from pam_antagonist.cli.close_loop import main
 from pam_antagonist.diagnosis.episode_drift import StraightLines, course
 from pam_antagonist.diagnosis.episodes import diagnose, search
@@ -30,6 +29,7 @@ from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.signals import FurtherSignal
 from pam_antagonist.report import episodes as report
+from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.report.table import number
 
 EPISODES, ROWS, PERIOD = 120, 60, 0.0125

@@ -7,14 +7,17 @@ from typing import Any
 
 import pytest
 
+from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
 from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
+from pam_antagonist.diagnosis.rig_choice import RigChoice
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.report.close_loop import CloseLoopReport, Settings
+from pam_antagonist.report.close_loop import DiagnoseResult
 from pam_antagonist.report.close_loop_document import errors_table, summary
 from pam_antagonist.report.close_loop_findings import findings
 from pam_antagonist.report.document import Findings
+from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import plain
 
 
@@ -56,40 +59,63 @@ RECORDING_KEYS = {
 }  # fmt: skip
 
 
+KEYS = [
+    "verdict", "sentence", "effects", "ambiguous_with", "experiments", "ambiguities", "share_explained", "parts",
+    "reference", "base_friction_removed", "errors", "recordings", "ranking", "profiles", "remaining", "left", "unseen",
+    "warnings", "settings", "timing", "software", "splits", "calibration", "corrections", "assumption", "next_steps",
+    "next_rig",
+]  # fmt: skip
+
+
 @pytest.fixture
-def report() -> CloseLoopReport:
+def found(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> DiagnoseResult:
     """A leak that nothing else could be."""
-    return CloseLoopReport(
+    monkeypatch.setattr(DiagnoseResult, "choice", RigChoice((), None, ""))
+    return DiagnoseResult(
         verdict="effect",
         sentence="Air leaks.",
         effects=(FoundEffect("leak", 1, {"area_1": Size(1e-9, 1e-11, "m2")}, 180.0, 0.9, ("lab/free",)),),
+        calibrations=(),
         ambiguous_with=(),
-        experiments={},
+        experiment={},
         ambiguities=(),
-        share_explained=0.9,
-        parts=(PartVerdict("joint", "effect", 0.9),),
-        reference=None,
-        base_friction_removed=False,
-        errors=MODELS,
-        recordings=(RECORDING,),
         ranking=(),
-        profiles=(),
+        share=0.9,
+        parts=(PartVerdict("joint", "effect", 0.9),),
+        errors=MODELS,
+        of_one_rig={},
+        by_recording=(RECORDING,),
+        reference=None,
         remaining=(),
-        left=(),
         unseen=(),
         warnings=(),
-        settings=Settings("rig", "a paper", 0, 1.0 / 3.0, 6.0, 0.05, 0.12, 0.4),
-        timing={},
-        software={},
+        profiles=(),
+        rig_recalibrated=rig,
+        rig_extended=rig,
+        own=(),
+        base_friction_removed=False,
+        experiments=(),
+        recalibrated=Model((), ()),
+        extended=Model((), ()),
+        compared=(),
+        seconds={},
+        start=rig,
+        hashes=("0" * 64,),
+        seed=0,
+        kept=1.0 / 3.0,
     )
 
 
-def said(report: CloseLoopReport, status: str) -> str:
-    return " ".join(item.text for item in findings(report) if item.status == status)
+def said(found: DiagnoseResult, status: str) -> str:
+    return " ".join(item.text for item in findings(found) if item.status == status)
 
 
-def test_a_diagnosis_keeps_its_keys(report: CloseLoopReport) -> None:
-    written = plain(report)
+def test_a_diagnosis_keeps_its_keys(found: DiagnoseResult) -> None:
+    written = plain(found.to_json())
+    assert list(written) == KEYS
+    assert list(written["settings"]) == [
+        "rig", "rig_source", "seed", "holdout", "strong_evidence", "first_share", "further_share", "explained_share",
+    ]  # fmt: skip
     assert written["errors"] == MODEL_KEYS
     assert written["recordings"] == [RECORDING_KEYS]
     assert written["effects"][0]["parameters"] == {"area_1": {"value": 1e-9, "std": 1e-11, "unit": "m2"}}
@@ -101,19 +127,19 @@ def test_a_recording_that_was_fitted_to_its_end_has_no_errors() -> None:
     assert plain(replace(RECORDING, role="fitted", held_out_from_s=None, errors=None, residuals=None)) == known
 
 
-def test_the_best_model_is_marked_and_what_was_not_measured_is_said(report: CloseLoopReport) -> None:
-    table = errors_table(report)
+def test_the_best_model_is_marked_and_what_was_not_measured_is_said(found: DiagnoseResult) -> None:
+    table = errors_table(found)
     best = dict(zip((row[0].strip() for row in table.rows), table.marked, strict=True))
     assert best["angle RMSE [°]"] == {3} and best["pressure 1 RMSE [kPa]"] == set()
     blind = ModelErrors(*(replace(values, angle=None) for values in MODELS.all))
-    assert ("  angle", "not measured", "–", "–") in errors_table(replace(report, errors=blind)).rows
+    assert ("  angle", "not measured", "–", "–") in errors_table(replace(found, errors=blind)).rows
 
 
-def test_a_driven_joint_shows_where_it_slides(report: CloseLoopReport) -> None:
+def test_a_driven_joint_shows_where_it_slides(found: DiagnoseResult) -> None:
     sizes = {"as_configured": 0.04, "recalibrated": 0.4, "extended": 0.09}
     sliding = ModelErrors(*(errors(0.1, 0.2, Sliding(size, 0.3, 0.4)) for size in sizes.values()))
     entry = replace(RECORDING, joint="driven", errors=sliding, sweeps={"fitted": 3, "held_out": 1})
-    driven = replace(report, errors=sliding, recordings=(entry,))
+    driven = replace(found, errors=sliding, by_recording=(entry,))
     assert plain(driven.errors) == {
         name: keys(0.1, 0.2, rmse_sliding_nm=size, rmse_sticking_nm=0.3, sliding_share=0.4)
         for name, size in sizes.items()
@@ -121,32 +147,30 @@ def test_a_driven_joint_shows_where_it_slides(report: CloseLoopReport) -> None:
     assert plain(entry)["sweeps"] == {"fitted": 3, "held_out": 1}
     assert "torque while it slides, RMSE [N m]" in [row[0].strip() for row in errors_table(driven).rows]
     assert "the rig as configured has the smaller error (0.040 N m, extended 0.090 N m)" in said(driven, "note")
-    assert "the smaller error" not in said(report, "note")
+    assert "the smaller error" not in said(found, "note")
 
 
-def test_a_clear_effect_is_good_and_an_ambiguous_one_a_warning(report: CloseLoopReport) -> None:
-    assert "No other candidate" in said(report, "good")
+def test_a_clear_effect_is_good_and_an_ambiguous_one_a_warning(found: DiagnoseResult) -> None:
+    assert "No other candidate" in said(found, "good")
     rival = Ambiguity(
         "leak", "thermal", 0.3, (0.055, 0.049), "kPa", 60.0, "in the mean of the pressures", ambiguous=True
     )
-    unclear = replace(
-        report, ambiguous_with=("thermal",), experiments={"thermal": "record again"}, ambiguities=(rival,)
-    )
+    unclear = replace(found, ambiguous_with=("thermal",), experiment={"thermal": "record again"}, ambiguities=(rival,))
     warning = said(unclear, "warn")
     assert warning.startswith("Thermal would explain the data as well as leak: ")
     assert "leak leaves 0.055 kPa, thermal 0.049 kPa (RMS; ΔBIC 0.3)" in warning
     assert warning.endswith("To distinguish them: record again.")
     assert "No other candidate" not in said(unclear, "good")
-    refuted = replace(report, ambiguities=(replace(rival, ambiguous=False, evidence=20.0),))
+    refuted = replace(found, ambiguities=(replace(rival, ambiguous=False, evidence=20.0),))
     assert "Thermal explains the data less well than leak: " in said(refuted, "good")
 
 
-def test_a_part_that_is_not_explained_is_a_warning(report: CloseLoopReport) -> None:
+def test_a_part_that_is_not_explained_is_a_warning(found: DiagnoseResult) -> None:
     parts = (PartVerdict("pressures", "unexplained", 0.0), PartVerdict("torque", "effect", 0.9))
-    assert "The residual of the pressures is above noise" in said(replace(report, parts=parts), "warn")
+    assert "The residual of the pressures is above noise" in said(replace(found, parts=parts), "warn")
 
 
-def test_names_of_recordings_keep_their_first_letter(report: CloseLoopReport) -> None:
-    shown = summary(replace(report, warnings=("lab/free: too short", "the noise is large")))
+def test_names_of_recordings_keep_their_first_letter(found: DiagnoseResult) -> None:
+    shown = summary(replace(found, warnings=("lab/free: too short", "the noise is large")))
     warnings, *_ = [block for block in shown if isinstance(block, Findings)]
     assert [item.text for item in warnings.items] == ["lab/free: too short.", "The noise is large."]

@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,7 @@ from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import RecordedReference, Recording
 from pam_antagonist.replays import replay
-from pam_antagonist.report import terminal
-from pam_antagonist.report.demo import Demo, Simulated, summary, write_report
+from pam_antagonist.report.demo import Demo, Simulated
 from pam_antagonist.rig import Rig, load_rig
 
 Changed = Callable[..., Recording]
@@ -32,21 +32,22 @@ def recording(free: Recording, changed: Changed) -> Recording:
     return changed(free, reference=reference)
 
 
-def test_the_report_holds_replay_and_control(rig: Rig, recording: Recording, tmp_path: Path) -> None:
+def test_the_report_holds_replay_and_control(
+    rig: Rig, recording: Recording, tmp_path: Path, golden: Callable[[str, Any], None]
+) -> None:
     demo = Demo.of(replay(recording, rig), Mode.ANGLE, Simulated(0.02, 7))
-    write_report(tmp_path, demo, with_figures=False)
+    demo.write(tmp_path, figures=False)
     written = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    golden("demo", written)
     assert recording.angle is not None
     error = np.where(np.arange(len(recording.angle)) < 3000, 0.0, 2.0) - np.degrees(recording.angle)
     tracking = written["demo"]["tracking"]
     assert tracking["rmse_deg"] == pytest.approx(float(np.sqrt(np.mean(error**2))))
     assert [step["reference_deg"] for step in tracking["steps"]] == pytest.approx([0.0, 2.0])
-    assert written["demo"]["simulated_joint"] == {"mismatch": 0.02, "seed": 7}
-    assert written["demo"]["pipeline"] is None
     assert written["ukf"]["angle"]["rmse_deg"] == demo.replay.report.ukf.angle.rmse
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h1>Sensor-less control, live</h1>" in page and "Worst steady-state error" in page
-    shown = terminal.render(summary(demo))
+    shown = demo.summary()
     assert "steps settled within" in shown.splitlines()[0]
     assert "not judged: a stage of it is missing in the recording" in shown
     assert "in the 95 % interval" in shown
@@ -62,11 +63,11 @@ def test_a_stiffness_that_was_asked_for_is_judged_by_the_estimate(
         recording.reference.stamp_ns, mode, recording.reference.value, stiffness, np.full(2, np.nan)
     )
     demo = Demo.of(replay(changed(recording, reference=asked), rig), Mode.ANGLE_STIFFNESS, Simulated(0.02, 7), "model")
-    write_report(tmp_path, demo)
+    demo.write(tmp_path)
     written = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demo"]["stiffness"]
     assert [step["reference"] for step in written["steps"]] == [6.0, 7.0]
     assert written["rmse"] > 0.0
-    assert "Worst steady-state error of the stiffness" in terminal.render(summary(demo))
+    assert "Worst steady-state error of the stiffness" in demo.summary()
 
 
 def test_a_joint_that_yields_is_judged_by_the_spring_and_damper_asked_for(tmp_path: Path) -> None:
@@ -81,12 +82,12 @@ def test_a_joint_that_yields_is_judged_by_the_spring_and_damper_asked_for(tmp_pa
     )
     recording = dataclasses.replace(made, angle=angle, external_torque=push, reference=asked)
     demo = Demo.of(replay(recording, rig), Mode.IMPEDANCE, Simulated(0.0, 1), "model")
-    write_report(tmp_path, demo)
+    demo.write(tmp_path)
     found = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demo"]
     assert found["yielding"]["rmse_deg"] == pytest.approx(np.degrees(1e-3 / np.sqrt(2.0)), rel=0.05)
     assert found["yielding"]["within"] == 1.0
     assert [step["reference_deg"] for step in found["tracking"]["steps"]] == pytest.approx([0.0, np.degrees(0.15)])
-    assert "that of spring and damper" in terminal.render(summary(demo))
+    assert "that of spring and damper" in demo.summary()
     with pytest.raises(BadInput, match="external_torque"):
         Demo.of(replay(dataclasses.replace(recording, external_torque=None), rig), Mode.IMPEDANCE, Simulated(0.0, 1))
 
@@ -95,8 +96,8 @@ def test_a_stop_for_safety_is_the_first_line(rig: Rig, recording: Recording, tmp
     reason = "controller: the estimated angle is +0.574 rad, beyond 0.4538 rad (+32.9 deg; the limit is 26.0 deg)"
     demo = Demo.of(replay(recording, rig), Mode.ANGLE, Simulated(0.02, 7), stopped=reason)
     said = f"Stopped for safety by the {reason}"
-    assert " ".join(terminal.render(summary(demo)).split()).startswith(said)
-    write_report(tmp_path, demo, with_figures=False)
+    assert " ".join(demo.summary().split()).startswith(said)
+    demo.write(tmp_path, figures=False)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     first = page.index("<p", page.index("<h1"))
     assert said in page[first : first + 300], "before all else"
@@ -106,7 +107,7 @@ def test_a_stop_for_safety_is_the_first_line(rig: Rig, recording: Recording, tmp
 
 def test_a_joint_without_commands_is_no_bad_controller(rig: Rig, recording: Recording) -> None:
     held = dataclasses.replace(recording, voltage=np.full_like(recording.voltage, 5.5))
-    shown = terminal.render(summary(Demo.of(replay(held, rig), Mode.ANGLE, Simulated(0.02, 7))))
+    shown = Demo.of(replay(held, rig), Mode.ANGLE, Simulated(0.02, 7)).summary()
     assert shown.startswith("The joint had no commands: in 100.0 % of the samples the valves had the safe commands.")
 
 

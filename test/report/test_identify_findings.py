@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.identification.result import Held
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.report import identify_episodes, identify_findings
-from pam_antagonist.report.held_out import HeldOut
 from pam_antagonist.rig import load_rig
 
 
@@ -27,9 +27,10 @@ def held_out(before: float, now: float, alone: tuple[float, float] = (1.0, 1.0),
         model_alone.pressure = SimpleNamespace(rmse_pa=(1e3 * model, 1e3 * model))
         return SimpleNamespace(ukf=ukf, model_alone=model_alone, innovation=SimpleNamespace(nis_mean=nis))
 
-    joint = SimpleNamespace(condition="free")
-    parts = (figures(before, alone[0]), figures(now, alone[1]))
-    return HeldOut("lab/free", 20.0, joint, *parts, None)  # type: ignore[arg-type]
+    reports = {"as_configured": figures(before, alone[0]), "identified": figures(now, alone[1])}
+    for one in reports.values():
+        one.joint = SimpleNamespace(condition="free")
+    return Held("lab/free", 20.0, {}, reports, math.nan, math.nan, 0)  # type: ignore[arg-type]
 
 
 def parameter(name: str, value: float, bound: float | None = None) -> Any:
@@ -40,8 +41,7 @@ def parameter(name: str, value: float, bound: float | None = None) -> Any:
 def test_a_rig_that_became_worse_is_a_warning(before: float, now: float, said: int) -> None:
     found = identify_findings._worse(held_out(before, now))
     assert len(found) == said
-    report: Any = SimpleNamespace(held_out=(held_out(before, now),))
-    assert identify_findings.lacks_an_effect(report) == bool(said)
+    assert identify_findings.lacks_an_effect([held_out(before, now)]) == bool(said)
     for item in found:
         assert item.status == "warn" and "0.43°" in item.text and "close_loop" in item.text
 

@@ -21,7 +21,7 @@ from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.recording import Recording
 from pam_antagonist.report import episodes as report
-from pam_antagonist.report import html, terminal
+from pam_antagonist.report import html
 from pam_antagonist.rig import load_rig
 from validation.pamy import baselines, page
 
@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
         html.write(folder, content, page.numbers(result, hashes))
     if arguments.docs is not None:
         common.write_text(arguments.docs, page.markdown(result))
-    print(terminal.render(report.summary(result.found, result.joint)))
+    print(report.EpisodesDiagnoseResult(result.found, result.joint, hashes).summary())
     common.announce_report(arguments, arguments.out)
     return common.DONE
 

@@ -143,7 +143,7 @@ def numbers(result: ArmResult, hashes: tuple[str, ...]) -> Mapping[str, object]:
         hashes: SHA-256 of the file.
     """
     return {
-        **report.numbers(result.found, result.joint, hashes),
+        **report.EpisodesDiagnoseResult(result.found, result.joint, hashes).to_json(),
         "baselines_deg": result.baselines,
         "commanded_deg": result.commanded,
         "regulators": regulators_numbers(result.regulators),
