@@ -11,7 +11,7 @@ from pam_antagonist.identification.static import StaticResult, work_out
 from pam_antagonist.identification.static_table import QUANTITIES, Choice, read_force_map, read_volumes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.program import typed
-from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
 from pam_antagonist.report import terminal
 from pam_antagonist.report.static import summary, write_report
 from pam_antagonist.rig import Rig, load_rig

@@ -15,9 +15,8 @@ from typing_extensions import override
 from ..errors import BadInput, number
 from ..optional import needs
 from ..shown import Shown
-from .checkpoints import RecordedCheckpoint
 from .notes import Issue
-from .signals import FurtherSignal
+from .signals import FurtherSignal, RecordedCheckpoint
 
 if TYPE_CHECKING:
     from pandas import DataFrame

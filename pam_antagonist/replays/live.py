@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun
 from pam_antagonist.estimation.memory import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, NO_ANGLE
 from pam_antagonist.recording import RecordedEstimate, Recording
-from pam_antagonist.recording.slow import repeated
+from pam_antagonist.recording.rows import repeated
 
 ENDED = "the recording ended while the live filter ran"
 """Reason why the last live estimates are not compared."""

@@ -19,7 +19,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
 from pam_antagonist.recording import RecordedEstimate, Recording
-from pam_antagonist.recording.checkpoints import RecordedCheckpoint
+from pam_antagonist.recording.signals import RecordedCheckpoint
 
 BEGUN_LATER = "the recording was begun while the live filter ran"
 SET_BY_HAND = "the state of the live filter was set by hand"

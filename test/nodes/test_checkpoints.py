@@ -16,7 +16,7 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
 
     from pam_antagonist.estimation import Estimator
     from pam_antagonist.nodes.checkpoints import message
-    from pam_antagonist.recording import checkpoints
+    from pam_antagonist.recording import signals
     from pam_antagonist.recording.cdr import Payloads, decode
     from pam_antagonist.recording.topics import TOPICS
     from pam_antagonist.replays.segments import of_recorded
@@ -30,7 +30,7 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
     checkpoint = estimator.checkpoint()
     assert checkpoint is not None
     data = Payloads.of([serialize_message(message(checkpoint, "elbow"))])
-    (recorded,) = checkpoints.read(decode(data, TOPICS["filter_checkpoint"].type), np.arange(1))
+    (recorded,) = signals.read(decode(data, TOPICS["filter_checkpoint"].type), np.arange(1))
     other = Estimator(rig)
     other.restore(of_recorded(recorded))
     whole, rest = (one.run(stamps[100:], pressure[100:], voltage[100:]) for one in (estimator, other))
@@ -40,7 +40,7 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
 def test_the_node_publishes_one_a_second_and_when_its_state_is_set(ros: None) -> None:
     from test_estimator_node import send
 
-    from pam_antagonist.nodes.estimator_node import EstimatorNode
+    from pam_antagonist.nodes.estimator import EstimatorNode
     from pam_antagonist_msgs.srv import SetState
 
     node = EstimatorNode()
