@@ -21,7 +21,7 @@ from pam_antagonist.nodes import bridge, controller, estimator, joints, plant
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter
 from pam_antagonist.program import VARIABLE
 from pam_antagonist.recording.topics import TOPICS
-from pam_antagonist.rig.json_schema import rig_json_schema
+from pam_antagonist.rig.load import rig_json_schema
 from validation.__main__ import COMMANDS as MEASUREMENTS
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -30,8 +30,8 @@ from pam_antagonist.report import close_loop as numbers
 from pam_antagonist.report import terminal
 from pam_antagonist.report.close_loop_document import summary, write_report
 from pam_antagonist.rig import Rig, as_rig
+from pam_antagonist.rig.load import refusal, write_rig
 from pam_antagonist.rig.schema import Calibration
-from pam_antagonist.rig.write import refusal, write_rig
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -24,7 +24,7 @@ from pam_antagonist.report import episodes as diagnosis_report
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report import identify_episodes as identify_report
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig, write_unread
+from pam_antagonist.rig.load import write_rig, write_unread
 from pam_antagonist.shown import Shown
 
 if TYPE_CHECKING:

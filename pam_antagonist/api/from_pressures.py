@@ -20,7 +20,7 @@ from pam_antagonist.recording import recording_hash
 from pam_antagonist.report import close_loop_from_pressures as diagnosis_pages
 from pam_antagonist.report import html, terminal
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal, write_rig
+from pam_antagonist.rig.load import refusal, write_rig
 from pam_antagonist.shown import Shown
 
 __all__ = ["PressuresDiagnoseResult", "diagnosed", "is_for"]

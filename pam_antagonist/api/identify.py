@@ -34,7 +34,7 @@ from pam_antagonist.report.held_out import Judged, judge
 from pam_antagonist.report.identify_entries import IdentifyReport
 from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect
 from pam_antagonist.rig import Rig, as_rig
-from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
+from pam_antagonist.rig.load import RefusedRig, refusal, write_rig, write_unread
 from pam_antagonist.shown import Shown
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays import replay as _replay
-from pam_antagonist.replays.table import columns, write_estimate
+from pam_antagonist.replays.result import columns, write_estimate
 from pam_antagonist.report import terminal
 from pam_antagonist.report.replay import summary, write_report
 from pam_antagonist.rig import as_rig

@@ -29,7 +29,7 @@ from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report.commission import Step, write_report
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""

@@ -15,6 +15,7 @@ from pam_antagonist.cli.rig_questions import OWN, QUESTIONS, Question, condition
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.load import write_rig
 from pam_antagonist.rig.new import Contradiction, Facts, starting_point
 from pam_antagonist.rig.parts import (
     MusclePart,
@@ -26,7 +27,6 @@ from pam_antagonist.rig.parts import (
     valve_parts,
 )
 from pam_antagonist.rig.schema import Curve
-from pam_antagonist.rig.write import write_rig
 
 _DESCRIPTION = """\
 Write the rig file of a new joint.

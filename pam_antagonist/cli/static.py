@@ -15,7 +15,7 @@ from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
 from pam_antagonist.report import terminal
 from pam_antagonist.report.static import summary, write_report
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 
 _DESCRIPTION = """\
 Fit a muscle's volume and force map to static measurements.

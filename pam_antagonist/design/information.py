@@ -18,7 +18,7 @@ from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1,
 from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import rest_pressure
+from pam_antagonist.rig.physical import rest_pressure
 
 Floats = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from pam_antagonist.design.information import Information, predicted_std, unknow
 from pam_antagonist.design.limits import Limits, uncertainty_of
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 
 Floats = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level
 from pam_antagonist.nodes.spin import client_node
 from pam_antagonist.recording.topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, TOPICS
-from pam_antagonist.safety.lookout import RETREAT, TICK, Lookout
+from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
 
 _SUBSCRIBERS = 2

@@ -1,7 +1,7 @@
-"""Notes about a recording: what was wrong with it when it was read, and the notes in a bag about its origin.
+"""What is known of a recording beside its data: issues found when it was read, and its bag's metadata.yaml.
 
-The notes in a bag are texts by name under ``custom_data`` in its metadata.yaml, the place that rosbag2 provides. They
-are optional: a bag without metadata.yaml, or a converted one, may have lost them.
+metadata.yaml is read as untrusted input and written atomically. It holds notes, texts by name under ``custom_data``,
+the place that rosbag2 provides. They are optional: a bag without metadata.yaml, or a converted one, may have lost them.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import MISSING, Table, number, percent
-from pam_antagonist.rig.limits import rest_pressure, rest_voltage
+from pam_antagonist.rig.physical import rest_pressure, rest_voltage
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance in the paper
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}

@@ -13,7 +13,7 @@ from pam_antagonist.report.episodes import interval, times, unit, units_findings
 from pam_antagonist.report.identify_findings import WORSE, do_not_use
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal
+from pam_antagonist.rig.load import refusal
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""

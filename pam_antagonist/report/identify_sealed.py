@@ -19,7 +19,7 @@ from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal
+from pam_antagonist.rig.load import refusal
 from pam_antagonist.software import versions
 
 ASSUMED = (

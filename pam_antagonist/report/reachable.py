@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.control import Box, Reachable
-from pam_antagonist.control.yielding import largest_torque
+from pam_antagonist.control.tracking import largest_torque
 from pam_antagonist.report import html
 from pam_antagonist.report.document import Block, Document, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel

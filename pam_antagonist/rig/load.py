@@ -1,14 +1,19 @@
-"""Reading a rig file, with an error message of one line."""
+"""Reading a rig file, with an error message of one line, writing one, and the JSON schema of such files."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import yaml
+from pydantic import BaseModel
+
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.schema import Rig
@@ -136,3 +141,153 @@ def _overlaid(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
             # For a dotted path, as in uncertainty, null removes the entry of the base.
             del result[key]
     return result
+
+
+_COLUMN = 44
+
+
+class RefusedRig(BadInput):
+    """A rig that no command would read, so that its file was not written; the message says what is wrong with it."""
+
+
+def write_rig(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
+    """Write a rig file, and read it again: what stands there is what every command accepts.
+
+    All rig files that this package makes are written here.
+    """
+    write_unread(rig, path, remarks)
+    try:
+        again = load_rig(path, regulators=True)
+    except BadInput as error:
+        path.unlink()
+        raise RefusedRig(str(error).removeprefix(f"{path}: ")) from None
+    if _model(again, 0) != _model(rig, 0):
+        path.unlink()
+        raise RefusedRig(f"rig {rig.name}: its file would not hold the same numbers")
+
+
+def refusal(rig: Rig) -> str:
+    """Why :func:`write_rig` would refuse a rig; empty if it would not."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            write_rig(rig, Path(folder) / "rig.yaml")
+        except RefusedRig as error:
+            return str(error)
+    return ""
+
+
+def write_unread(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
+    """Write a rig file that nobody is asked to use, such as a rejected result."""
+    lines = [f"# {remark}" if remark else "#" for remark in remarks]
+    lines += ["# SI units; every pressure is absolute; angles in rad."]
+    lines += _model(rig, 0)
+    with path.open("x", encoding="utf-8") as file:
+        file.write("\n".join(lines) + "\n")
+
+
+def _model(model: BaseModel, depth: int) -> list[str]:
+    kind: Any = type(model)
+    fields: Mapping[str, Any] = getattr(kind, "model_fields", None) or kind.__fields__
+    lines = []
+    for name, field in fields.items():
+        description = getattr(getattr(field, "field_info", field), "description", None) or ""
+        if name == "effects" and depth == 0:
+            lines += _effects(model.effects, description)  # type: ignore[attr-defined]
+            continue
+        lines += _entry(name, getattr(model, name), description, depth)
+    return lines
+
+
+def _effects(effects: Mapping[str, Mapping[str, float]], description: str) -> list[str]:
+    """The effects of a rig, each number with its meaning and unit from the catalogue."""
+    if not effects:
+        return _entry("effects", effects, description, 0)
+    lines = ["", _line("effects:", f"# {description}")]
+    for name, values in effects.items():
+        lines.append(_line(f"  {name}:", f"# {CATALOGUE[name].meaning}"))
+        known = {item.name: item for item in CATALOGUE[name].parameters}
+        for key, value in values.items():
+            lines += _entry(key, value, f"{known[key].meaning} [{known[key].unit}]", 2)
+    return lines
+
+
+def _entry(name: str, value: Any, description: str, depth: int) -> list[str]:
+    indent = "  " * depth
+    comment = f"# {description}" if description else ""
+    if isinstance(value, BaseModel):
+        return ["", f"{indent}{name}:", *_model(value, depth + 1)] if depth == 0 else [
+            f"{indent}{name}:", *_model(value, depth + 1)]  # fmt: skip
+    if isinstance(value, Mapping):
+        if not value:
+            return [_line(f"{indent}{name}: {{}}", comment)]
+        lines = ["", _line(f"{indent}{name}:", comment)]
+        for key, item in value.items():
+            lines += _entry(str(key), item, "", depth + 1)
+        return lines
+    return [_line(f"{indent}{name}: {_scalar(value)}", comment)]
+
+
+def _line(text: str, comment: str) -> str:
+    return f"{text.ljust(_COLUMN)}  {comment}".rstrip()
+
+
+def _scalar(value: Any) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        text = repr(float(value))
+        # YAML 1.1 reads 1e-05 as a text: a number needs a point and a sign.
+        mantissa, exponent, power = text.partition("e")
+        if exponent:
+            mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
+            text = f"{mantissa}e{power if power[0] in '+-' else '+' + power}"
+        return text
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_scalar(item) for item in value) + "]"
+    return yaml.safe_dump(value, default_flow_style=True, width=10**6).strip().removesuffix("...").strip()
+
+
+def rig_json_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a rig file; needs pydantic 2.
+
+    A file that is ``based_on`` another one gives only what differs. So nothing is required below the top level, and
+    nothing at all beside ``based_on``; :func:`pam_antagonist.rig.load_rig` checks that the result is complete.
+    """
+    schema: dict[str, Any] = Rig.model_json_schema()
+    required = schema.pop("required")
+    for definition in schema["$defs"].values():
+        definition.pop("required", None)
+    schema["properties"] = {
+        "based_on": {"type": "string", "description": "name or file of the rig that this one differs from"},
+        **schema["properties"],
+    }
+    schema["anyOf"] = [{"required": ["based_on"]}, {"required": required}]
+    schema["properties"]["effects"] = {
+        "type": "object",
+        "default": {},
+        "description": "what the paper's model lacks: docs/effects.md",
+        "additionalProperties": False,
+        "properties": {name: _effect(name) for name in CATALOGUE},
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _effect(name: str) -> dict[str, Any]:
+    effect = CATALOGUE[name]
+    return {
+        "type": "object",
+        "description": effect.meaning,
+        "additionalProperties": False,
+        "properties": {
+            item.name: {
+                "type": "number",
+                "minimum": item.low,
+                "maximum": item.high,
+                "default": item.neutral,
+                "description": f"{item.meaning} [{item.unit}]",
+            }
+            for item in effect.parameters
+        },
+    }

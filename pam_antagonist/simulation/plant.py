@@ -12,7 +12,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics, equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import rest_pressure
+from pam_antagonist.rig.physical import rest_pressure
 
 # A muscle that is a percent weaker is so in its whole force map, for instance.
 SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (

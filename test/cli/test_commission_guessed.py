@@ -19,7 +19,7 @@ from pam_antagonist.design.first_fill import pulse_faults
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 
 COMMON = (
     "--kind pulley --muscle DMSP-20 --radius 25mm --nominal-length 300mm --length 272mm --inertia 0.02 --mass 1.5kg "

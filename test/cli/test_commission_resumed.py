@@ -19,7 +19,7 @@ from pam_antagonist.design.first_fill import first_fill
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 
 RIG = load_rig("shin2022")
 LEAKING = moved(RIG, {"effects.leak.area_1": 1e-9})

@@ -14,8 +14,8 @@ from pam_antagonist.design.apart import SHORTEST, Question, chance, imitation, t
 from pam_antagonist.design.information import STEP
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import steady_voltage
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
+from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.simulation import excitation
 
 

@@ -18,7 +18,7 @@ RIGS = sorted((ROOT / "config" / "rigs").glob("*.yaml"))
 
 @pytest.mark.skipif(pydantic.VERSION.startswith("1."), reason="pydantic 2 makes the schema")
 def test_the_file_is_what_the_code_makes() -> None:
-    from pam_antagonist.rig.json_schema import rig_json_schema
+    from pam_antagonist.rig.load import rig_json_schema
 
     assert json.loads(SCHEMA.read_text(encoding="utf-8")) == rig_json_schema(), "run ./run python docs/generate.py"
 

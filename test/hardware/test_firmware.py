@@ -10,10 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.hardware import cobs, protocol
+from pam_antagonist.hardware import protocol
 from pam_antagonist.hardware.firmware import Firmware, Readings, Settings
-from pam_antagonist.hardware.frames import FrameReader, frame
-from pam_antagonist.hardware.protocol import Command, Goodbye, Hello, Result, Status, Telemetry, Welcome
+from pam_antagonist.hardware.protocol import (
+    Command,
+    FrameReader,
+    Goodbye,
+    Hello,
+    Result,
+    Status,
+    Telemetry,
+    Welcome,
+    frame,
+)
 
 SAFE = (5.0, 5.25)
 MS = 1000
@@ -293,7 +302,7 @@ def test_it_can_be_followed_by_hand() -> None:
     """The bytes of a hello and a command, put together without the code that is tested."""
 
     def by_hand(payload: bytes) -> bytes:
-        return cobs.encode(payload + struct.pack("<I", zlib.crc32(payload))) + b"\0"
+        return protocol.stuffed(payload + struct.pack("<I", zlib.crc32(payload))) + b"\0"
 
     firmware = Firmware()
     firmware.receive(by_hand(struct.pack("<BBHfffff", 1, 1, 9, 5.0, 5.0, 5.0, 5.0, 0.0)), 0)

@@ -21,7 +21,7 @@ from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, WEIGHT_COS, WEIGHT_SIN, ZERO
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 
 STRANGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "strangers"
 RIG = described(0.01)

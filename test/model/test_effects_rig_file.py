@@ -13,7 +13,7 @@ from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 from pam_antagonist.simulation import excitation
 
 

@@ -19,7 +19,7 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
     from pam_antagonist.recording import signals
     from pam_antagonist.recording.cdr import Payloads, decode
     from pam_antagonist.recording.topics import TOPICS
-    from pam_antagonist.replays.segments import of_recorded
+    from pam_antagonist.replays.live import of_recorded
     from pam_antagonist.rig import load_rig
 
     rig = load_rig("shin2022")

@@ -16,10 +16,10 @@ from pam_antagonist.estimation.model_run import simulate_model
 from pam_antagonist.inference.free_parameters import base_directions, free_parameters, moved
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.load import RefusedRig, refusal, write_rig
 from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
 from pam_antagonist.rig.physical import is_positive, varied
 from pam_antagonist.rig.schema import limits
-from pam_antagonist.rig.write import RefusedRig, refusal, write_rig
 
 ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = [name for name in par.INDEX if name != "friction.time_step"]

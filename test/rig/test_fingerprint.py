@@ -11,7 +11,7 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, RigIdentity, differences, fingerprint, load_rig
 from pam_antagonist.rig.fingerprint import FACTS
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 from validation.paper.scenario import load_scenario, virtual_rig
 
 Laid = Callable[[str], Rig]

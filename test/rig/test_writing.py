@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pam_antagonist.rig import load_rig, rig_names
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 
 
 @pytest.mark.parametrize("name", rig_names())

@@ -17,7 +17,7 @@ from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
 from pam_antagonist.replays.accounting import STAGES
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 from validation.benchmark.figure import Figure, at_most
 from validation.benchmark.pipeline import run, start_passthrough
 

@@ -16,7 +16,7 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import SCATTER_GROUPS, Plant
 

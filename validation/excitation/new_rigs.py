@@ -25,9 +25,8 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, markdown
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import angle_range, rest_pressure, rest_voltage
-from pam_antagonist.rig.physical import unphysical
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
+from pam_antagonist.rig.physical import angle_range, rest_pressure, rest_voltage, unphysical
 from pam_antagonist.simulation.plant import Plant
 from pam_antagonist.strict_json import write_json
 from validation.control.loop import held, seen

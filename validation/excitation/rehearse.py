@@ -22,7 +22,7 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, markdown, number, percent
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 from pam_antagonist.strict_json import write_json
 from validation.battery.draw import LARGE, LEVELS
 from validation.battery.page import interval_text

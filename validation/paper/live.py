@@ -13,7 +13,7 @@ from typing import Any
 from pam_antagonist.control import Mode
 from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.load import write_rig
 from pam_antagonist.simulation.excitation import PAPER_DURATION
 from validation.paper.comparison import COMPARED_S
 from validation.paper.result import Context
