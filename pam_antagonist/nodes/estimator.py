@@ -15,7 +15,8 @@ from typing_extensions import override
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Counts, Estimator
-from pam_antagonist.nodes import checkpoints, qos, wire
+from pam_antagonist.estimation.checkpoint import Checkpoint
+from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Window
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
@@ -35,7 +36,7 @@ from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import topics_of
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import load_rig
-from pam_antagonist_msgs.msg import JointEstimate
+from pam_antagonist_msgs.msg import FilterCheckpoint, JointEstimate
 from pam_antagonist_msgs.srv import SetState
 
 DESCRIPTION = """
@@ -90,6 +91,7 @@ PARAMETERS = (
 )
 
 
+_CHECKPOINT_PERIOD = 1.0  # [s]; at most this much at the start of a recording cannot be replayed bit for bit
 _CHECKS = 2  # checks for incomplete samples, within ``pairing_timeout``
 
 _TUNING = next(parameter for parameter in PARAMETERS if parameter.name == "tuning")
@@ -144,7 +146,9 @@ class EstimatorNode(PamNode):
             name = TOPICS["external_torque"].relative
             self._external = wire.Outgoing(self, WrenchStamped, name, frame, wire.WRENCH)
         self._complaint = ""
-        self._checkpoints = checkpoints.CheckpointPublisher(self, frame)
+        topic = TOPICS["filter_checkpoint"].relative
+        self._checkpoints = self.create_publisher(FilterCheckpoint, topic, qos.LAST_ONE)
+        self._remembered: tuple[int, int] | None = None
         self._pressure, self._valves = wire.Incoming(wire.PRESSURE), wire.Incoming(wire.VALVES)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetState, "~/set_state", self._on_set_state)
@@ -163,7 +167,7 @@ class EstimatorNode(PamNode):
         self._estimator.reset()
         self._pairing.reset()
         self._last = None
-        self.steady_timer(checkpoints.PERIOD, self._remember)
+        self.steady_timer(_CHECKPOINT_PERIOD, self._remember)
         if self._linked:
             return
         driven = topics_of(self._rig)
@@ -177,7 +181,11 @@ class EstimatorNode(PamNode):
         self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
 
     def _remember(self) -> None:
-        self._checkpoints.publish(self._estimator.checkpoint())
+        checkpoint = self._estimator.checkpoint()
+        if checkpoint is None or (checkpoint.started_ns, checkpoint.stamp_ns) == self._remembered:
+            return
+        self._remembered = checkpoint.started_ns, checkpoint.stamp_ns
+        self._checkpoints.publish(checkpoint_message(checkpoint, self.values["frame_id"]))
 
     def _make(self, tuning: str) -> Estimator:
         values = self.values
@@ -354,6 +362,20 @@ class EstimatorNode(PamNode):
                 },
             ),
         }
+
+
+def checkpoint_message(checkpoint: Checkpoint, frame_id: str) -> FilterCheckpoint:
+    """A checkpoint as a message."""
+    out = FilterCheckpoint()
+    wire.set_stamp(out.header.stamp, checkpoint.stamp_ns)
+    wire.set_stamp(out.started, checkpoint.started_ns)
+    out.header.frame_id = frame_id
+    for name, value in vars(checkpoint.identity).items():
+        setattr(out, name, list(value) if name == "added" else value)
+    for name in ("state", "covariance", "cross", "angle_sensor"):
+        setattr(out, name, getattr(checkpoint, name).ravel().tolist())
+    out.voltage, out.distances, out.rejected = checkpoint.voltage, checkpoint.distances, checkpoint.rejected
+    return out
 
 
 def main(argv: list[str] | None = None) -> int:

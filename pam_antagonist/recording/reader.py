@@ -174,7 +174,7 @@ def _read(
         topics={name: topic.actual for name, topic in chosen.items()},
         issues=Issue.sorted(bag.issues),
         rigs=signals.rig_texts(bag, beside),
-        checkpoints=() if remembered is None else signals.read(remembered.decoded, remembered.keep),
+        checkpoints=() if remembered is None else signals.read_checkpoints(remembered.decoded, remembered.keep),
         namespace=_own_namespace(bag, state, chosen[state].actual),
         signals=further,
         episode_ns=episode_ns,

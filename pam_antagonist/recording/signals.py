@@ -1,4 +1,4 @@
-"""Further signals, which may be causes of a joint's motion, and the beginnings of episodes.
+"""What a bag holds beside the samples: further signals, beginnings of episodes, rigs, checkpoints of the filter.
 
 A further signal is another joint's pressure or angle, or a temperature. In a bag it is a topic below ``also/`` in the
 joint's namespace, or any topic of a type in ``KINDS`` that is requested by name. An episode begins at each stamp of the
@@ -7,8 +7,7 @@ topic ``episode`` (std_msgs/Header). The time between two episodes is not known,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from .storage import RawBag, unpack_messages
 from .topics import TOPICS, Topic
 
 if TYPE_CHECKING:
+    from ..estimation.checkpoint import Checkpoint
     from .recording import Recording
 
 Floats = NDArray[np.float64]
@@ -182,47 +182,11 @@ def rig_texts(bag: RawBag, namespace: str) -> tuple[str, ...]:
 
 
 _TEXTS = ("rig", "fingerprint", "tuning", "joint", "settings")
-_ARRAYS = ("state", "covariance", "cross", "voltage")
-_SECOND = 1_000_000_000
+_ARRAYS = ("state", "covariance", "cross", "voltage", "distances", "angle_sensor")
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedCheckpoint:
-    """One unchecked message ``pam_antagonist_msgs/msg/FilterCheckpoint``: n states, m consider parameters.
-
-    Attributes:
-        stamp_ns: stamp of the last sample that the filter had used [ns].
-        started_ns: stamp of the sample that started the filter [ns].
-        joint: ``free`` or ``locked``.
-        lock_angle: of a locked joint [rad].
-        state: (n,).
-        covariance: row-major (n n,).
-        cross: row-major (n m,).
-        voltage: (2,) [V].
-        distances: number of distances between stamps so far, then the last nine distances [ns], (10,).
-        angle_sensor: the filter's memory of a measured angle; empty where none was read.
-    """
-
-    stamp_ns: int
-    started_ns: int
-    rig: str
-    fingerprint: str
-    tuning: str
-    joint: str
-    lock_angle: float
-    settings: str
-    added: tuple[str, ...]
-    state: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    cross: NDArray[np.float64]
-    voltage: NDArray[np.float64]
-    rejected: int
-    distances: NDArray[np.int64]
-    angle_sensor: NDArray[np.float64]
-
-
-def read(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[RecordedCheckpoint, ...]:
-    """Records of decoded messages.
+def read_checkpoints(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[Checkpoint, ...]:
+    """Checkpoints of the live filter, unchecked: a filter that is given one checks it.
 
     Args:
         keep: numbers of the messages to take, in the order of the result (K,).
@@ -230,40 +194,35 @@ def read(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[RecordedCheckpoint, 
     if len(keep) == 0:
         return ()
     stamps, started = decoded.stamp_ns("header.stamp").tolist(), decoded.stamp_ns("started").tolist()
-    records = {row: fields for group in decoded.groups for row, fields in _fields(group)}
-    return tuple(RecordedCheckpoint(stamps[row], started[row], **records[row]) for row in keep.tolist())
+    found = {
+        row: _checkpoint(group, place, stamps[row], started[row])
+        for group in decoded.groups
+        for place, row in enumerate(group.rows.tolist())
+    }
+    return tuple(found[row] for row in keep.tolist())
 
 
-def _fields(group: Group) -> Iterator[tuple[int, dict[str, Any]]]:
-    names = [f"added[{k}]" for k in range(group.counts["added"])]
-    columns, has_angle_sensor = group.columns, "angle_sensor" in group.columns
-    for place, row in enumerate(group.rows.tolist()):
-        yield (
-            row,
-            {
-                **{name: _text(columns[name][place]) for name in _TEXTS},
-                **{name: np.array(columns[name][place], dtype=np.float64) for name in _ARRAYS},
-                "added": tuple(_text(columns[name][place]) for name in names),
-                "lock_angle": float(columns["lock_angle"][place]),
-                "rejected": int(columns["rejected"][place]),
-                "distances": np.array(columns["distances"][place], dtype=np.int64),
-                "angle_sensor": np.array(columns["angle_sensor"][place] if has_angle_sensor else [], dtype=np.float64),
-            },
-        )
+def _checkpoint(group: Group, place: int, stamp_ns: int, started_ns: int) -> Checkpoint:
+    from ..estimation.checkpoint import Checkpoint, FilterIdentity  # takes a second that a bag alone does not need
+
+    columns = group.columns
+    texts = {name: columns[name][place].decode(errors="replace") for name in _TEXTS}
+    added = (columns[f"added[{k}]"][place].decode(errors="replace") for k in range(group.counts["added"]))
+    arrays: dict[str, Any] = {name: np.array(columns[name][place]) if name in columns else np.empty(0) for name in _ARRAYS}
+    n = max(1, len(arrays["state"]))
+    for name in ("covariance", "cross"):
+        if len(arrays[name]) % n == 0:  # the filter refuses one of a wrong size
+            arrays[name] = arrays[name].reshape(n, -1)
+    kinds = {"distances": np.int64}
+    arrays = {name: values.astype(kinds.get(name, np.float64)) for name, values in arrays.items()}
+    identity = FilterIdentity(**texts, lock_angle=float(columns["lock_angle"][place]), added=tuple(added))
+    return Checkpoint(stamp_ns, started_ns, identity, rejected=int(columns["rejected"][place]), **arrays)
 
 
-def _text(raw: bytes) -> str:
-    return raw.decode(errors="replace")
-
-
-def messages(checkpoints: Sequence[RecordedCheckpoint], frame_id: str) -> Iterator[tuple[int, bytes]]:
-    """Stamp [ns] and CDR of each checkpoint."""
-    for item in checkpoints:
-        columns: dict[str, Any] = {name: getattr(item, name) for name in _TEXTS}
-        arrays = (*_ARRAYS, "distances", "angle_sensor")
-        columns |= {name: np.asarray(getattr(item, name)).reshape(1, -1) for name in arrays}
-        columns |= {name: getattr(item, name) for name in ("lock_angle", "rejected")}
-        columns |= {"header.frame_id": frame_id, "added": list(item.added)}
-        for path, time_ns in (("header.stamp", item.stamp_ns), ("started", item.started_ns)):
-            columns[f"{path}.sec"], columns[f"{path}.nanosec"] = divmod(time_ns, _SECOND)
-        yield item.stamp_ns, encode(TOPICS["filter_checkpoint"].type, 1, columns)[0].tobytes()
+def checkpoint_message(checkpoint: Checkpoint, frame_id: str) -> bytes:
+    """A checkpoint as a serialised message."""
+    columns: dict[str, Any] = {name: np.asarray(getattr(checkpoint, name)).reshape(1, -1) for name in _ARRAYS}
+    columns |= vars(checkpoint.identity) | {"rejected": checkpoint.rejected, "header.frame_id": frame_id}
+    for path, time_ns in (("header.stamp", checkpoint.stamp_ns), ("started", checkpoint.started_ns)):
+        columns[f"{path}.sec"], columns[f"{path}.nanosec"] = divmod(time_ns, 1_000_000_000)
+    return encode(TOPICS["filter_checkpoint"].type, 1, columns)[0].tobytes()

@@ -283,7 +283,9 @@ def write_bag(
         if recording.checkpoints:
             topic = TOPICS["filter_checkpoint"].resolve(namespace)
             bag.add_topic(topic, TOPICS["filter_checkpoint"].type)
-            items.extend((topic, stamp, data) for stamp, data in signals.messages(recording.checkpoints, frame_id))
+            items.extend(
+                (topic, item.stamp_ns, signals.checkpoint_message(item, frame_id)) for item in recording.checkpoints
+            )
         items.sort(key=lambda item: item[1])  # stable: messages of one time keep the order of the topics
         bag.write_many(items)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator
-from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
+from pam_antagonist.estimation.checkpoint import Checkpoint
 from pam_antagonist.estimation.memory import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, NO_ANGLE
 from pam_antagonist.recording import RecordedEstimate, Recording
 from pam_antagonist.recording.rows import repeated
-from pam_antagonist.recording.signals import RecordedCheckpoint
 
 ENDED = "the recording ended while the live filter ran"
 """Reason why the last live estimates are not compared."""
@@ -313,39 +312,16 @@ def _usable(
     recording: Recording, start: int, end: int, estimator: Estimator, out: Plan, newest_first: bool = False
 ) -> Iterator[tuple[int, Checkpoint]]:
     """Index of the sample and checkpoint, for checkpoints of one start up to a stamp that the filter accepts."""
-    for recorded in reversed(recording.checkpoints) if newest_first else recording.checkpoints:
-        place = _place(recording, recorded.stamp_ns)
-        if recorded.started_ns != start or recorded.stamp_ns > end or place is None:
+    for checkpoint in reversed(recording.checkpoints) if newest_first else recording.checkpoints:
+        place = _place(recording, checkpoint.stamp_ns)
+        if checkpoint.started_ns != start or checkpoint.stamp_ns > end or place is None:
             continue
-        checkpoint = of_recorded(recorded)
         try:
             estimator.restore(checkpoint)
         except BadInput as error:
             out.refused[str(error)] = None
         else:
             yield place, checkpoint
-
-
-def of_recorded(recorded: RecordedCheckpoint) -> Checkpoint:
-    """A checkpoint from a bag; arrays of a wrong size keep their shape, and the filter refuses them."""
-    names = {item.name for item in fields(FilterIdentity)}
-    n = max(1, len(recorded.state))
-
-    def matrix(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return values.reshape(n, -1) if len(values) % n == 0 else values
-
-    return Checkpoint(
-        recorded.stamp_ns,
-        recorded.started_ns,
-        FilterIdentity(**{name: getattr(recorded, name) for name in names}),
-        recorded.state,
-        matrix(recorded.covariance),
-        matrix(recorded.cross),
-        recorded.voltage,
-        recorded.rejected,
-        recorded.distances,
-        recorded.angle_sensor,
-    )
 
 
 def _place(stamped: Recording | RecordedEstimate, stamp_ns: int) -> int | None:
