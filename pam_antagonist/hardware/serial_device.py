@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 from pam_antagonist.hardware import protocol
-from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, DeviceLost, RawSample, Transport
+from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, RawSample
 from pam_antagonist.hardware.link import Unwrapped
 from pam_antagonist.hardware.protocol import (
     Command,
@@ -24,6 +24,7 @@ from pam_antagonist.hardware.protocol import (
     Welcome,
     frame,
 )
+from pam_antagonist.hardware.transport import DeviceLost, Transport
 from pam_antagonist.safety import SafeAction
 
 _HELLO_EVERY = 0.1  # [s]

@@ -15,10 +15,11 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter, ZeroPressureMeasurement, load_calibration
-from pam_antagonist.hardware.device import Device, SerialTransport
+from pam_antagonist.hardware.device import Device
 from pam_antagonist.hardware.link import Link, Sample, Wanted
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.hardware.serial_device import SerialDevice
+from pam_antagonist.hardware.transport import SerialTransport
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate
 from pam_antagonist.nodes.node import PamNode

@@ -2,7 +2,7 @@
 
 rosbags writes a bag of one file. Here each file is such a bag by itself, and their metadata are merged at the end. A
 file that a power cut or a kill cuts off still has every chunk that was flushed. It lacks the index at its end and
-notes.yaml; the reader of this package needs neither.
+metadata.yaml; the reader of this package needs neither.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ class BagFiles:
         self.size = self._finished + self._file.size()
 
     def close(self) -> None:
-        """Finish the last file and write notes.yaml."""
+        """Finish the last file and write metadata.yaml."""
         self._finish()
         notes.write_information(self._path, _together(self._done))
 

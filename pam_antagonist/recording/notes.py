@@ -231,7 +231,7 @@ def write_notes(path: Path, notes: Mapping[str, str]) -> None:
     """Add notes to a bag."""
     information = read_information(path)
     if information is None:
-        raise BadInput(f"{path}: has no yaml, expected a finished bag")
+        raise BadInput(f"{path}: has no metadata.yaml, expected a finished bag")
     information["custom_data"] = {**custom_data(information), **notes}
     write_information(path, information)
 
@@ -246,5 +246,5 @@ def sealed_muscles(path: str | Path) -> tuple[int, ...]:
     """Numbers of the muscles that are sealed according to a bag's note; their valves pass no air at any voltage."""
     text = read_notes(path).get(SEALED, "")
     if not all(part in ("1", "2") for part in text.split()):
-        raise BadInput(f"{path}: {SEALED} in yaml is {text[:40]!r}, expected '1', '2' or '1 2'")
+        raise BadInput(f"{path}: {SEALED} in metadata.yaml is {text[:40]!r}, expected '1', '2' or '1 2'")
     return tuple(sorted({int(part) for part in text.split()}))

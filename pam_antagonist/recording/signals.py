@@ -208,7 +208,9 @@ def _checkpoint(group: Group, place: int, stamp_ns: int, started_ns: int) -> Che
     columns = group.columns
     texts = {name: columns[name][place].decode(errors="replace") for name in _TEXTS}
     added = (columns[f"added[{k}]"][place].decode(errors="replace") for k in range(group.counts["added"]))
-    arrays: dict[str, Any] = {name: np.array(columns[name][place]) if name in columns else np.empty(0) for name in _ARRAYS}
+    arrays: dict[str, Any] = {
+        name: np.array(columns[name][place]) if name in columns else np.empty(0) for name in _ARRAYS
+    }
     n = max(1, len(arrays["state"]))
     for name in ("covariance", "cross"):
         if len(arrays[name]) % n == 0:  # the filter refuses one of a wrong size

@@ -1,4 +1,4 @@
-"""Files of a bag -> raw messages by topic: MCAP or sqlite3, with or without compression and notes.yaml."""
+"""Files of a bag -> raw messages by topic: MCAP or sqlite3, with or without compression and metadata.yaml."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .recording import Recording
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-_EXPECTED = "expected a folder with notes.yaml, a .mcap or a .db3 file"
+_EXPECTED = "expected a folder with metadata.yaml, a .mcap or a .db3 file"
 _LISTED = 5
 MAX_UNPACKED = 4 << 30
 """Largest file that is unpacked from zstd [bytes]."""
@@ -85,7 +85,7 @@ def bag_hash(path: str | Path) -> str:
     """SHA-256 of a bag's message files, as 64 hex digits.
 
     For a bag of one file this equals the output of ``sha256sum``; for several files it is the hash of their hashes in
-    order. ``notes.yaml`` is left out, because editing a name there does not change the recording.
+    order. ``metadata.yaml`` is left out, because editing a name there does not change the recording.
 
     Raises:
         BadInput: Not a bag, or not readable.
@@ -152,8 +152,8 @@ def _locate(path: Path) -> _Files:
             raise BadInput(f"{path}: not a rosbag2, {_EXPECTED}{inside}")
         if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", r".\2", file.name) for file in found}) > 1:
             several = ", ".join(sorted(file.name for file in found)[:_LISTED])
-            raise BadInput(f"{path}: has no notes.yaml, and files of several bags ({several}); expected one of them")
-        issue = f"{path} has no notes.yaml, as after a recording that was not closed"
+            raise BadInput(f"{path}: has no metadata.yaml, and files of several bags ({several}); expected one of them")
+        issue = f"{path} has no metadata.yaml, as after a recording that was not closed"
         return _Files(notes.in_order(found), {}, [issue], closed=False)
     names = notes.file_names(path, information)
     return _Files([path / name for name in names], notes.type_digests(path, information), [])

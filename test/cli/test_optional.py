@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist.__main__ import COMMANDS, main
 from pam_antagonist.errors import BadInput
-from pam_antagonist.hardware.device import SerialTransport
+from pam_antagonist.hardware.transport import SerialTransport
 from validation.__main__ import COMMANDS as MEASUREMENTS
 
 

@@ -16,9 +16,10 @@ import pytest
 
 from pam_antagonist.hardware import protocol
 from pam_antagonist.hardware.calibration import Converter, load_calibration
-from pam_antagonist.hardware.device import DeviceInfo, DeviceLost, RawSample
+from pam_antagonist.hardware.device import DeviceInfo, RawSample
 from pam_antagonist.hardware.link import SILENCE, Link, Sample, Wanted
 from pam_antagonist.hardware.protocol import Status
+from pam_antagonist.hardware.transport import DeviceLost
 from pam_antagonist.safety import SafeAction
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

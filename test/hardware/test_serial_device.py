@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from pam_antagonist.hardware import protocol
-from pam_antagonist.hardware.device import DeviceLost, SerialTransport
 from pam_antagonist.hardware.firmware import Firmware, Readings
 from pam_antagonist.hardware.serial_device import SerialDevice
+from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
 from pam_antagonist.safety import SafeAction
 
 MS = 1_000_000

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from pam_antagonist.hardware.device import DeviceInfo, DeviceLost, RawSample
+from pam_antagonist.hardware.device import DeviceInfo, RawSample
 from pam_antagonist.hardware.link import Sample
 from pam_antagonist.hardware.protocol import Status
+from pam_antagonist.hardware.transport import DeviceLost
 from pam_antagonist.safety import SafeAction
 
 pytestmark = pytest.mark.ros
