@@ -126,6 +126,15 @@ def _main(arguments: list[str], commands: Mapping[str, Command], places: Mapping
         print(f"error: unknown command {name!r}: {hint}Expected one of {', '.join(commands)}", file=sys.stderr)
         return 2
     module, function = commands[name].target.split(":")
+    if module.startswith(_PLACES["ROS 2 nodes"]):
+        from pam_antagonist.errors import BadInput
+        from pam_antagonist.optional import needs_ros
+
+        try:
+            needs_ros(name)
+        except BadInput as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 2
     return int(getattr(importlib.import_module(module), function)(rest) or 0)
 
 

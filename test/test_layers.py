@@ -49,7 +49,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "control": (BASE, "model"),
     "safety": (BASE, "control", "estimation"),
     "hardware": (BASE, FILES, "simulation", "safety"),
-    "recording": (BASE, FILES),
+    "recording": (BASE, FILES, "estimation"),
     "replays": _OFFLINE,
     "checks": _OFFLINE,
     "inference": _OFFLINE,

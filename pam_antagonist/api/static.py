@@ -10,7 +10,7 @@ from pam_antagonist.api.given import RigGiven
 from pam_antagonist.errors import BadInput, number
 from pam_antagonist.identification.static import StaticFits, work_out
 from pam_antagonist.identification.static_table import Choice, read_force_map, read_volumes
-from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
 from pam_antagonist.report.static import StaticResult
 from pam_antagonist.rig import as_rig
 

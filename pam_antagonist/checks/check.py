@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.checks import numbers, regulators, samples, wiring
-from pam_antagonist.checks.delay import delay_of_voltages
+from pam_antagonist.checks import numbers, samples, wiring
+from pam_antagonist.checks.numbers import delay_of_voltages
 from pam_antagonist.checks.prediction import correlation, from_pressures, predicted, range_of
 from pam_antagonist.checks.samples import SHORTEST
 from pam_antagonist.checks.wiring import Finding
@@ -31,9 +31,9 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, plausible
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition, joint_condition
-from pam_antagonist.recording.resets import resets
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
+from pam_antagonist.recording.rows import resets
 from pam_antagonist.recording.units import UNITS
-from pam_antagonist.recording.wrong_unit import STANDARD_ATMOSPHERE
 from pam_antagonist.rig import NO_ENCODER, Rig
 from pam_antagonist.shown import Shown, unlike
 
@@ -124,7 +124,7 @@ def check_recording(
         known = joint_condition(recording, joint, lock_angle).condition
         return checked([Finding("wrong", f"{jumped.sentence} (sure)")], typed, known)
     recording = recording.slice(0.0, _LONGEST)
-    asked = regulators.commands(recording, rig)
+    asked = samples.commands(recording, rig)
     condition, of_joint = _joint(recording, rig, now, typed, joint, lock_angle)
     findings = [*of_values, *asked, *of_joint, *_still(recording, now, rig)]
     if condition is None or any(finding.status == "wrong" for finding in asked):

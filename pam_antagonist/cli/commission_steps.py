@@ -125,7 +125,7 @@ class Commission:
         if self._owner.source == "rehearsal":
             yield
             return
-        from pam_antagonist.nodes.announcer import Announcer
+        from pam_antagonist.nodes.client import Announcer
 
         if self._owner.source != "none":
             stay_apart()

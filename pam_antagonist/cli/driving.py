@@ -222,7 +222,7 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None 
 
     A program drives the joint in place of the plan's voltages.
     """
-    from pam_antagonist.nodes.drive import DriveClient
+    from pam_antagonist.nodes.client import DriveClient
     from pam_antagonist.nodes.processes import Processes, ProcessFailed
 
     if owner.source != "none":  # a node that runs already is heard

@@ -15,7 +15,7 @@ from pam_antagonist.design import Limits, Plan
 from pam_antagonist.design.exploration import Program
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig
-from pam_antagonist.safety.lookout import RETREAT, TICK, Lookout
+from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
 from pam_antagonist.simulation.plant import Plant, PlantSample
 
 _FIRST_STAMP_NS = 1_000_000_000_000_000_000

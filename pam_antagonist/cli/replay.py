@@ -81,7 +81,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.cli.first_start import REPLAY, compile_first
-    from pam_antagonist.replays.table import check_estimate
+    from pam_antagonist.replays.result import check_estimate
     from pam_antagonist.report import html
     from pam_antagonist.report.replay import document, numbers
     from pam_antagonist.rig import load_rig

@@ -2,10 +2,9 @@
 
 from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
 from pam_antagonist.control.governor import Governor, Limits
-from pam_antagonist.control.laws import LAWS, Laws
+from pam_antagonist.control.laws import LAWS, Laws, Range, Reachable
 from pam_antagonist.control.model_law import ModelController, ModelGains, Reached, Seen
 from pam_antagonist.control.pi import FAST_GAINS, PUBLISHED_GAINS, Gains, PiController
-from pam_antagonist.control.reachable import Range, Reachable
 from pam_antagonist.control.reference import LOST, Nearest, References, Rules, Trajectory, Wanted
 from pam_antagonist.control.stiffness import Box
 

@@ -23,7 +23,7 @@ ones of the valves; the difference decays with ``blend_time`` (bumpless start).
 but with I = 0, since an integral would push back. The muscles alone are a spring of stiffness K, as long as the valves
 can hold their pressures. The law adds the damping and the compensation of friction. If d is not estimated, the joint
 has only this spring. The wanted pressures change with d. Without their own rate they would be followed with a lag of
-1/ω, which reduces the yielding by a third at 2 Hz. :func:`~pam_antagonist.control.yielding.largest_torque` computes
+1/ω, which reduces the yielding by a third at 2 Hz. :func:`~pam_antagonist.control.tracking.largest_torque` computes
 which torque the valves can follow. ψ_v neglects the joint's inertia, which matters above about 10 Hz.
 
 The model is that of the rig, effects included, and uses the same functions as the estimator. States that effects add

@@ -34,8 +34,18 @@ from pam_antagonist.design.information import (
     predicted_std,
     unknowns,
 )
-from pam_antagonist.design.limits import Limits, uncertainty_of
-from pam_antagonist.design.optimal import BLOCK, FORBIDDEN, REST, STEP, TAIL, Plan, best_block, held
+from pam_antagonist.design.optimal import (
+    BLOCK,
+    FORBIDDEN,
+    REST,
+    STEP,
+    TAIL,
+    Limits,
+    Plan,
+    best_block,
+    held,
+    uncertainty_of,
+)
 from pam_antagonist.diagnosis.thresholds import STRONG
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Candidate, moved

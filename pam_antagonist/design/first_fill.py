@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.design.exploration import RISE, Pulse
 from pam_antagonist.design.information import STEP, Information
-from pam_antagonist.design.limits import Limits
-from pam_antagonist.design.optimal import Plan
+from pam_antagonist.design.optimal import Limits, Plan
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE
 from pam_antagonist.recording import Recording

@@ -19,8 +19,7 @@ from typing import TextIO
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter
 from pam_antagonist.hardware.firmware import Firmware, Readings
-from pam_antagonist.hardware.line_faults import FaultPlan
-from pam_antagonist.hardware.miswired import Miswired
+from pam_antagonist.hardware.line_faults import FaultPlan, Miswired
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.simulation.plant import Plant
 

@@ -11,8 +11,18 @@ import struct
 from dataclasses import dataclass
 
 from pam_antagonist.hardware import protocol
-from pam_antagonist.hardware.frames import FrameReader, frame
-from pam_antagonist.hardware.protocol import Command, Feature, Goodbye, Hello, Result, Status, Telemetry, Welcome
+from pam_antagonist.hardware.protocol import (
+    Command,
+    Feature,
+    FrameReader,
+    Goodbye,
+    Hello,
+    Result,
+    Status,
+    Telemetry,
+    Welcome,
+    frame,
+)
 
 _FULL = 1 << 32
 _HALF_SEQUENCE = 1 << 15

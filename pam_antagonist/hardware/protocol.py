@@ -2,11 +2,16 @@
 
 All fields are little-endian and packed. The first byte of a payload is its kind. The second byte of ``Hello`` and
 ``Welcome`` is the version of the protocol. These two bytes are the same in every version.
+
+A frame is a payload with its check sum, without zeros by consistent overhead byte stuffing (Cheshire and Baker,
+IEEE/ACM Transactions on Networking 7, 1999), and a zero at the end. Frames are too short for the special case of 254
+bytes without a zero.
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
@@ -212,3 +217,92 @@ def text_name(name: bytes) -> str:
 def padded_name(name: str) -> bytes:
     """A device's name for the wire."""
     return name.encode("ascii", "replace")[:_NAME_BYTES].ljust(_NAME_BYTES, b"\0")
+
+
+LONGEST = 253
+"""Largest number of bytes to encode, so that there is one byte of overhead and no block of 254."""
+CRC_BYTES = 4
+LONGEST_PAYLOAD = LONGEST - CRC_BYTES
+_LONGEST_FRAME = LONGEST + 1  # stuffed, without the zero
+
+
+def frame(payload: bytes) -> bytes:
+    """The frame on the wire of a payload of at most ``LONGEST_PAYLOAD`` bytes.
+
+    The check sum is the CRC-32 of IEEE 802.3 (reflected, 0xEDB88320, start and end inverted), least byte first.
+    Sixteen bits are not enough: if one byte in a hundred is damaged, so are about 300 of the 1000 frames a second. One
+    in 65536 of these would be accepted, which is a wrong voltage every few minutes.
+    """
+    return stuffed(payload + zlib.crc32(payload).to_bytes(CRC_BYTES, "little")) + b"\0"
+
+
+class FrameReader:
+    """Finds the valid frames in a stream of bytes that may be damaged and may begin anywhere.
+
+    Attributes:
+        damaged: number of frames that were cut, wrongly stuffed, too long, or had a wrong check sum.
+    """
+
+    def __init__(self) -> None:
+        self.damaged = 0
+        self._rest = b""
+        self._skip = False
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take received bytes."""
+        *pieces, rest = (self._rest + data).split(b"\0")
+        payloads = []
+        for piece in pieces:
+            if self._skip:  # the end of a frame that was too long, counted already
+                self._skip = False
+                continue
+            if not piece:  # two zeros in a row are allowed: a sender may begin with one
+                continue
+            payload = _checked(piece)
+            if payload is None:
+                self.damaged += 1
+            else:
+                payloads.append(payload)
+        if len(rest) > _LONGEST_FRAME:
+            self.damaged += not self._skip
+            self._skip, rest = True, b""
+        self._rest = rest
+        return payloads
+
+    def reset(self) -> None:
+        """Forget an incomplete frame, because the following bytes come from another sender."""
+        self._rest, self._skip = b"", False
+
+
+def _checked(piece: bytes) -> bytes | None:
+    decoded = unstuffed(piece)
+    if decoded is None or len(decoded) <= CRC_BYTES:
+        return None
+    payload, check = decoded[:-CRC_BYTES], decoded[-CRC_BYTES:]
+    return payload if zlib.crc32(payload).to_bytes(CRC_BYTES, "little") == check else None
+
+
+def stuffed(data: bytes) -> bytes:
+    """Encode data without zeros; the result is one byte longer.
+
+    Args:
+        data: at most ``LONGEST`` bytes.
+    """
+    if len(data) > LONGEST:
+        raise ValueError(f"{len(data)} bytes, expected at most {LONGEST}")
+    return b"".join(bytes((len(block) + 1,)) + block for block in data.split(b"\0"))
+
+
+def unstuffed(encoded: bytes) -> bytes | None:
+    """Decode; None for an invalid encoding."""
+    if not 0 < len(encoded) <= LONGEST + 1:
+        return None
+    blocks = []
+    position, end = 0, len(encoded)
+    while position < end:
+        code = encoded[position]
+        if code == 0 or position + code > end:
+            return None
+        blocks.append(encoded[position + 1 : position + code])
+        position += code
+    return b"\0".join(blocks)

@@ -10,10 +10,20 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 from pam_antagonist.hardware import protocol
-from pam_antagonist.hardware.clock import Unwrapped
 from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, RawSample
-from pam_antagonist.hardware.frames import FrameReader, frame
-from pam_antagonist.hardware.protocol import Command, Feature, Goodbye, Hello, Result, Status, Telemetry, Welcome
+from pam_antagonist.hardware.link import Unwrapped
+from pam_antagonist.hardware.protocol import (
+    Command,
+    Feature,
+    FrameReader,
+    Goodbye,
+    Hello,
+    Result,
+    Status,
+    Telemetry,
+    Welcome,
+    frame,
+)
 from pam_antagonist.hardware.transport import DeviceLost, Transport
 from pam_antagonist.safety import SafeAction
 

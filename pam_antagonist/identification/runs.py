@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.recording.slow import reading_times, repeated
+from pam_antagonist.recording.rows import reading_times, repeated
 
 Floats = NDArray[np.float64]
 

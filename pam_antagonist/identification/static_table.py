@@ -22,8 +22,8 @@ from pam_antagonist.identification.tobit import Bools, Floats, Observations
 from pam_antagonist.recording.csv_map import Delimiter, Layout
 from pam_antagonist.recording.csv_table import Table, read_table
 from pam_antagonist.recording.csv_text import Line, Lines, check_file, opened, split
+from pam_antagonist.recording.plausible import Signal, judge_pressures, pascal
 from pam_antagonist.recording.units import UNITS, canonical
-from pam_antagonist.recording.wrong_unit import Signal, check_pressures, pascal
 
 _WORDS = {
     "length": ("length", "l", "len"),
@@ -203,7 +203,7 @@ def _read(
         signal = Signal(table.labels[name], cells[name], choice.unit, choice.reference)
         if name == "pressure":
             odd: list[str] = []
-            check_pressures(str(path), signal, signal, atmosphere, odd)
+            judge_pressures(str(path), signal, signal, atmosphere, odd)
             issues += dict.fromkeys(odd)
             values[name] = pascal(signal.values, signal.unit, signal.reference, atmosphere)
             continue

@@ -1,16 +1,33 @@
-"""Executable ``controller``: parameters and entry point."""
+"""The controller node."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from pam_antagonist.control import LAWS, LOST, PUBLISHED_GAINS, Mode, ModelGains
-from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
-from pam_antagonist.nodes.parameters import JOINT_NAME, PRESSURE_SENSORS, RIG, SAFETY, Parameter
+from rcl_interfaces.msg import SetParametersResult
+from std_srvs.srv import SetBool, Trigger
+from typing_extensions import override
+
+from pam_antagonist._jit import COMPILING
+from pam_antagonist.control import Command, Seen, Status
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
+from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes.health import Health, Level, Rate, Window
+from pam_antagonist.nodes.laws import PARAMETERS, described, make_laws, retune
+from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.parameters import by_rig, check_pressure_sensors
+from pam_antagonist.nodes.references import ReferenceInput
+from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.nodes.spin import run_node
-
-if TYPE_CHECKING:
-    from pam_antagonist.nodes.controller_node import ControllerNode
+from pam_antagonist.nodes.valve_port import drive_of
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig import load_rig
+from pam_antagonist.safety import EstimateSupervision, Following
+from pam_antagonist_msgs.msg import JointEstimate
 
 DESCRIPTION = """
 Control of the joint's angle or torque on the estimate: one command for each estimate, with the estimate's stamp.
@@ -31,197 +48,313 @@ publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig; reference, w
 services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 
-_MODEL = ModelGains()
-_ANGLE, _TORQUE = PUBLISHED_GAINS[Mode.ANGLE], PUBLISHED_GAINS[Mode.TORQUE]
-
-PARAMETERS = (
-    RIG,
-    JOINT_NAME,
-    *SAFETY,
-    Parameter(
-        "pressure_sensors",
-        "measured",
-        "none: the pressures are not measured, so estimates without them do not stop the controller; for a rig with "
-        "drive: regulator",
-        choices=PRESSURE_SENSORS,
-    ),
-    Parameter(
-        "bias",
-        -1.0,
-        "voltage of both valves at rest [V]; -1: at which they keep the pressure at rest, by the rig file",
-        0.0,
-        10.0,
-        read_only=False,
-        left=-1.0,
-    ),
-    Parameter("angle_proportional", _ANGLE.proportional, "T_P for the angle [V/rad]", 0.0, 1e3, read_only=False),
-    Parameter("angle_integral", _ANGLE.integral, "T_I for the angle [V/(rad s)]", 0.0, 1e9, read_only=False),
-    Parameter(
-        "angle_velocity",
-        0.0,
-        "feed-forward of the velocity that a trajectory or a joint_command asks for [V s/rad]",
-        0.0,
-        1e3,
-        read_only=False,
-    ),
-    Parameter("torque_proportional", _TORQUE.proportional, "T_P for the torque [V/(N m)]", 0.0, 1e3, read_only=False),
-    Parameter("torque_integral", _TORQUE.integral, "T_I for the torque [V/(N m s)]", 0.0, 1e9, read_only=False),
-    Parameter(
-        "law",
-        "pi",
-        "law of control: pi, the paper's, or model, which goes through the model's equations and has the modes "
-        "ANGLE_STIFFNESS, TORQUE_STIFFNESS and IMPEDANCE as well",
-        choices=LAWS,
-        read_only=False,
-    ),
-    Parameter(
-        "pressure_bandwidth",
-        _MODEL.bandwidth,
-        "law model: rate at which a pressure's error is corrected [1/s]",
-        0.1,
-        200.0,
-        read_only=False,
-    ),
-    Parameter(
-        "model_integral",
-        _MODEL.integral,
-        "law model: rate at which the torque follows an error of the angle times stiffness, or of the torque [1/s]",
-        0.0,
-        100.0,
-        read_only=False,
-    ),
-    Parameter(
-        "approach",
-        _MODEL.approach,
-        "law model: distance from the reference within which the torque against friction fades [rad]",
-        1e-4,
-        1.0,
-        read_only=False,
-    ),
-    Parameter(
-        "lowest_pressure",
-        0.0,
-        "law model: least pressure of a muscle, absolute [Pa]; 0: a sixth of the supply's gauge pressure",
-        0.0,
-        1e7,
-    ),
-    Parameter(
-        "supply_margin",
-        SUPPLY_MARGIN,
-        "law model: how far the pressures stay below the supply's pressure [Pa]",
-        0.0,
-        1e7,
-    ),
-    Parameter("least_force", LEAST_FORCE, "law model: least contraction force of a muscle [N]", 0.0, 1e4),
-    Parameter(
-        "governor", True, "law model: whether references are held back so that limits are kept (docs/interaction.md)"
-    ),
-    Parameter("governor_level", 0.999, "probability with which the governor keeps a limit [-]", 0.5, 0.999999),
-    Parameter("governor_push", 0.0, "torque from outside that the governor counts on [N m]", 0.0, 1e3),
-    Parameter("max_velocity", 0.0, "largest velocity that the governor allows [rad/s]; 0: any", 0.0, 1e3),
-    Parameter(
-        "max_contraction", 0.0, "largest contraction (L_0 − l)/L_0 that the governor allows [-]; 0: any", 0.0, 1.0
-    ),
-    Parameter("max_extension", 0.0, "largest extension (l − L_0)/L_0 that the governor allows [-]; 0: any", 0.0, 1.0),
-    Parameter(
-        "max_angle",
-        0.0,
-        "magnitude to which a reference of the angle is limited [rad]; 0: the rig file's joint.stop, or 25 degrees "
-        "where it has none",
-        0.0,
-        1.6,
-    ),
-    Parameter(
-        "max_torque",
-        0.0,
-        "magnitude to which a reference of the torque is limited [N m]; 0: what the muscles can do at angle 0",
-        0.0,
-        1e3,
-    ),
-    Parameter("max_angle_rate", 0.0, "fastest change of the angle's reference [rad/s]; 0: any", 0.0, 1e3),
-    Parameter("max_torque_rate", 0.0, "fastest change of the torque's reference [N m/s]; 0: any", 0.0, 1e5),
-    # An old angle reference only holds the joint. An old torque reference drives a free joint to its stop.
-    Parameter(
-        "angle_reference_timeout",
-        0.0,
-        "time after which an angle reference that is not repeated is lost [s]; 0: never",
-        0.0,
-        3600.0,
-    ),
-    Parameter(
-        "torque_reference_timeout",
-        0.5,
-        "time after which a torque reference that is not repeated is lost [s]; 0: never",
-        0.0,
-        3600.0,
-    ),
-    Parameter(
-        "reference_lost",
-        "safe",
-        "what follows a lost reference: safe, the safe voltages, or hold, which keeps the angle estimated at that "
-        "moment",
-        choices=LOST,
-    ),
-    Parameter(
-        "reference_source",
-        "reference",
-        "the one topic that references come from: reference (JointReference), joint_command (JointState: position or "
-        "effort of joint_name, NaN: not asked), commands (Float64MultiArray), joint_trajectory (JointTrajectory)",
-        choices=("reference", "joint_command", "commands", "joint_trajectory"),
-    ),
-    Parameter("commands_mode", "angle", "quantity of the numbers in topic commands", choices=("angle", "torque")),
-    Parameter("commands_index", 0, "index of this joint's number in topic commands, from 0 [-]", 0, 1000),
-    Parameter(
-        "max_age",
-        0.0,
-        "an estimate that is older than this is not used [s]; 0: three samples of the rig, at least 0.02",
-        0.002,
-        10.0,
-        left=0.0,
-    ),
-    Parameter("resume_time", 0.5, "longest interruption after which the integral goes on as it was [s]", 0.001, 60.0),
-    Parameter(
-        "start_enabled",
-        True,
-        "whether the controller sends commands as soon as it is active, without a call of ~/enable",
-    ),
-    Parameter(
-        "stop_angle",
-        0.0,
-        "magnitude of the estimated angle beyond which the controller stops [rad]; 0: a degree beyond the rig file's "
-        "joint.stop, or 26 degrees where it has none",
-        0.01,
-        1.6,
-        left=0.0,
-    ),
-    Parameter("stop_angle_time", 0.01, "time beyond stop_angle after which the controller stops [s]", 0.001, 1.0),
-    # 99.9 % quantile for two pressures. On recordings of joints whose parameters differ from the model by one or two
-    # per cent, or that have an unmodelled effect, at most 2 % of the samples in any 0.1 s are above.
-    Parameter("nis_limit", 13.8, "normalised innovation squared that counts as out of bounds [-]", 0.1, 1e9),
-    Parameter(
-        "nis_time",
-        0.1,
-        "the controller stops when 15 % of the samples within this time are out of bounds [s]",
-        0.01,
-        60.0,
-    ),
-    Parameter(
-        "blind_time",
-        0.1,
-        "time for which estimates may lack one of the pressures before the controller stops [s]",
-        0.001,
-        10.0,
-    ),
-    Parameter("blend_time", 0.5, "time constant with which the offset of a bumpless start fades [s]", 0.001, 60.0),
-)
+_GAIN_NAMES = tuple(parameter.name for parameter in PARAMETERS if not parameter.read_only)
+_CHECKS = 4  # checks of the estimates' time-out and of the valves, within ``max_age``
 
 
-def _create(_options: None, **node_options: Any) -> ControllerNode:
-    from pam_antagonist.nodes.controller_node import ControllerNode
+class ControllerNode(PamNode):
+    """Sends one command for each estimate; safe voltages without a valid estimate or reference.
 
-    return ControllerNode(**node_options)
+    Args:
+        linked: whether the estimator is in the same process and calls :meth:`estimate`; then the node does not
+            subscribe to ``joint_estimate``.
+        options: as :class:`PamNode`.
+
+    Attributes:
+        deliver: called with each command: stamp [ns], voltages (2,) [V]; None: not called.
+    """
+
+    stopped = ""
+    deliver: Callable[[int, tuple[float, float]], None] | None = None
+
+    def __init__(self, *, linked: bool = False, **options: Any) -> None:
+        self._linked = linked
+        super().__init__("controller", PARAMETERS, **options)
+
+    @override
+    def configure(self) -> None:
+        """Make the laws, the supervision and the publishers."""
+        values = self.values
+        COMPILING.tell = self.get_logger().info
+        self._rig = rig = load_rig(values["rig"], regulators=True)
+        values = self.with_rig(rig)
+        self._drive = drive = drive_of(rig, values)
+        self._limits, self._action = drive.limits, drive.action
+        self._laws = make_laws(values, rig, self._limits, self._action.hold)
+        check_pressure_sensors(values["pressure_sensors"], rig)
+        self._supervision = EstimateSupervision(
+            values["stop_angle"],
+            values["stop_angle_time"],
+            values["nis_limit"],
+            values["nis_time"],
+            values["blind_time"] if values["pressure_sensors"] == "measured" else None,
+            rig.sample_period,
+        )
+        self.input = ReferenceInput(self, self._laws.nearest)
+        self._references = self.input.references
+        self._max_age = round(values["max_age"] * 1e9)
+        self._resume = round(values["resume_time"] * 1e9)
+        self.stopped = ""
+        self._enabled: bool = values["start_enabled"]
+        self._estimate_ns = 0
+        self._safe_since_ns: int | None = None
+        self._heard_ns: int | None = None
+        self._stamp = 0
+        self._voltage = self._action.hold
+        self._following = Following(self._action.hold, drive.astray, rig.sample_period)
+        self._silent = False
+        self._commands = self._jumps = self._jumps_before = self._astray_before = 0
+        self._statuses = dict.fromkeys(Status, 0)
+        self._last = Status.NO_REFERENCE
+        self._latency, self._rate = Window(), Rate()
+        topics = drive.topics
+        self._output = wire.Outgoing(self, topics.message, topics.command, topics.frame_id, wire.VALVES)
+        self._estimate, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.create_service(Trigger, "~/clear_stop", self._on_clear)
+        self._rigs = RigWatch(self, announce(self, rig), self.stop)
+        self.start_diagnostics(values["joint_name"])
+
+    @override
+    def cleanup(self) -> None:
+        """Stop accepting parameter changes."""
+        self.remove_on_set_parameters_callback(self._on_parameters)
+
+    @override
+    def activate(self) -> None:
+        """Subscribe and start the supervision; earlier references are forgotten."""
+        self._heard_ns = None
+        self._laws.stop()
+        self._supervision.reset()
+        if not self._linked:
+            name = TOPICS["joint_estimate"].relative
+            self.create_subscription(JointEstimate, name, self._on_estimate, qos.STREAM, raw=True)
+        self.input.listen()
+        self._valve_state = self.collect(self._drive.topics.message, self._drive.topics.state, qos.GLANCE)
+        self.steady_timer(self.values["max_age"] / _CHECKS, self._watch)
+
+    @override
+    def deactivate(self) -> None:
+        """Send the safe voltages once, then be silent."""
+        if self._enabled:
+            self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
+
+    @override
+    def close(self) -> None:
+        """Deactivate at the end."""
+        if self.active:
+            self.deactivate()
+
+    # ---------------------------------------------------------------- services
+
+    def _on_enable(self, request: Any, response: Any) -> Any:
+        """Start commanding from the voltages on the valves, or stop commanding so that another node may."""
+        wanted = bool(request.data)
+        response.success = True
+        if not self.active:
+            response.success, response.message = False, "the node is not active: activate it first"
+            return response
+        response.message = f"it is {'enabled' if wanted else 'disabled'} already"
+        if wanted and not self._enabled:
+            self._from_the_valves()
+            self._supervision.reset()
+            self._enabled = True
+            response.message = f"enabled, from {self._voltage[0]:.3f} and {self._voltage[1]:.3f} {self._limits.unit}"
+        elif not wanted and self._enabled:
+            self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
+            self._enabled = False
+            response.message = "disabled: safe voltages once, then silent"
+        return response
+
+    def _on_clear(self, _request: Any, response: Any) -> Any:
+        self._rigs.forget_the_gone()
+        recent = self._heard_ns is not None and self.now_ns() - self._heard_ns <= self._max_age
+        response.success, response.message = True, "there is no stop to clear"
+        present = self._rigs.present or (recent and self._supervision.present)
+        if self.stopped and present:
+            response.success, response.message = False, f"not cleared, since the cause is still present: {present}"
+        elif self.stopped:
+            response.message = f"cleared: {self.stopped}"
+            self.stopped = ""
+            self._supervision.reset()
+            self._from_the_valves()
+            self.get_logger().warning(response.message)
+        return response
+
+    def stop(self, reason: str) -> None:
+        """Safe voltages until ``clear_stop``."""
+        if not self.stopped:
+            self.stopped = reason
+            self.get_logger().error(f"stopped: {reason}")
+
+    def _look(self) -> None:
+        """Read the voltages on the valves; only while active."""
+        if not self.active:
+            return
+        for data, _ in take(self._valve_state):
+            _, first, second = self._valves(data)
+            if math.isfinite(first) and math.isfinite(second):
+                self._following.saw((self._limits.clip(first), self._limits.clip(second)), time.monotonic_ns())
+
+    def _from_the_valves(self) -> None:
+        """Restart the laws at the voltages on the valves; where these are not known, at the last command."""
+        self._look()
+        self._voltage = self._following.on_valves(time.monotonic_ns()) or self._voltage
+        self._laws.stop(self._voltage)
+
+    # ---------------------------------------------------------------- samples
+
+    def _on_estimate(self, data: bytes) -> None:
+        self.estimate(*self._estimate(data))
+
+    def estimate(self, stamp: int, *values: float) -> None:
+        """Send the command for an estimate.
+
+        Args:
+            stamp: of the sample [ns].
+            values: as in ``wire.ESTIMATE_FOR_CONTROL``.
+        """
+        if not self.active:
+            return
+        now = self.now_ns()
+        if stamp < self._estimate_ns - RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
+            self._jumps += 1
+            self._laws.stop(self._voltage)
+        self._estimate_ns = stamp
+        self._heard_ns = now
+        self._silent = False
+        self._latency.add(now - stamp)
+        if not self._enabled:
+            return
+        angle, velocity, torque, of_angle, of_velocity, of_torque, *rest = values
+        first, second, of_first, of_second, nis, flags, external, of_external = rest
+        reason = self._supervision.check(stamp, angle, nis, int(flags))
+        if reason:
+            self.stop(reason)
+        if self.stopped:
+            self._send(self._laws.safe(Status.STOPPED), stamp)
+            return
+        late = now - stamp > self._max_age or bool(int(flags) & JointEstimate.LATE) or self._supervision.settling
+        wanted = self._references.at(stamp, time.monotonic_ns(), angle, torque)
+        if wanted.lost:
+            self._send(self._laws.safe(Status.LOST), stamp)
+            return
+        seen = Seen(
+            angle, velocity, torque, first, second, external, of_external, of_angle, of_velocity, of_torque, of_first,
+            of_second,
+        )  # fmt: skip
+        self._send(self._laws.step(wanted, seen, late=late), stamp)
+        self.input.repeat(stamp)
+
+    def _watch(self) -> None:
+        """Send safe voltages while no estimates come, and check that the valves follow.
+
+        These commands are stamped from the last answered sample on, a nanosecond apart. So stamps never decrease, even
+        if the missing estimates come late, and no such command has the stamp of a sample.
+        """
+        self._look()
+        if self._heard_ns is None or not self._enabled:
+            return
+        now = self.now_ns()
+        silent = now - self._heard_ns
+        if silent < 0:  # the clock was set back
+            self._heard_ns = now
+        elif silent > self._max_age:
+            if silent > self._resume:
+                self._laws.stop()
+            self._silent = True
+            self._send(self._laws.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
+        elif self._following.astray(self._voltage, time.monotonic_ns()):
+            # The valves are stopped or obey another node. The command must not jump when they obey again.
+            self._from_the_valves()
+
+    def _send(self, command: Command, stamp_ns: int) -> None:
+        voltage = command.voltage
+        if not command.status.safe:
+            self._safe_since_ns = None
+        else:
+            self._references.not_tracking()
+            now = time.monotonic_ns()
+            if self._safe_since_ns is None:
+                self._safe_since_ns = now
+            voltage = self._action.voltage(now - self._safe_since_ns)
+            if voltage != command.voltage and not self._laws.running:
+                self._laws.stop(voltage)
+        self._output.send(stamp_ns, *voltage)
+        if self.deliver is not None:
+            self.deliver(stamp_ns, voltage)
+        self._voltage = voltage
+        self._stamp = stamp_ns
+        self._commands += 1
+        self._statuses[command.status] += 1
+        self._last = command.status
+
+    def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
+        """Apply new gains without a bump, either all or none."""
+        given = dict(self.given)
+        try:
+            for parameter in changed:
+                if parameter.name in _GAIN_NAMES:
+                    entry = next(item for item in PARAMETERS if item.name == parameter.name)
+                    given[parameter.name] = entry.check(parameter.value)
+            values = by_rig(given, self._rig)
+            retune(self._laws, self.values, values, self._references.mode)
+        except BadInput as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.given, self.values = given, values
+        return SetParametersResult(successful=True)
+
+    @override
+    def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the control loop: rate, losses and states since the last report."""
+        rate = self._rate.take(self._commands, steady_ns)
+        statuses, self._statuses = self._statuses, dict.fromkeys(Status, 0)
+        safe = sum(count for status, count in statuses.items() if status.safe)
+        jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps
+        astray, self._astray_before = self._following.astray_count - self._astray_before, self._following.astray_count
+        if self.stopped:
+            output = Health(Level.ERROR, f"stopped: {self.stopped}; clear_stop clears it")
+        elif not self._enabled:
+            output = Health(Level.WARN, "disabled: silent")
+        elif jumps:
+            output = Health(Level.WARN, "the stamps jumped backwards: started again")
+        elif astray:
+            output = Health(
+                Level.ERROR,
+                "the valves do not get what is commanded: the node that owns them is stopped, or it obeys another "
+                "commander",
+            )
+        elif self._heard_ns is None:
+            output = Health(Level.WARN, "no estimate has come yet")
+        elif self._silent:
+            output = Health(Level.ERROR, "estimates have stopped: safe voltages")
+        elif self._references.complaint:
+            output = Health(Level.ERROR, f"{self._references.complaint}: safe voltages")
+        elif safe:
+            output = Health(Level.WARN, self._last.value if self._last.safe else f"{safe} commands at safe voltages")
+        else:
+            output = Health(Level.OK, self._last.value)
+        return {
+            "rig": self._rigs.health(),
+            "reference": self.input.health(),
+            "commands": Health(
+                output.level,
+                output.message,
+                {
+                    "rate [Hz]": f"{rate:.1f}",
+                    "commands": self._commands,
+                    **described(self._laws),
+                    "cause of a stop is there": self._supervision.present or self._rigs.present or "no",
+                    "jumps backwards": self._jumps,
+                    "times not obeyed": self._following.astray_count,
+                    **{status.value: count for status, count in statuses.items() if count},
+                    **self._latency.take().as_values("age of the estimate", "ms", 1e6),
+                },
+            ),
+        }
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node; see ``controller --help``."""
-    return run_node(_create, argv, name="controller", description=DESCRIPTION, table=PARAMETERS)
+    return run_node(ControllerNode, argv, name="controller", description=DESCRIPTION, table=PARAMETERS)

@@ -1,9 +1,22 @@
-"""Executable ``plant``: parameters and entry point."""
+"""The node of the simulated joint."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import SetParametersResult
+from sensor_msgs.msg import FluidPressure, JointState
+from typing_extensions import override
+
+from pam_antagonist._jit import COMPILING
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.nodes import wire
+from pam_antagonist.nodes.health import Health, Level, Rate, Window
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
     FRAME,
@@ -14,11 +27,14 @@ from pam_antagonist.nodes.parameters import (
     RIG,
     VALVE_OWNER,
     Parameter,
+    check_pressure_sensors,
 )
+from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
-
-if TYPE_CHECKING:
-    from pam_antagonist.nodes.plant_node import PlantNode
+from pam_antagonist.nodes.valve_port import ValvePort
+from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig import NO_ENCODER, load_rig
+from pam_antagonist.simulation.plant import Plant
 
 DESCRIPTION = """
 Simulated joint with two pneumatic muscles, in place of a real one: the physics of the rig in real time at its sample
@@ -81,12 +97,208 @@ PARAMETERS = (
 )
 
 
-def _create(_options: None, **node_options: Any) -> PlantNode:
-    from pam_antagonist.nodes.plant_node import PlantNode
+_BURST = 25  # largest number of samples while catching up, before commands are read again
+_JUMP = 1.0  # [s] largest lateness of the samples that is caught up
+_JUMP_BACK = 0.5  # [s] largest time that the samples wait for a clock behind them; as in the estimator
+_SETTLE = 0.3  # [s] time for subscribers to find the publishers, after the publishers have found them
 
-    return PlantNode(**node_options)
+
+class PlantNode(PamNode):
+    """Simulates the joint in real time, with finer steps, deviating parameters and noisy sensors.
+
+    Sample k is stamped start + k T, without drift, and is published when the clock reaches this time. After a stall all
+    missed samples are published, as by a device that runs independently.
+
+    Args:
+        linked: whether the controller is in the same process and calls :meth:`command`; then the node does not
+            subscribe to ``valve_command``.
+        options: as :class:`PamNode`.
+
+    Attributes:
+        deliver: called with each sample: stamp [ns], two pressures [Pa], two voltages [V], and the encoder's
+            angle [rad], NaN where none is published; None: not called.
+    """
+
+    deliver: Callable[[int, float, float, float, float, float], None] | None = None
+
+    def __init__(self, *, linked: bool = False, **options: Any) -> None:
+        self._linked = linked
+        super().__init__("plant", PARAMETERS, **options)
+
+    @override
+    def configure(self) -> None:
+        """Make a joint at rest."""
+        values = self.values
+        COMPILING.tell = self.get_logger().info
+        rig = load_rig(values["rig"], regulators=True)
+        values = self.with_rig(rig)
+        self._period = round(rig.sample_period * 1e9)
+        self.port = ValvePort(self, rig, noisy=values["noise"], linked=self._linked)
+        self._plant = Plant(
+            rig,
+            joint=values["joint"],
+            lock_angle=values["lock_angle"],
+            seed=values["seed"],
+            substeps=values["substeps"],
+            mismatch=values["mismatch"],
+            noise=values["noise"],
+            initial_pressure=tuple(values["initial_pressure"]),
+        )
+        # Compiles or loads the code of a step; uses another plant, so that this one starts at rest.
+        Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step(self.port.drive.action.hold)
+        self._next: int | None = None
+        self._now: int | None = None  # present time while samples are made [ns]
+        self._found_ns: int | None = None
+        self._samples = self._jumps = self._jumps_before = 0
+        self._lateness, self._rate = Window(), Rate()
+        self._variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
+        body, self._joint_values = wire.joint_state(values["joint_name"], velocity=False)
+        check_pressure_sensors(values["pressure_sensors"], rig)
+        self._pressures = tuple(
+            wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
+            for i in ((1, 2) if values["pressure_sensors"] == "measured" else ())
+        )
+        topics = self.port.drive.topics
+        self._valves = wire.Outgoing(self, topics.message, topics.state, topics.frame_id, wire.VALVES)
+        name = TOPICS["measured_joint_states"].relative
+        self._joint = wire.Outgoing(self, JointState, name, values["frame_id"], body)
+        self._encoder: wire.Outgoing | None = None
+        if values["angle_sensor"] == "encoder":
+            if rig.encoder is None:
+                raise BadInput(f"angle_sensor encoder: {NO_ENCODER.format(rig=rig.name)}")
+            body, self._position = wire.joint_position(values["joint_name"])
+            name = TOPICS["angle_sensor"].relative
+            self._encoder = wire.Outgoing(self, JointState, name, values["frame_id"], body)
+        self._push: float = values["push"]
+        self._pushed: wire.Outgoing | None = None
+        if DISTURBANCE in rig.effects:
+            name = TOPICS["measured_external_torque"].relative
+            self._pushed = wire.Outgoing(self, WrenchStamped, name, values["frame_id"], wire.WRENCH)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self.steady_timer(self._period * 1e-9, self._tick)
+        announce(self, rig)
+        self.start_diagnostics(values["joint_name"])
+
+    @override
+    def cleanup(self) -> None:
+        """Stop accepting parameter changes."""
+        self.remove_on_set_parameters_callback(self._on_parameters)
+
+    def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
+        """Apply a new push from the next sample on."""
+        entry = next(item for item in PARAMETERS if item.name == "push")
+        try:
+            for parameter in changed:
+                if parameter.name == entry.name:
+                    self._push = float(entry.check(parameter.value))  # type: ignore[arg-type]
+        except BadInput as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    @override
+    def activate(self) -> None:
+        """Take commands and publish samples."""
+        self.port.listen()
+
+    @override
+    def deactivate(self) -> None:
+        """Apply safe voltages and be silent; the simulated time goes on."""
+        self.port.rest()
+
+    def _tick(self) -> None:
+        now = self.now_ns()
+        if self._next is None:
+            if now == 0 or not self.active or not self._may_start(now):
+                return
+            self._next = now
+        self.port.poll(now)
+        if not -_JUMP_BACK * 1e9 <= now - self._next <= _JUMP * 1e9:
+            self._jumps += 1
+            self.get_logger().warning(
+                f"the clock is {(now - self._next) * 1e-9:+.3f} s off the samples: the samples go on at the clock's "
+                "time"
+            )
+            self._next = now
+        for _ in range(_BURST):
+            if self._next > now:
+                break
+            self._now = now
+            self._sample(self._next)
+            now = self.now_ns()
+            self._lateness.add(now - self._next)
+            self._next += self._period
+        self._now = None
+
+    def _may_start(self, now: int) -> bool:
+        """Whether all expected subscribers are connected."""
+        wanted: int = self.values["wait_for_subscribers"]
+        if wanted == 0:
+            return True
+        outputs = (*self._pressures, self._valves)
+        if any(output.publisher.get_subscription_count() < wanted for output in outputs):
+            self._found_ns = None
+            return False
+        if self._found_ns is None:
+            self._found_ns = now
+        return now - self._found_ns >= _SETTLE * 1e9
+
+    def _sample(self, stamp_ns: int) -> None:
+        """Advance by one period, which ends at the stamp, and publish."""
+        push = self._push
+        sample = self._plant.step(self.port.output(stamp_ns).voltage, push)
+        if self._pressures:
+            self.port.supervise(stamp_ns, *sample.pressure)
+        self._samples += 1
+        if not self.active:
+            return
+        for output, pressure in zip(self._pressures, sample.pressure, strict=False):
+            output.send(stamp_ns, pressure, self._variance)
+        self._valves.send(stamp_ns, *sample.voltage)
+        self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
+        if self._pushed is not None:
+            self._pushed.send(stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0, push)
+        encoder = math.nan
+        if self._encoder is not None:
+            encoder = sample.encoder
+            self._encoder.send(stamp_ns, *self._position(encoder))
+        if self.deliver is not None:
+            (p1, p2), (u1, u2) = sample.pressure if self._pressures else (math.nan, math.nan), sample.voltage
+            self.deliver(stamp_ns, p1, p2, u1, u2, encoder)
+
+    def command(self, stamp_ns: int, voltage: tuple[float, float]) -> None:
+        """Take a command of the controller in the same process.
+
+        Args:
+            stamp_ns: of the command's sample [ns].
+            voltage: command (2,) [V].
+        """
+        self.port.command(stamp_ns, voltage, self.now_ns() if self._now is None else self._now)
+
+    @override
+    def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the simulation: rate and lateness since the last report."""
+        lateness = self._lateness.take()
+        rate = self._rate.take(self._samples, steady_ns)
+        jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps
+        if self._next is None:
+            level, message = Level.WARN, "waits for the clock or for subscribers"
+        elif jumps:
+            level, message = Level.WARN, "the clock jumped: the samples went on from it"
+        else:
+            level, message = Level.OK, "running"
+        sampling = Health(
+            level,
+            message,
+            {
+                "rate [Hz]": f"{rate:.1f}",
+                "samples": self._samples,
+                "clock jumps": self._jumps,
+                **lateness.as_values("lateness", "ms", 1e6),
+            },
+        )
+        return {"sampling": sampling, **self.port.health(steady_ns)}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node; see ``plant --help``."""
-    return run_node(_create, argv, name="plant", description=DESCRIPTION, table=PARAMETERS)
+    return run_node(PlantNode, argv, name="plant", description=DESCRIPTION, table=PARAMETERS)

@@ -15,7 +15,17 @@
 
 from __future__ import annotations
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from typing import TYPE_CHECKING
+
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+if TYPE_CHECKING:
+    pass
 
 
 def _profile(depth: int, reliable: bool = True, kept: bool = False) -> QoSProfile:

@@ -1,25 +1,34 @@
-"""Executable ``record``: arguments and entry point."""
+"""The recorder node, which writes serialised messages without decoding them."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import math
 import re
+import shutil
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
+from rclpy.subscription import Subscription
+from tqdm import tqdm
 from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.health import Health, Level, Rate
+from pam_antagonist.nodes.node import PamNode, take
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
+from pam_antagonist.nodes.wire import Gaps, number_of
 from pam_antagonist.program import typed
 from pam_antagonist.recording.bag_files import Limits
-from pam_antagonist.recording.topics import normalize_namespace
-
-if TYPE_CHECKING:
-    from pam_antagonist.nodes.recorder_node import RecorderNode
+from pam_antagonist.recording.topics import TOPICS, Topic, normalize_namespace
+from pam_antagonist.recording.writer import BagWriter
 
 DESCRIPTION = """
 Writes every topic of a pipeline, as it comes, into a rosbag2 bag (MCAP), with the time of reception.
@@ -91,12 +100,193 @@ def _check(name: str, value: float | None, above: float, unit: str) -> None:
         raise BadInput(f"{name} {value}: expected a number of {unit} above {above:g}")
 
 
-def _create(options: Options, **node_options: Any) -> RecorderNode:
-    from pam_antagonist.nodes.recorder_node import RecorderNode
+_KEPT = ("rig", "filter_checkpoint")  # topics whose last messages are kept for late subscribers
+_PERIOD = 0.02  # [s] time between two reads of the queues, which hold 250 times as much at 1 kHz
+_PROGRESS = 1.0  # [s] time between two updates of the progress line
+_BACKLOG = 256 << 20  # [bytes] that may wait for a slow disk: five minutes of a pipeline at 1 kHz
+_LITTLE_SPACE = 600.0  # [s] of recording that must fit on the disk; with less, there is a warning
 
-    return RecorderNode(options, **node_options)
+
+def message_class(name: str) -> Any:
+    """The class of a message type such as ``sensor_msgs/msg/JointState``."""
+    package, _, kind = name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), kind)
+
+
+class RecorderNode(PamNode):
+    """Collects serialised messages in bulk, and hands them to the bag's thread.
+
+    The node empties the middleware's queues fifty times a second. A callback for each of 7000 messages a second would
+    take twice the processor time. The times of reception come from the middleware and stay exact.
+
+    Args:
+        node_options: as :class:`PamNode`.
+    """
+
+    def __init__(self, options: Options, **node_options: Any) -> None:
+        self._options = options
+        self._path = options.out
+        self._topics: dict[str, Subscription] = {}
+        self._counts: dict[str, int] = {}
+        self._gaps: dict[str, Gaps] = {}
+        self._reason: str | None = None  # why nothing more can be written
+        self._ended = False
+        self._rate, self._bytes_rate = Rate(), Rate()
+        self._lost_before = 0
+        self._since = time.monotonic()
+        self._until = math.inf
+        # Shown only on a terminal; /diagnostics reports the progress as well.
+        self._line = tqdm(bar_format="{desc}", leave=False, disable=None)
+        super().__init__("recorder", PARAMETERS, **node_options)
+
+    @override
+    def configure(self) -> None:
+        """Make the bag."""
+        self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
+        self._ended = False
+        for name, topic in self._wanted():
+            self._bag.add_topic(name, topic.type)
+            self._counts[name] = 0
+            self._gaps[name] = Gaps(partial(self.count_publishers, name))
+        self.start_diagnostics(self._path.name)
+
+    def _wanted(self) -> Iterator[tuple[str, Topic]]:
+        """Full name and description of each topic to record."""
+        names: set[str] = set()
+        for namespace in self._options.namespaces or (None,):
+            for topic in TOPICS.values():
+                name = self.resolve_topic_name(topic.relative if namespace is None else topic.resolve(namespace))
+                if name not in names:  # /diagnostics is one for all
+                    names.add(name)
+                    yield name, topic
+
+    @override
+    def activate(self) -> None:
+        """Subscribe to all topics."""
+        for name, topic in self._wanted():
+            profile = qos.LATCHED if topic.name in _KEPT else qos.RECORD
+            self._topics[name] = self.collect(message_class(topic.type), name, profile)
+        self._since = time.monotonic()
+        if self._options.duration is not None:
+            self._until = self._since + self._options.duration
+        self.steady_timer(_PERIOD, self._collect)
+        self.steady_timer(_PROGRESS, self._show)
+        self.get_logger().info(f"recording into {self._path}")
+
+    @override
+    def deactivate(self) -> None:
+        """Write the remaining messages; later ones do not count as lost."""
+        if self._reason is None:
+            self._collect()
+        self._topics = {}
+
+    @override
+    def cleanup(self) -> None:
+        """Finish the bag; another bag needs another folder, so another recorder."""
+        self._end_bag()
+
+    @property
+    def lost(self) -> int:
+        """Number of messages that did not come, or were not written."""
+        return sum(gaps.missing for gaps in self._gaps.values()) + self._bag.dropped
+
+    def _collect(self) -> None:
+        for name, subscription in self._topics.items():
+            items = []
+            gaps = self._gaps[name]
+            for data, about in take(subscription):
+                gaps.add(number_of(about))
+                items.append((name, about["received_timestamp"] or time.time_ns(), data))
+            try:
+                self._counts[name] += self._bag.write_many(items)
+            except OSError as error:
+                raise self._failed(error) from None
+        if time.monotonic() >= self._until:
+            self.finished = True
+
+    def _failed(self, error: OSError) -> BadInput:
+        """Store the reason of a failed write, and return the error."""
+        why = error.strerror or str(error)
+        if self._bag.kept is not None:
+            why += f"; {self._bag.kept} of {sum(self._counts.values())} messages are kept and can be read"
+        self._reason = why
+        return BadInput(f"{self._path}: cannot be written: {why}")
+
+    def _show(self) -> None:
+        """Update the progress line."""
+        if self._line.disable:
+            return
+        taken = f"{time.monotonic() - self._since:8.1f} s  {sum(self._counts.values())} messages  {self.lost} lost"
+        written = f"{self._bag.size / 1e6:.1f} MB in {self._bag.files} file{'s' if self._bag.files > 1 else ''}"
+        self._line.set_description_str(f"{taken}  {written}  (Ctrl-C ends)")
+
+    @override
+    def close(self) -> None:
+        """Write the remaining messages, finish the bag, and print its content."""
+        self._line.close()
+        if self._reason is not None:
+            self._diagnose()  # the last message of this node
+        elif self._topics:
+            self._collect()
+        self._end_bag()
+
+    def _end_bag(self) -> None:
+        if self._ended or not self._counts:
+            return
+        self._ended = True
+        try:
+            self._bag.close()
+        except OSError as error:
+            raise self._failed(error) from None
+        if self._reason is not None:
+            return
+        files = f" ({self._bag.files} files)" if self._bag.files > 1 else ""
+        print(f"recorded {sum(self._counts.values())} messages into {self._path}{files}")
+        width = max(map(len, self._counts))
+        for topic, count in self._counts.items():
+            missing = self._gaps[topic].missing
+            print(f"  {topic.ljust(width)}  {count:9d}" + (f"  {missing} more were not received" if missing else ""))
+        if self._bag.dropped:
+            print(f"  {self._bag.dropped} messages were dropped, because the disk did not keep up")
+
+    def _free(self) -> float:
+        """Free space on the disk [bytes]; NaN where the folder is gone."""
+        try:
+            return float(shutil.disk_usage(self._path).free)
+        except OSError:
+            return math.nan
+
+    @override
+    def health(self, steady_ns: int) -> Mapping[str, Health]:
+        """Health of the recording: rate, size and losses since the last report."""
+        total, size, lost = sum(self._counts.values()), self._bag.size, self.lost
+        rate, growth = self._rate.take(total, steady_ns), self._bytes_rate.take(size, steady_ns)
+        lost_now, self._lost_before = lost - self._lost_before, lost
+        free = self._free()
+        if self._reason is not None:
+            state = (Level.ERROR, f"the recording has ended: {self._reason}")
+        elif lost_now:
+            state = (Level.WARN, f"{lost_now} messages lost")
+        elif total == 0:
+            state = (Level.WARN, "no message has come yet")
+        elif growth > 0.0 and free < _LITTLE_SPACE * growth:
+            state = (Level.WARN, f"the disk will be full in {free / growth:.0f} s")
+        else:
+            state = (Level.OK, "recording")
+        values = {
+            "rate [Hz]": f"{rate:.1f}",
+            "messages": total,
+            "never came": lost - self._bag.dropped,
+            "dropped, disk too slow": self._bag.dropped,
+            "waiting for the disk [kB]": self._bag.backlog // 1000,
+            "written [MB]": f"{size / 1e6:.1f}",
+            "files": self._bag.files,
+            "free on the disk [MB]": f"{free / 1e6:.0f}",
+            **self._counts,
+        }
+        return {"bag": Health(*state, values)}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the node; see ``record --help``."""
-    return run_node(_create, argv, name="record", description=DESCRIPTION, table=PARAMETERS, options=read_options)
+    return run_node(RecorderNode, argv, name="record", description=DESCRIPTION, table=PARAMETERS, options=read_options)

@@ -15,9 +15,9 @@ from trajectory_msgs.msg import JointTrajectory
 from pam_antagonist.control import Mode, Nearest, References, Rules, Trajectory
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.gaps import number_of
 from pam_antagonist.nodes.health import Health, Level
 from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.wire import number_of
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.safety import ReferenceOwner
 from pam_antagonist_msgs.msg import JointReference

@@ -13,12 +13,10 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.command_line import own_parameters
-from pam_antagonist.nodes.network import RANGE, local_only, secured, stay_on_this_machine
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.paths import config_dir
@@ -28,6 +26,76 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from pam_antagonist.nodes.node import PamNode
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+_ASKED = (RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER")
+"""Environment variables of ROS 2 that set the range of discovery."""
+
+
+def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> bool:
+    """Limit discovery of this process's nodes to this machine; call before ROS is initialised.
+
+    By default ROS 2 discovers the whole subnet, where anybody could publish commands to the valves. If the user has set
+    any of the variables of discovery, nothing is changed.
+    """
+    if any(environment.get(name) for name in _ASKED):
+        return False
+    environment[RANGE] = "LOCALHOST"
+    return True
+
+
+def local_only(environment: MutableMapping[str, str] = os.environ) -> bool:
+    """Whether discovery is limited to this machine."""
+    return environment.get(RANGE) == "LOCALHOST" and not environment.get("ROS_STATIC_PEERS")
+
+
+def nothing_there(
+    namespace: str, elsewhere: Sequence[str], busy: Sequence[int], environment: Mapping[str, str] = os.environ
+) -> str:
+    """What to try where no node publishes a joint's topics, in words."""
+    domain = int(environment.get("ROS_DOMAIN_ID") or 0)
+    others = [other for other in busy if other != domain]
+    tries = [f"--namespace {other or '/'} (a joint is there)" for other in elsewhere]
+    tries += [f"ROS_DOMAIN_ID={other} {typed('watch')} (nodes of this machine seem to be there)" for other in others]
+    if not tries:
+        tries = [
+            "start the joint's nodes",
+            "the line that demo, excite or commission prints (they have a ROS domain of their own)",
+            f"for a joint on another machine, {RANGE}=SUBNET on both",
+        ]
+    return f"no joint in namespace {namespace or '/'} of ROS domain {domain}. Try: {'; or '.join(tries)}"
+
+
+def secured(environment: MutableMapping[str, str] = os.environ) -> bool:
+    """Whether SROS2 is switched on."""
+    return environment.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+
+
+_FLAGS = ("-p", "--param")
+
+
+def own_parameters(arguments: Sequence[str]) -> list[str]:
+    """The arguments of a node (``cli_args``) that repeat the parameters of its command line.
+
+    Example:
+        >>> own_parameters(["--out", "bag", "--ros-args", "-p", "seed:=3", "--params-file", "a.yaml"])
+        ['--ros-args', '-p', 'seed:=3']
+    """
+    rules = [word for rule in _rules(arguments) for word in ("-p", rule)]
+    return ["--ros-args", *rules] if rules else []
+
+
+def _rules(arguments: Sequence[str]) -> Iterator[str]:
+    inside = False
+    for before, word in zip(("", *arguments), arguments, strict=False):
+        if word == "--ros-args":
+            inside = True
+        elif word == "--":
+            inside = False
+        elif inside and before in _FLAGS:
+            yield word
+
 
 PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
 """Environment variable with the id of the parent process; a node ends with it, even if the parent is killed."""
@@ -82,8 +150,8 @@ def run_node(
     """Run a node until SIGINT, SIGTERM, or until it has finished.
 
     Args:
-        create: makes the node from its options, and from keyword arguments for rclpy's node; all slow work (reading the
-            rig, loading compiled code) is done here, before the first sample.
+        create: makes the node from its options, where it has some, and from keyword arguments for rclpy's node; all
+            slow work (reading the rig, loading compiled code) is done here, before the first sample.
         description: first part of ``--help``.
         table: the node's parameters, for ``--help``.
         check: checks all arguments first; may raise ``BadInput``.
@@ -130,7 +198,7 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         given = _initialise(arguments, name, options)
         try:
             stop.waits = False
-            node = create(given, cli_args=own_parameters(arguments))
+            node = create(*(() if given is None else (given,)), cli_args=own_parameters(arguments))
             stop.waits = True
         except _Interrupted:
             return 0  # nothing has been published or subscribed

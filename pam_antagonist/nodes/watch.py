@@ -23,10 +23,9 @@ from std_srvs.srv import SetBool, Trigger
 from pam_antagonist.control import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.network import nothing_there
 from pam_antagonist.nodes.processes import busy_domains
 from pam_antagonist.nodes.references import ASKED, MODE, MODES, STIFFNESS
-from pam_antagonist.nodes.spin import client_node
+from pam_antagonist.nodes.spin import client_node, nothing_there
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS, normalize_namespace
 from pam_antagonist.rig import RigIdentity
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand

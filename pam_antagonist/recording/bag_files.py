@@ -20,7 +20,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from typing_extensions import override
 
-from . import metadata
+from . import notes
 from .messages import typestore
 
 Storage = Literal["mcap", "sqlite3"]
@@ -110,7 +110,7 @@ class _File(Writer):
         if durable and path.exists():
             with path.open("rb") as stream:
                 os.fsync(stream.fileno())
-        information = metadata.read_information(self._folder, self.metapath.name)
+        information = notes.read_information(self._folder, self.metapath.name)
         assert information is not None  # rosbags has just written it
         self.metapath.unlink()
         return information
@@ -171,7 +171,7 @@ class BagFiles:
         self._path.mkdir(mode=0o755, parents=True)
         self._begin()
         if self._durable:
-            metadata.sync_folder(self._path.parent)
+            notes.sync_folder(self._path.parent)
 
     def add_topic(self, topic: str, msgtype: str) -> None:
         """Announce a topic."""
@@ -197,7 +197,7 @@ class BagFiles:
     def close(self) -> None:
         """Finish the last file and write metadata.yaml."""
         self._finish()
-        metadata.write_information(self._path, _together(self._done))
+        notes.write_information(self._path, _together(self._done))
 
     def rescue(self) -> int:
         """After a failed write, keep as many messages as possible."""
@@ -210,7 +210,7 @@ class BagFiles:
                 kept = sum(self._file.counts.values())
             with suppress(OSError):
                 if last is not None:
-                    metadata.write_information(self._path, _together(self._done))
+                    notes.write_information(self._path, _together(self._done))
         return kept + sum(int(part["message_count"]) for part in self._done)
 
     def _finish(self) -> None:
@@ -230,7 +230,7 @@ class BagFiles:
         for topic, msgtype in self._topics:
             self._connect(topic, msgtype)
         if self._durable:
-            metadata.sync_folder(self._path)
+            notes.sync_folder(self._path)
 
     def _connect(self, topic: str, msgtype: str) -> None:
         self._connections[topic] = self._file.add_connection(topic, msgtype, typestore=typestore())

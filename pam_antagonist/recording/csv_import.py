@@ -11,18 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from . import wrong_unit
+from . import plausible
 from .csv_map import ALSO, CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
 from .notes import REGULATOR, SEALED, Issue
-from .plausible import NO_VALUE, unwrapped
+from .plausible import NO_VALUE, Signal, unwrapped
 from .recording import Recording
-from .resets import resets
+from .rows import resets
 from .signals import FurtherSignal
 from .stamps import interpolate, judge_pairing
 from .units import UNITS
-from .wrong_unit import Signal
 
 Floats = NDArray[np.float64]
 
@@ -198,36 +197,36 @@ def _signals(
 
 def _check(where: str, mapping: CsvMap, signals: dict[str, Signal], issues: list[str]) -> None:
     """Refuse what is implausible in its unit."""
-    wrong_unit.check_pressures(where, signals["pressure_1"], signals["pressure_2"], _atmosphere(mapping), issues)
+    plausible.judge_pressures(where, signals["pressure_1"], signals["pressure_2"], _atmosphere(mapping), issues)
     for number, valve in enumerate(mapping.valves, 1):
         name = f"valve_{number}"
         if valve.constant is not None:
             constant = Signal(f"{name} (constant)", np.array([valve.constant]), valve.unit)
-            wrong_unit.check_voltage(where, constant, issues)
+            plausible.judge_voltage(where, constant, issues)
         else:
-            wrong_unit.check_voltage(where, signals[name], issues)
+            plausible.judge_voltage(where, signals[name], issues)
     if "command_1" in signals:
         asked = (signals["command_1"], signals["command_2"])
-        wrong_unit.check_pressures(where, *asked, _atmosphere(mapping), issues)
+        plausible.judge_pressures(where, *asked, _atmosphere(mapping), issues)
     if "angle" in signals:
-        wrong_unit.check_angle(where, signals["angle"], issues)
+        plausible.judge_angle(where, signals["angle"], issues)
     for name in ("torque", "external_torque"):
         if name in signals:
-            wrong_unit.check_torque(where, signals[name], issues)
+            plausible.judge_torque(where, signals[name], issues)
 
 
 def _atmosphere(mapping: CsvMap) -> float:
     """Absolute pressure of the surroundings [Pa]."""
     atmosphere = mapping.atmosphere
     if atmosphere is None:
-        return wrong_unit.STANDARD_ATMOSPHERE  # for plausibility only: no pressure in the map is gauge pressure
+        return plausible.STANDARD_ATMOSPHERE  # for plausibility only: no pressure in the map is gauge pressure
     return atmosphere.pressure * UNITS["pressure"][atmosphere.unit]
 
 
 def _si(mapping: CsvMap, name: str, signal: Signal) -> Floats:
     """Values in SI units, pressures absolute."""
     if signal.reference:
-        return wrong_unit.pascal(signal.values, signal.unit, signal.reference, _atmosphere(mapping))
+        return plausible.pascal(signal.values, signal.unit, signal.reference, _atmosphere(mapping))
     quantity = "voltage" if name.startswith("valve") else "angle" if name == "angle" else "torque"
     if name.startswith(ALSO):
         quantity = mapping.also[name[len(ALSO) :]].quantity

@@ -98,7 +98,7 @@ def _detected(recording: Recording) -> tuple[str, str]:
 def _live_lock(recording: Recording) -> float | None:
     """Lock angle of the live filter [rad]; None where its joint was free or no estimate was recorded."""
     estimate = recording.estimate
-    locked = [item.lock_angle for item in recording.checkpoints if item.joint == "locked"]
+    locked = [item.identity.lock_angle for item in recording.checkpoints if item.identity.joint == "locked"]
     if locked and math.isfinite(locked[-1]):
         return locked[-1]
     if estimate is None or len(estimate.angle) == 0 or np.any(estimate.velocity) or np.ptp(estimate.angle) > _ROUNDING:

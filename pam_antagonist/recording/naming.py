@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from .cdr import Decoded
+from .cdr import Channel, Decoded, RawTopic
 from .messages import stores_of
 from .notes import Issue
-from .raw import Channel, RawTopic
 from .storage import RawBag
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
 

@@ -1,17 +1,163 @@
-"""Notes about a recording: what was wrong with it when it was read, and the notes in a bag about its origin.
+"""What is known of a recording beside its data: issues found when it was read, and its bag's metadata.yaml.
 
-The notes in a bag are texts by name under ``custom_data`` in its metadata.yaml, the place that rosbag2 provides. They
-are optional: a bag without metadata.yaml, or a converted one, may have lost them.
+metadata.yaml is read as untrusted input and written atomically. It holds notes, texts by name under ``custom_data``,
+the place that rosbag2 provides. They are optional: a bag without metadata.yaml, or a converted one, may have lost them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from ..errors import BadInput
-from . import metadata
+from ..strict_yaml import load_bounded
+
+NAME = "metadata.yaml"
+INFORMATION = "rosbag2_bagfile_information"
+_MAX_BYTES = 1 << 20  # enough for some thousand files or topics
+_MOST_VALUES = 500_000
+
+
+def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
+    """Content of a bag's metadata.yaml."""
+    file = folder / name
+    content = _read(file)
+    if content is None:
+        return None
+    try:
+        information = content[INFORMATION]
+    except KeyError as error:
+        raise BadInput(f"{file}: not the metadata of a rosbag2, entry {error} is missing") from None
+    except (TypeError, IndexError):
+        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry has an unexpected type or value") from None
+    if not isinstance(information, dict):
+        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry has an unexpected type or value")
+    return information
+
+
+def read_custom_data(folder: Path) -> dict[str, str]:
+    """Notes in the metadata, by name; none where the metadata is missing or of another kind."""
+    content = _read(folder / NAME)
+    return custom_data(content.get(INFORMATION) if isinstance(content, dict) else None)
+
+
+def _read(file: Path) -> Any:
+    try:
+        if not file.exists():
+            return None
+        if not file.is_file():
+            raise BadInput(f"{file}: not a file, expected the metadata of a rosbag2")
+        size = file.stat().st_size
+        if size > _MAX_BYTES:
+            raise BadInput(f"{file}: {size} bytes, expected a short text")
+        raw = file.read_bytes()
+        if not raw.strip(b"\0 \r\n"):  # a power cut leaves a file without content, or one of zeros
+            return None
+        return load_bounded(raw.decode("utf-8"), _MOST_VALUES)
+    except (yaml.YAMLError, RecursionError, ValueError, TypeError, OverflowError) as error:
+        raise BadInput(f"{file}: not readable as YAML ({one_line(error)})") from None
+    except OSError as error:
+        raise BadInput(f"{file}: cannot be read: {error.strerror or error}") from None
+
+
+def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
+    """Names of the message files; only files directly in the folder are accepted."""
+    where = folder / NAME
+    if "relative_file_paths" not in information:
+        raise BadInput(f"{where}: not the metadata of a rosbag2, entry 'relative_file_paths' is missing")
+    listed = information["relative_file_paths"]
+    if not isinstance(listed, list) or not all(isinstance(name, str) and Path(name).name for name in listed):
+        raise BadInput(f"{where}: not the metadata of a rosbag2, an entry has an unexpected type or value")
+    if not listed:
+        raise BadInput(f"{where}: names no message files under relative_file_paths")
+    names = [Path(name).name for name in listed]  # rosbag2 itself once wrote the folder's name in front
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise BadInput(f"{where}: names {twice[:80]!r} twice under relative_file_paths")
+    for name in names:
+        if "\0" in name or not (folder / name).is_file():
+            raise BadInput(f"{folder}: metadata.yaml names {name[:80]!r}, which is not there")
+    return names
+
+
+def type_digests(folder: Path, information: Mapping[str, Any]) -> dict[tuple[str, str], str]:
+    """(topic, message type) -> RIHS01 hash of the type, "" where the metadata has none."""
+    try:
+        return dict(_digests(information))
+    except KeyError as error:
+        raise BadInput(f"{folder / NAME}: not the metadata of a rosbag2, entry {error} is missing") from None
+    except (TypeError, AttributeError):
+        raise BadInput(
+            f"{folder / NAME}: not the metadata of a rosbag2, an entry has an unexpected type or value"
+        ) from None
+
+
+def _digests(information: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
+    for entry in information.get("topics_with_message_count") or ():
+        topic = entry["topic_metadata"]
+        texts = topic["name"], topic["type"], topic.get("type_description_hash") or ""
+        if not all(isinstance(text, str) for text in texts):
+            raise TypeError
+        yield (texts[0], texts[1]), texts[2]
+
+
+def custom_data(information: Any) -> dict[str, str]:
+    """Notes, by name."""
+    found = information.get("custom_data") if isinstance(information, dict) else None
+    if not isinstance(found, dict):
+        return {}
+    plain = (str, int, float, bool)  # no nested values
+    return {str(name): str(text) for name, text in found.items() if isinstance(name, plain) and isinstance(text, plain)}
+
+
+def write_information(folder: Path, information: Mapping[str, Any]) -> None:
+    """Write metadata.yaml; after a power cut either the old or the new file is there."""
+    part = folder / f".{NAME}.part"
+    text = yaml.safe_dump({INFORMATION: dict(information)}, sort_keys=False, allow_unicode=True)
+    try:
+        with part.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(folder / NAME)
+    except OSError:
+        with suppress(OSError):
+            part.unlink()
+        raise
+    sync_folder(folder)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush a folder's list of names to the disk, where the file system supports it."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def in_order(files: list[Path]) -> list[Path]:
+    """Files of a bag sorted by their numbers: bag_2 before bag_10."""
+
+    def key(path: Path) -> tuple[str, int, str]:
+        match = re.match(r"(.*)_(\d{1,9})(\.[a-z0-9.]+)$", path.name)
+        return (match[1], int(match[2]), path.name) if match else (path.name, -1, path.name)
+
+    return sorted(files, key=key)
+
+
+def one_line(error: BaseException) -> str:
+    """Text of an exception without line breaks."""
+    return " ".join(str(error).split())[:300] or type(error).__name__
+
 
 KINDS = (
     "clock", "publishers", "damage", "restart", "hole", "jump", "missing", "unstamped", "repeated", "dropped", "late",
@@ -83,17 +229,17 @@ def noted_issues(path: Path) -> list[Issue]:
 
 def write_notes(path: Path, notes: Mapping[str, str]) -> None:
     """Add notes to a bag."""
-    information = metadata.read_information(path)
+    information = read_information(path)
     if information is None:
         raise BadInput(f"{path}: has no metadata.yaml, expected a finished bag")
-    information["custom_data"] = {**metadata.custom_data(information), **notes}
-    metadata.write_information(path, information)
+    information["custom_data"] = {**custom_data(information), **notes}
+    write_information(path, information)
 
 
 def read_notes(path: str | Path) -> dict[str, str]:
     """Notes of a bag, by name; empty without metadata or notes."""
     path = Path(path)
-    return metadata.read_custom_data(path if path.is_dir() else path.parent)
+    return read_custom_data(path if path.is_dir() else path.parent)
 
 
 def sealed_muscles(path: str | Path) -> tuple[int, ...]:

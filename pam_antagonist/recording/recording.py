@@ -15,12 +15,13 @@ from typing_extensions import override
 from ..errors import BadInput, number
 from ..optional import needs
 from ..shown import Shown
-from .checkpoints import RecordedCheckpoint
 from .notes import Issue
 from .signals import FurtherSignal
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from ..estimation.checkpoint import Checkpoint
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -221,7 +222,7 @@ class Recording(Shown):
     topics: Mapping[str, str] = field(default_factory=dict)
     issues: tuple[Issue, ...] = ()
     rigs: tuple[str, ...] = ()
-    checkpoints: tuple[RecordedCheckpoint, ...] = ()
+    checkpoints: tuple[Checkpoint, ...] = ()
     namespace: str = ""
     signals: Mapping[str, FurtherSignal] = field(default_factory=dict)
     episode_ns: Stamps | None = None

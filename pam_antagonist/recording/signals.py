@@ -1,4 +1,4 @@
-"""Further signals, which may be causes of a joint's motion, and the beginnings of episodes.
+"""What a bag holds beside the samples: further signals, beginnings of episodes, rigs, checkpoints of the filter.
 
 A further signal is another joint's pressure or angle, or a temperature. In a bag it is a topic below ``also/`` in the
 joint's namespace, or any topic of a type in ``KINDS`` that is requested by name. An episode begins at each stamp of the
@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import stamps
-from .cdr import CdrError, Decoded, decode, encode
+from .cdr import CdrError, Decoded, Group, decode, encode
 from .compression import CompressionError
 from .notes import Issue
 from .storage import RawBag, unpack_messages
 from .topics import TOPICS, Topic
 
 if TYPE_CHECKING:
+    from ..estimation.checkpoint import Checkpoint
     from .recording import Recording
 
 Floats = NDArray[np.float64]
@@ -178,3 +179,52 @@ def rig_texts(bag: RawBag, namespace: str) -> tuple[str, ...]:
         if 0 < size <= len(message) - _TEXT_HEAD:
             texts[message[_TEXT_HEAD : _TEXT_HEAD + size - 1].decode(errors="replace")] = None
     return tuple(texts)
+
+
+_TEXTS = ("rig", "fingerprint", "tuning", "joint", "settings")
+_ARRAYS = ("state", "covariance", "cross", "voltage", "distances", "angle_sensor")
+
+
+def read_checkpoints(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[Checkpoint, ...]:
+    """Checkpoints of the live filter, unchecked: a filter that is given one checks it.
+
+    Args:
+        keep: numbers of the messages to take, in the order of the result (K,).
+    """
+    if len(keep) == 0:
+        return ()
+    stamps, started = decoded.stamp_ns("header.stamp").tolist(), decoded.stamp_ns("started").tolist()
+    found = {
+        row: _checkpoint(group, place, stamps[row], started[row])
+        for group in decoded.groups
+        for place, row in enumerate(group.rows.tolist())
+    }
+    return tuple(found[row] for row in keep.tolist())
+
+
+def _checkpoint(group: Group, place: int, stamp_ns: int, started_ns: int) -> Checkpoint:
+    from ..estimation.checkpoint import Checkpoint, FilterIdentity  # takes a second that a bag alone does not need
+
+    columns = group.columns
+    texts = {name: columns[name][place].decode(errors="replace") for name in _TEXTS}
+    added = (columns[f"added[{k}]"][place].decode(errors="replace") for k in range(group.counts["added"]))
+    arrays: dict[str, Any] = {
+        name: np.array(columns[name][place]) if name in columns else np.empty(0) for name in _ARRAYS
+    }
+    n = max(1, len(arrays["state"]))
+    for name in ("covariance", "cross"):
+        if len(arrays[name]) % n == 0:  # the filter refuses one of a wrong size
+            arrays[name] = arrays[name].reshape(n, -1)
+    kinds = {"distances": np.int64}
+    arrays = {name: values.astype(kinds.get(name, np.float64)) for name, values in arrays.items()}
+    identity = FilterIdentity(**texts, lock_angle=float(columns["lock_angle"][place]), added=tuple(added))
+    return Checkpoint(stamp_ns, started_ns, identity, rejected=int(columns["rejected"][place]), **arrays)
+
+
+def checkpoint_message(checkpoint: Checkpoint, frame_id: str) -> bytes:
+    """A checkpoint as a serialised message."""
+    columns: dict[str, Any] = {name: np.asarray(getattr(checkpoint, name)).reshape(1, -1) for name in _ARRAYS}
+    columns |= vars(checkpoint.identity) | {"rejected": checkpoint.rejected, "header.frame_id": frame_id}
+    for path, time_ns in (("header.stamp", checkpoint.stamp_ns), ("started", checkpoint.started_ns)):
+        columns[f"{path}.sec"], columns[f"{path}.nanosec"] = divmod(time_ns, 1_000_000_000)
+    return encode(TOPICS["filter_checkpoint"].type, 1, columns)[0].tobytes()

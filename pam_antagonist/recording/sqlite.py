@@ -17,8 +17,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from .cdr import Payloads
-from .raw import Channel, Collector, RawTopic
+from .cdr import Channel, Collector, Payloads, RawTopic
 
 MAGIC = b"SQLite format 3\0"
 

@@ -12,14 +12,12 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from ..errors import BadInput
-from . import metadata
-from .cdr import Payloads
+from . import notes
+from .cdr import Payloads, RawTopic
 from .compression import ZSTD_MAGIC, CompressionError, Room, inflate_file, inflate_message, most_unpacked
 from .mcap import MAGIC as MCAP_MAGIC
 from .mcap import scan_mcap
-from .metadata import one_line
-from .notes import Issue
-from .raw import RawTopic
+from .notes import Issue, one_line
 from .sqlite import MAGIC as SQLITE_MAGIC
 from .sqlite import read_sqlite
 
@@ -135,7 +133,7 @@ def _locate(path: Path) -> _Files:
     """Find the message files of a bag."""
     if "\0" in str(path):
         raise BadInput(f"{path}: no bag can have this name")
-    if path.name == metadata.NAME and path.is_file():
+    if path.name == notes.NAME and path.is_file():
         path = path.parent
     if not path.exists():
         raise BadInput(f"{path}: there is no such bag")
@@ -145,20 +143,20 @@ def _locate(path: Path) -> _Files:
         return _Files([path], {}, [])
     if not path.is_dir():
         raise BadInput(f"{path}: neither a file nor a folder, {_EXPECTED}")
-    information = metadata.read_information(path)
+    information = notes.read_information(path)
     if information is None:
         found = [file for file in path.iterdir() if file.name.endswith(_SUFFIXES) and file.is_file()]
         if not found:
-            bags = sorted(file.parent.name for file in path.glob(f"*/{metadata.NAME}"))[:_LISTED]
+            bags = sorted(file.parent.name for file in path.glob(f"*/{notes.NAME}"))[:_LISTED]
             inside = f"; folders in it are: {', '.join(bags)}" if bags else ""
             raise BadInput(f"{path}: not a rosbag2, {_EXPECTED}{inside}")
         if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", r".\2", file.name) for file in found}) > 1:
             several = ", ".join(sorted(file.name for file in found)[:_LISTED])
             raise BadInput(f"{path}: has no metadata.yaml, and files of several bags ({several}); expected one of them")
         issue = f"{path} has no metadata.yaml, as after a recording that was not closed"
-        return _Files(metadata.in_order(found), {}, [issue], closed=False)
-    names = metadata.file_names(path, information)
-    return _Files([path / name for name in names], metadata.type_digests(path, information), [])
+        return _Files(notes.in_order(found), {}, [issue], closed=False)
+    names = notes.file_names(path, information)
+    return _Files([path / name for name in names], notes.type_digests(path, information), [])
 
 
 def _read_file(

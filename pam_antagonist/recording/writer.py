@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from . import checkpoints, signals
+from . import signals
 from .bag_files import MODES, PLUGINS, BagFiles, Compression, Limits, Storage
 from .cdr import encode
 from .messages import typestore
@@ -283,7 +283,9 @@ def write_bag(
         if recording.checkpoints:
             topic = TOPICS["filter_checkpoint"].resolve(namespace)
             bag.add_topic(topic, TOPICS["filter_checkpoint"].type)
-            items.extend((topic, stamp, data) for stamp, data in checkpoints.messages(recording.checkpoints, frame_id))
+            items.extend(
+                (topic, item.stamp_ns, signals.checkpoint_message(item, frame_id)) for item in recording.checkpoints
+            )
         items.sort(key=lambda item: item[1])  # stable: messages of one time keep the order of the topics
         bag.write_many(items)
 

@@ -23,8 +23,18 @@ from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import Issue, sealed_muscles
-from pam_antagonist.recording.slow import repeated
-from pam_antagonist.replays.live import Apart, LiveComparison, LiveInput, as_live, compare_with_live, ended, taken
+from pam_antagonist.recording.rows import repeated
+from pam_antagonist.replays.live import (
+    Apart,
+    LiveComparison,
+    LiveInput,
+    Plan,
+    as_live,
+    compare_with_live,
+    ended,
+    plan,
+    taken,
+)
 from pam_antagonist.replays.result import (
     FilterFacts,
     Innovation,
@@ -36,7 +46,6 @@ from pam_antagonist.replays.result import (
     ReplayReport,
     Timing,
 )
-from pam_antagonist.replays.segments import Plan, plan
 from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
 
 FloatArray = NDArray[np.float64]

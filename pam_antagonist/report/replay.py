@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
-from pam_antagonist.replays.result import Replay, ReplayReport
-from pam_antagonist.replays.table import columns, write_estimate
+from pam_antagonist.replays.result import Replay, ReplayReport, columns, write_estimate
 from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.channels import CHANNELS, joint_text, judged
 from pam_antagonist.report.document import Block, Columns, Document, Findings, Section, Text, Tile, Tiles, background

@@ -34,7 +34,7 @@ from pam_antagonist import (
     write_bag,
 )
 from pam_antagonist.api import given
-from pam_antagonist.replays.table import columns
+from pam_antagonist.replays.result import columns
 from pam_antagonist.rig import Rig
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.control import Box, Mode, Wanted
-from pam_antagonist.control.yielding import largest_torque
+from pam_antagonist.control.tracking import largest_torque
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
 from validation.control.loop import make_laws, run

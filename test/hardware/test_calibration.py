@@ -11,9 +11,8 @@ import pytest
 import yaml
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.hardware.calibration import Converter, load_calibration
+from pam_antagonist.hardware.calibration import Converter, ZeroPressureMeasurement, load_calibration
 from pam_antagonist.hardware.device import DeviceInfo
-from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
 from pam_antagonist.paths import config_dir
 
 EXAMPLE: dict[str, Any] = yaml.safe_load((config_dir() / "hardware" / "example.yaml").read_text(encoding="utf-8"))

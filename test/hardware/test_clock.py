@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.hardware.clock import ClockMap, Unwrapped
+from pam_antagonist.hardware.link import ClockMap, Unwrapped
 
 MS = 1_000_000
 OFFSET = 1_795_000_000_000_000_000

@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 
 from pam_antagonist.hardware import protocol
 from pam_antagonist.hardware.firmware import Firmware, Readings, Settings
-from pam_antagonist.hardware.frames import FrameReader, frame
-from pam_antagonist.hardware.protocol import Command, Goodbye, Hello, Result, Status, Telemetry, Welcome
+from pam_antagonist.hardware.protocol import (
+    Command,
+    FrameReader,
+    Goodbye,
+    Hello,
+    Result,
+    Status,
+    Telemetry,
+    Welcome,
+    frame,
+)
 
 SAFE = (5.0, 5.25)
 MS = 1000

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pam_antagonist.hardware.line_faults import FaultPlan, parse_fault
-from pam_antagonist.hardware.miswired import Miswired
+from pam_antagonist.hardware.line_faults import FaultPlan, Miswired, parse_fault
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
 

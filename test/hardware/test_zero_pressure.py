@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from pam_antagonist.hardware.calibration import Converter, load_calibration
-from pam_antagonist.hardware.zero_pressure import ZeroPressureMeasurement
+from pam_antagonist.hardware.calibration import Converter, ZeroPressureMeasurement, load_calibration
 
 
 def test_offsets_at_rest_bring_the_pressures_to_the_atmospheres() -> None:

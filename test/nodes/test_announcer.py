@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.ros]
 
 def test_the_page_shows_the_step_and_how_far_it_is(domain: None, monkeypatch: pytest.MonkeyPatch) -> None:
     from pam_antagonist.nodes import watch
-    from pam_antagonist.nodes.announcer import Announcer
+    from pam_antagonist.nodes.client import Announcer
 
     monkeypatch.setattr(watch, "_GONE", 1.5)
     page = watch.PipelineWatch()

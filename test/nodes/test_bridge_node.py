@@ -59,7 +59,7 @@ class Sent(list):
 def make(ros: None) -> Iterator[Callable[..., Any]]:
     from rclpy.parameter import Parameter
 
-    from pam_antagonist.nodes.bridge_node import BridgeNode
+    from pam_antagonist.nodes.bridge import BridgeNode
 
     nodes = []
 

@@ -15,11 +15,10 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
     from rclpy.serialization import serialize_message
 
     from pam_antagonist.estimation import Estimator
-    from pam_antagonist.nodes.checkpoints import message
-    from pam_antagonist.recording import checkpoints
+    from pam_antagonist.nodes.estimator import checkpoint_message
+    from pam_antagonist.recording import signals
     from pam_antagonist.recording.cdr import Payloads, decode
     from pam_antagonist.recording.topics import TOPICS
-    from pam_antagonist.replays.segments import of_recorded
     from pam_antagonist.rig import load_rig
 
     rig = load_rig("shin2022")
@@ -29,10 +28,10 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
     estimator.run(stamps[:100], pressure[:100], voltage[:100])
     checkpoint = estimator.checkpoint()
     assert checkpoint is not None
-    data = Payloads.of([serialize_message(message(checkpoint, "elbow"))])
-    (recorded,) = checkpoints.read(decode(data, TOPICS["filter_checkpoint"].type), np.arange(1))
+    data = Payloads.of([serialize_message(checkpoint_message(checkpoint, "elbow"))])
+    (recorded,) = signals.read_checkpoints(decode(data, TOPICS["filter_checkpoint"].type), np.arange(1))
     other = Estimator(rig)
-    other.restore(of_recorded(recorded))
+    other.restore(recorded)
     whole, rest = (one.run(stamps[100:], pressure[100:], voltage[100:]) for one in (estimator, other))
     assert rest.rows.tobytes() == whole.rows.tobytes()
 
@@ -40,13 +39,13 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
 def test_the_node_publishes_one_a_second_and_when_its_state_is_set(ros: None) -> None:
     from test_estimator_node import send
 
-    from pam_antagonist.nodes.estimator_node import EstimatorNode
+    from pam_antagonist.nodes.estimator import EstimatorNode
     from pam_antagonist_msgs.srv import SetState
 
     node = EstimatorNode()
     try:
         sent: list[Any] = []
-        node._checkpoints._publisher = type("Publisher", (), {"publish": staticmethod(sent.append)})
+        node._checkpoints = type("Publisher", (), {"publish": staticmethod(sent.append)})
         node._remember()
         assert sent == []  # the filter is not started
         begin = node.now_ns()

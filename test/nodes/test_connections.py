@@ -39,7 +39,7 @@ def driver(ros: None) -> Iterator[Any]:
 def make(ros: None) -> Iterator[Callable[..., Any]]:
     from rclpy.parameter import Parameter
 
-    from pam_antagonist.nodes.estimator_node import EstimatorNode
+    from pam_antagonist.nodes.estimator import EstimatorNode
 
     made = []
 

@@ -16,7 +16,7 @@ SAFE = (5.5, 5.5)
 
 @pytest.fixture
 def node(ros: None) -> Iterator[Any]:
-    from pam_antagonist.nodes.controller_node import ControllerNode
+    from pam_antagonist.nodes.controller import ControllerNode
 
     node = ControllerNode()
     node.trigger_activate()

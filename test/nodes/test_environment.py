@@ -7,7 +7,7 @@ import pytest
 from pam_antagonist.cli import demo, watch
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import plant
-from pam_antagonist.nodes.network import nothing_there
+from pam_antagonist.nodes.spin import nothing_there
 from pam_antagonist.optional import check_ros_variables
 
 BAD = [

@@ -15,7 +15,7 @@ MS = 1_000_000
 
 @pytest.fixture
 def node(ros: None) -> Iterator[Any]:
-    from pam_antagonist.nodes.estimator_node import EstimatorNode
+    from pam_antagonist.nodes.estimator import EstimatorNode
 
     node = EstimatorNode()
     published: list[dict[str, Any]] = []
@@ -163,7 +163,7 @@ def seeing(ros: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     from rclpy.parameter import Parameter
     from rclpy.serialization import deserialize_message
 
-    from pam_antagonist.nodes.estimator_node import EstimatorNode
+    from pam_antagonist.nodes.estimator import EstimatorNode
 
     chosen = {"rig": "shin2022_external_torque", "angle_sensor": "encoder"}
     overrides = [Parameter(name, value=value) for name, value in chosen.items()]

@@ -125,8 +125,7 @@ def test_recorder_says_in_one_line_that_the_disk_is_full(
     tmp_path: Path, ros: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from pam_antagonist.errors import BadInput
-    from pam_antagonist.nodes.recorder import Options
-    from pam_antagonist.nodes.recorder_node import RecorderNode
+    from pam_antagonist.nodes.recorder import Options, RecorderNode
 
     node = RecorderNode(Options(tmp_path / "bag", None))
     node.start()
@@ -171,14 +170,14 @@ def test_a_signal_ends_every_node_quickly_with_status_0(number: int, tmp_path: P
 
 _SLOW = """
 import sys, time
-from pam_antagonist.nodes import plant, plant_node
+from pam_antagonist.nodes import plant
 
 def compile(self):
     print("begun", flush=True)
     for _ in range(600):
         time.sleep(0.1)  # a function that compiles goes on after a signal handler has returned
 
-plant_node.PlantNode.configure = compile
+plant.PlantNode.configure = compile
 sys.exit(plant.main([]))
 """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pam_antagonist.nodes.gaps import Gaps, number_of
+from pam_antagonist.nodes.wire import Gaps, number_of
 
 
 def fed(numbers: list[int | None], publishers: int = 1) -> Gaps:

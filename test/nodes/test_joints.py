@@ -30,7 +30,7 @@ ROBOT = config_dir() / "robot.yaml"
 def joint(ros: None) -> Iterator[Any]:
     from rclpy.parameter import Parameter
 
-    from pam_antagonist.nodes.joints_node import make_joint
+    from pam_antagonist.nodes.joints import make_joint
 
     made = make_joint("/arm/elbow", parameter_overrides=[Parameter("joint_name", value="elbow")])
     for node in made.nodes:
@@ -135,7 +135,7 @@ def test_another_commander_of_a_linked_joint_is_named_and_not_obeyed(joint: Any)
 def test_stop_all_reaches_bridges_and_controllers_of_valves_that_are_owned_elsewhere(ros: None, source: str) -> None:
     from std_srvs.srv import Trigger
 
-    from pam_antagonist.nodes.joints_node import JointsNode
+    from pam_antagonist.nodes.joints import JointsNode
 
     given = ["--ros-args", "--params-file", str(ROBOT), "-p", f"source:={source}", "-p", "port:=/no/such/port"]
     node = JointsNode(cli_args=given, use_global_arguments=False)
@@ -182,7 +182,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
 
 @pytest.mark.ros
 def test_sections_of_a_joint_win_over_those_of_all_and_the_command_line_over_both(ros: None) -> None:
-    from pam_antagonist.nodes.joints_node import JointsNode
+    from pam_antagonist.nodes.joints import JointsNode
 
     given = ["--ros-args", "--params-file", str(ROBOT), "-p", "max_slew:=1000.0"]
     node = JointsNode(cli_args=given, use_global_arguments=False)

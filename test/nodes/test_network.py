@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.nodes.network import stay_on_this_machine
 from pam_antagonist.nodes.processes import Processes, free_domain
+from pam_antagonist.nodes.spin import stay_on_this_machine
 from pam_antagonist.paths import config_dir
 
 

@@ -15,7 +15,7 @@ CLASSES = {"plant": "PlantNode", "estimator": "EstimatorNode", "controller": "Co
 
 
 def make(name: str) -> Any:
-    return getattr(importlib.import_module(f"pam_antagonist.nodes.{name}_node"), CLASSES[name])()
+    return getattr(importlib.import_module(f"pam_antagonist.nodes.{name}"), CLASSES[name])()
 
 
 @pytest.mark.ros

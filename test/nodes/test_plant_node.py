@@ -38,7 +38,7 @@ def make(ros: None) -> Iterator[Callable[..., Any]]:
     nodes = []
 
     def factory(**parameters: Any) -> Any:
-        module = importlib.import_module("pam_antagonist.nodes.plant_node")
+        module = importlib.import_module("pam_antagonist.nodes.plant")
         overrides = {name: Parameter(name, value=value) for name, value in parameters.items()}
 
         class Node(module.PlantNode):
@@ -254,7 +254,7 @@ def test_simulated_time_drives_the_samples(domain: None) -> None:
     from rosgraph_msgs.msg import Clock
 
     from pam_antagonist.nodes import qos
-    from pam_antagonist.nodes.plant_node import PlantNode
+    from pam_antagonist.nodes.plant import PlantNode
     from pam_antagonist.nodes.spin import make_executor
 
     rclpy.init(args=["--ros-args", "-p", "use_sim_time:=true"])

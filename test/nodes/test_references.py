@@ -22,7 +22,7 @@ def make(ros: None) -> Iterator[Callable[..., Any]]:
     """A controller of left_elbow with parameters, and what it publishes."""
     from rclpy.parameter import Parameter
 
-    from pam_antagonist.nodes.controller_node import ControllerNode
+    from pam_antagonist.nodes.controller import ControllerNode
 
     made = []
 

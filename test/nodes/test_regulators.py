@@ -136,7 +136,7 @@ def nodes(ros: None) -> Iterator[list[Any]]:
 def test_the_paper_s_law_is_refused_with_what_to_set(nodes: list[Any]) -> None:
     from rclpy.parameter import Parameter
 
-    from pam_antagonist.nodes.controller_node import ControllerNode
+    from pam_antagonist.nodes.controller import ControllerNode
 
     def node(**values: Any) -> Any:
         return ControllerNode(parameter_overrides=[Parameter(name, value=value) for name, value in values.items()])
@@ -150,9 +150,9 @@ def test_the_paper_s_law_is_refused_with_what_to_set(nodes: list[Any]) -> None:
 def test_valves_are_not_driven_without_measured_pressures(nodes: list[Any]) -> None:
     from rclpy.parameter import Parameter
 
-    from pam_antagonist.nodes.controller_node import ControllerNode
-    from pam_antagonist.nodes.estimator_node import EstimatorNode
-    from pam_antagonist.nodes.plant_node import PlantNode
+    from pam_antagonist.nodes.controller import ControllerNode
+    from pam_antagonist.nodes.estimator import EstimatorNode
+    from pam_antagonist.nodes.plant import PlantNode
 
     given = [Parameter("pressure_sensors", value="none")]
     for kind in (PlantNode, EstimatorNode, ControllerNode):

@@ -14,7 +14,7 @@ from pam_antagonist.checks import check_recording
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording
-from pam_antagonist.recording.resets import resets
+from pam_antagonist.recording.rows import resets
 
 TRIAL_S = 2.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pam_antagonist.recording.slow import reading_times, repeated
+from pam_antagonist.recording.rows import reading_times, repeated
 
 RNG = np.random.default_rng(4)
 MOVING = 3e5 + np.cumsum(RNG.normal(0.0, 2e3, (600, 2)), axis=0)

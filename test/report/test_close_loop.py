@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pam_antagonist.diagnosis.candidates import Model
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice

@@ -126,7 +126,7 @@ def main(argv: list[str] | None = None) -> int:
             raise BadInput(f"unknown argument {given[-1]!r}")
 
     return run_node(
-        lambda _, **node_options: _NODES[role](role, **node_options),
+        lambda **node_options: _NODES[role](role, **node_options),
         arguments,
         name=f"passthrough {role}",
         description="A node of the same topics as the real one, without any computation.",

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.network import stay_on_this_machine
 from pam_antagonist.nodes.processes import ProcessFailed, free_domain
+from pam_antagonist.nodes.spin import stay_on_this_machine
 from validation.faults.bench import Bench
 from validation.faults.catalogue import RELAYED
 from validation.faults.fault import Fault, Observed, Outcome, Recovery, judge

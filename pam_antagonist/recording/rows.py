@@ -1,0 +1,189 @@
+"""What consecutive rows tell: unmarked resets, and readings that a slow sensor repeats.
+
+A file of many short recordings has resets where its episode column is lost and its time runs on. Because of inertia,
+the angle moves in one row about as far as in the rows around it. A row with a much larger move, after which the angle
+stays, is a reset. Nor can the pressure of a muscle jump within a few milliseconds.
+
+Where a sensor is slower than the log, the log repeats a reading until the next one comes. A repeated reading is no
+measurement. It is told from a coarse converter by both pressures: a board reads them together, so they repeat together
+and change together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pam_antagonist.recording.recording import Recording
+
+Floats = NDArray[np.float64]
+
+_LEAST_ANGLE, _LEAST_PRESSURE = math.radians(3.0), 20e3
+"""[rad], [Pa] Smaller jumps may be noise."""
+_LONGEST_ANGLE_ROW, _LONGEST_PRESSURE_ROW = 21e-3, 3e-3
+"""[s] Longest period between rows; in a longer one a joint, or the air of a muscle, can move and come to rest."""
+_ROWS = 3
+"""Number of rows on either side that a move is compared with."""
+_FURTHER = 3.0
+"""A reset exceeds the range of the moves around it by at least this many times the range."""
+_GAP = 1.5
+"""Rows are missing between rows that are more than this many periods apart; the joint may move in between."""
+_STEPS = 4.0
+"""Smallest reset, in steps of a coarse encoder."""
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Resets:
+    """Resets of a recording.
+
+    Attributes:
+        rows: first rows after the jumps (K,).
+        times: times of these rows from the start of the recording (K,) [s].
+    """
+
+    signal: str
+    rows: tuple[int, ...]
+    times: tuple[float, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The observation, its likely cause, and the remedy."""
+        where = ", ".join(f"{time:.3f}" for time in self.times[:_SHOWN]) + (" ..." if len(self.times) > _SHOWN else "")
+        places = f"at {len(self.times)} places" if len(self.times) > 1 else "at one place"
+        return (
+            f"{self.signal} jumps {places} from one row to the next, at {where} s: these look like several recordings "
+            "in one, without a mark where each begins; name the column that counts them in the map of import_csv "
+            "(episode: COLUMN), or publish the topic episode (std_msgs/Header) as each begins"
+        )
+
+
+def resets(recording: Recording) -> Resets | None:
+    """Unmarked resets of a recording; None where there are none."""
+    if len(recording) < 4 * _ROWS:
+        return None
+    apart = np.diff(recording.stamp_ns) * 1e-9
+    period = float(np.median(apart))
+    joined = apart <= _GAP * period
+    if recording.episode_ns is not None:
+        joined[np.searchsorted(recording.stamp_ns, recording.episode_ns[1:]) - 1] = False
+    signals = [("the measured angle", recording.angle, _LEAST_ANGLE, _LONGEST_ANGLE_ROW)]
+    measured = [k for k in (0, 1) if k not in recording.logged_commands]
+    signals += [
+        (f"pressure_{k + 1}", recording.pressure[:, k], _LEAST_PRESSURE, _LONGEST_PRESSURE_ROW) for k in measured
+    ]
+    for name, values, least, longest in signals:
+        if values is None or period > longest:
+            continue
+        rows = _jumps(values, joined, least)
+        if len(rows):
+            since = (recording.stamp_ns[rows] - recording.stamp_ns[0]) * 1e-9
+            return Resets(name, tuple(rows.tolist()), tuple(since.tolist()))
+    return None
+
+
+def _jumps(values: Floats, joined: NDArray[np.bool_], least: float) -> NDArray[np.intp]:
+    """First rows after a jump.
+
+    Args:
+        values: a signal (N,), NaN where missing.
+        joined: whether no time is missing between a row and the next (N - 1,).
+    """
+    moved = np.where(joined, np.diff(values), np.nan)
+    sizes = np.abs(moved)
+    least = max(least, _STEPS * np.min(sizes, initial=np.inf, where=sizes > 0.0))
+    candidates = np.flatnonzero(sizes > least)
+    candidates = candidates[(candidates >= _ROWS) & (candidates < len(moved) - _ROWS)]
+    if len(candidates) == 0:
+        return candidates
+    beside = np.concatenate([np.arange(-_ROWS, 0), np.arange(1, _ROWS + 1)])
+    around = moved[candidates[:, None] + beside]
+    known = np.isfinite(around).all(axis=1)
+    candidates, around = candidates[known], around[known]
+    low, high = around.min(axis=1, initial=np.inf), around.max(axis=1, initial=-np.inf)
+    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    beyond = np.maximum(moved[candidates] - high, low - moved[candidates])
+    return np.asarray(candidates[beyond > np.maximum(least, _FURTHER * (high - low))] + 1)
+
+
+_MOST_REPEATS = 3
+"""A slow sensor repeats a reading in at most so many rows; in longer repeats the pressure itself is at rest."""
+_SHARE = 0.15
+"""Share of repeated rows from which on a sensor is called slower than the log."""
+_TOGETHER = 0.6
+"""Share of the changes in which both pressures change; of two independent converters it is smaller."""
+_FEWEST_READINGS = 64
+"""Fewer tell no period."""
+_MOST_LOST = 1.15
+"""Times as many readings as are seen, since equal ones are not seen as new."""
+_STEADY = 1.1
+"""Largest range of the readings' ages, in rows of the log: 1 but for the jitter of its stamps."""
+_FASTEST_S = 2e-3
+"""[s] In logs with shorter periods a repeated value is mostly a pressure at rest, on a converter's step."""
+
+
+def repeated(pressure: NDArray[np.float64], period_s: float) -> NDArray[np.bool_]:
+    """Which rows repeat the last reading of a slow sensor (N,); none where the sensor is as quick as the log.
+
+    Args:
+        pressure: both pressures (N, 2) [Pa].
+        period_s: of the rows [s].
+    """
+    none = np.zeros(len(pressure), dtype=bool)
+    if len(pressure) < 3 or period_s < _FASTEST_S:
+        return none
+    changed = np.diff(pressure, axis=0) != 0.0
+    any_changed = changed.any(axis=1)
+    if not any_changed.any() or changed[any_changed].all(axis=1).mean() < _TOGETHER:
+        return none
+    fresh = np.concatenate([[True], any_changed])
+    since = np.arange(len(fresh)) - np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
+    out = np.asarray((since > 0) & (since <= _MOST_REPEATS))
+    # Long rests do not count: there the pressure is as it was.
+    counted = since <= _MOST_REPEATS
+    return out if out.sum() >= _SHARE * counted.sum() else none
+
+
+def reading_times(time: NDArray[np.float64], period_s: float) -> NDArray[np.float64]:
+    """When a slow sensor took its readings (K,) [s], but for a constant delay; as logged if it has no steady period.
+
+    The log shows a reading in its next row. So the reading's age varies by up to a row, which a quick joint
+    shows. A sensor with a period of its own has taken its readings at one distance.
+
+    Args:
+        time: of the rows that show a new reading first (K,) [s].
+    """
+    if len(time) < _FEWEST_READINGS:
+        return time
+    since, count = time - time[0], _FEWEST_READINGS
+    # Of the periods that explain the first readings the longest one: it has lost the fewest.
+    tried = since[count - 1] / np.arange(count - 1, _MOST_LOST * count, 0.05)
+    period = next((one for one in tried if _spread(since[:count], one)[0] <= _STEADY * period_s), math.nan)
+    while math.isfinite(period) and count < len(time):
+        count = min(2 * count, len(time))
+        # Over a longer part, the period is known more exactly.
+        near = period + 1.2 * period_s / count * np.linspace(-2.0, 2.0, 121)
+        period = min(near, key=lambda one: _spread(since[:count], one)[0])
+    if not math.isfinite(period):
+        return time
+    spread, first = _spread(since, period)
+    if spread > _STEADY * period_s:
+        return time
+    age = (since - first) % period
+    taken = since - age
+    if np.diff(taken).min() < 0.5 * period:  # two readings in one period: it is none
+        return time
+    return np.asarray(time[0] + taken + age.mean())
+
+
+def _spread(time: NDArray[np.float64], period: float) -> tuple[float, float]:
+    """Length of the shortest arc of a period that holds all times [s], and its begin [s]."""
+    phase = np.sort(time % period)
+    gap = np.diff(phase, append=phase[0] + period)
+    widest = int(np.argmax(gap))
+    return float(period - gap[widest]), float(phase[(widest + 1) % len(phase)])
