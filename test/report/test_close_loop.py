@@ -94,7 +94,6 @@ def found(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> DiagnoseResult:
         rig_extended=rig,
         own=(),
         base_friction_removed=False,
-        experiments=(),
         recalibrated=Model((), ()),
         extended=Model((), ()),
         compared=(),
