@@ -16,13 +16,10 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pam_antagonist._jit import in_place
 
 from .cdr import Channel, Collector, Payloads, RawTopic
 from .compression import MAX_MESSAGE, CompressionError, Room, inflate
@@ -161,6 +158,8 @@ class _Scan:
     def walk(self, view: memoryview, position: int, end: int) -> None:
         """Scan the records of the file or, in a recursive call, of one chunk."""
         # Imported here because numba takes a quarter of a second, which writing a bag does not need.
+        from .mcap_records import take_messages
+
         head = struct.Struct("<BQ").unpack_from
         data = np.frombuffer(view, np.uint8)
         run = np.empty((min(_RUN, end // (9 + MESSAGE_HEAD) + 1), 4), np.int64)
@@ -190,6 +189,8 @@ class _Scan:
 
     def _take(self, data: NDArray[np.uint8], run: NDArray[np.int64]) -> None:
         """Add a block of consecutive messages, as :func:`take_messages` gives them."""
+        from .mcap_records import copy_payloads
+
         wrong = [(int(np.argmax(of)), why) for of, why in self._wrong(run) if of.any()]
         first, why = min(wrong, default=(len(run), ""))
         if first:
@@ -278,51 +279,3 @@ def _text(body: memoryview, at: int) -> tuple[str, int]:
     if stop > len(body):
         raise struct.error(f"a text of {size} bytes does not fit into {len(body)}")
     return bytes(body[at + 4 : stop]).decode(), stop
-
-
-@in_place
-def _number(data: NDArray[np.uint8], at: int, count: int) -> Any:
-    """Little-endian unsigned number of ``count`` bytes, limited to the largest signed 64 bit number."""
-    value = np.int64(0)
-    for k in range(count):
-        value |= np.int64(data[at + k]) << (8 * k)
-    return value if value >= 0 else np.int64(2**63 - 1)
-
-
-@in_place
-def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray[np.int64]) -> tuple[int, int]:
-    """Take consecutive complete message records, up to any other record.
-
-    Args:
-        data: bytes of the file or chunk (B,).
-        run: result (M, 4): channel, log time [ns], first byte and size of the payload of each.
-    """
-    count = 0
-    while count < run.shape[0] and position + 9 + MESSAGE_HEAD <= end and data[position] == MESSAGE:
-        size = _number(data, position + 1, 8)
-        body = position + 9
-        if size < MESSAGE_HEAD or size > end - body:
-            break
-        run[count, CHANNEL_OF] = _number(data, body, 2)
-        run[count, LOG] = _number(data, body + 6, 8)
-        run[count, BEGIN] = body + MESSAGE_HEAD
-        run[count, SIZE] = size - MESSAGE_HEAD
-        position = body + size
-        count += 1
-    return count, position
-
-
-@in_place
-def copy_payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
-    """Copy the payloads of messages, end to end.
-
-    Args:
-        data: bytes of the file or chunk (B,).
-        run: messages, as :func:`take_messages` gives them (N, 4).
-        out: result (P,), P the total size of the payloads [bytes].
-    """
-    at = 0
-    for k in range(run.shape[0]):
-        for j in range(run[k, SIZE]):
-            out[at + j] = data[run[k, BEGIN] + j]
-        at += run[k, SIZE]
