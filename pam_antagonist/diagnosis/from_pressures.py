@@ -238,8 +238,10 @@ def _each(
 
 
 def _may_act(effect: Effect, place: Place, rig: Rig) -> bool:
-    """Whether an effect acts in a part of the model, and is not in the rig or in the base model."""
-    if not effect.deterministic or effect.name in (*_IN_THE_BASE, *rig.effects) or effect.name.endswith("_by_signal"):
+    """Whether an effect is one law that acts in a part of the model, and is not in the rig or in the base model."""
+    if not effect.deterministic or effect.of_tables or effect.name.endswith("_by_signal"):
+        return False
+    if effect.name in (*_IN_THE_BASE, *rig.effects):
         return False
     if not any(hook in effect.hooks for hook in _HOOKS[place]):
         return False
