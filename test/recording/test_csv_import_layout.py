@@ -210,11 +210,3 @@ def test_a_file_that_is_too_long_is_refused_early(lab: Lab, monkeypatch: pytest.
     assert "rows (1 MB), expected at most 20,000: cut the file into parts" in said
     about = int(said.split("about ")[1].split(" rows")[0].replace(",", ""))
     assert 50_000 < about < 70_000, "told from the first lines"
-
-
-def test_progress_adds_up_to_the_file(lab: Lab) -> None:
-    lab.rows([(f"{k / 100:.2f}", 300, 500, 5, 5) for k in range(25_000)])
-    seen: list[int] = []
-    csv_table.read_table(lab.csv, csv_table.Layout(), {"pressure_1": "p1"}, seen.append)
-    assert sum(seen) == lab.csv.stat().st_size
-    assert len(seen) == 3 and min(seen) > 0
