@@ -21,13 +21,6 @@ def test_only_values_that_are_called_determined_are_compared_with_the_true_ones(
     assert judge.compared(fit, truth) == {"known": pytest.approx(-2.0)}
 
 
-@pytest.mark.parametrize(
-    ("inside", "count", "low", "high"), [(19, 20, 0.7513, 0.9987), (20, 20, 0.8316, 1.0), (0, 5, 0.0, 0.5218)]
-)
-def test_the_interval_of_a_share_is_that_of_clopper_and_pearson(inside: int, count: int, low: float, high: float):
-    assert judge.interval(inside, count) == pytest.approx((low, high), abs=1e-4)
-
-
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Laboratories that record a second only."""

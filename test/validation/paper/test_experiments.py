@@ -11,7 +11,7 @@ from pam_antagonist.control import Mode
 from pam_antagonist.control.tracking import tracking
 from validation.paper import bench, control, influence, kappa, offline
 from validation.paper.scenario import Hysteresis
-from validation.paper.seed_work import Errors, SeedWork, figures_of
+from validation.paper.seed_work import SeedWork
 
 
 def test_without_mismatch_only_the_sensors_noise_is_left(exact):
@@ -31,15 +31,6 @@ def test_a_mismatch_shows(scenario, exact):
     off, right = (offline.of_seed(SeedWork(item, 3, seconds=20.0)) for item in (scenario, exact))
     for quantity in ("angle", "torque"):
         assert off[quantity]["model"]["ratio"] > 5.0 * right[quantity]["model"]["ratio"]
-
-
-def test_figures_are_the_papers():
-    error = np.array([0.0, 3.0, -4.0])
-    assert figures_of(error + 10.0, np.array([10.0, 10.0, 10.0]) + [0.0, 0.0, 0.0]).rmse == pytest.approx(
-        (25 / 3) ** 0.5
-    )
-    found = figures_of(np.array([1.0, 5.0, 8.0]), np.array([0.0, 5.0, 10.0]), np.array([1.0, 1.0, 1.0]))
-    assert found == Errors(pytest.approx((5 / 3) ** 0.5), 2.0, 0.2, pytest.approx(2 / 3))
 
 
 def test_the_papers_ratios_belong_to_its_ranges():

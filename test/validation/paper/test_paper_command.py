@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import shutil
@@ -12,11 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.report.figure import Axis, Figure, Line, Panel
 from validation.paper import docs, page
 from validation.paper.command import main
-from validation.paper.experiments import EXPERIMENTS
 from validation.paper.result import Result
 from validation.paper.scenario import Scenario
 
@@ -64,25 +61,6 @@ def test_a_measured_force_map_is_fitted_by_leaving_lengths_out(tmp_path: Path) -
     # On the virtual rig, whose muscles are linear, the forms that hold the linear one find it.
     ratios = [numbers["of_seed"][0][form]["default"]["ratio"] for form in ("linear", "hildebrandt", "polynomial")]
     assert max(ratios) < 0.02
-
-
-def test_the_page_begins_with_a_figure(report: Path) -> None:
-    text = (report / "out/report.html").read_text(encoding="utf-8")
-    assert text.index("<figcaption>Static characteristics of muscle 1") < text.index("<h2>")
-    assert text.count("Static characteristics of muscle 1") == 2  # the caption, and what is read aloud
-
-
-def test_the_report_as_json_on_standard_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--out", str(tmp_path / "out"), "--seeds", "1", "--jobs", "1", "--only", "static", "--no-figures"]
-    assert main([*arguments, "--json", "-"]) == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out) == json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
-    assert "after " in printed.err
-
-
-def test_every_form_says_that_the_rig_is_virtual(report: Path) -> None:
-    for path in (report / "out/report.html", report / "out/report.json", report / "paper.md"):
-        assert "the simulator of this package with declared mismatches" in path.read_text(encoding="utf-8"), path
 
 
 def test_markdown_has_the_numbers_beside_the_paper_and_the_report_every_table(report: Path) -> None:
@@ -145,22 +123,6 @@ def test_pictures_of_an_earlier_run_are_replaced_and_others_are_left(scenario: S
     assert not folder.exists() and "![" not in path.read_text(encoding="utf-8")
 
 
-def test_a_figure_that_cannot_be_drawn_leaves_everything_as_it_was(scenario: Scenario, tmp_path: Path) -> None:
-    path = tmp_path / "paper.md"
-    docs.write(path, [_result("First", "one")], scenario, (0,))
-    before = path.read_text(encoding="utf-8")
-    broken = _result("Second", "two", color="reddish")
-    with pytest.raises(BadInput, match="reddish"):
-        docs.write(path, [broken], scenario, (0,))
-    assert path.read_text(encoding="utf-8") == before
-    assert [file.name for file in (tmp_path / "paper").iterdir()] == ["static_one.png"]
-
-
-def test_figures_of_one_link_are_numbered() -> None:
-    result = _result("Any", "static", "q angle", "static", "ℚ of σ")
-    assert docs.file_names(result) == ["static_1.png", "static_q_angle.png", "static_2.png", "static_q_of.png"]
-
-
 def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
     report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,17 +137,6 @@ def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
         assert says in error and error.count("\n") == 1
         assert not (tmp_path / "out").exists()
     assert (tmp_path / "paper/static_9.png").read_bytes() == b"mine"
-
-
-def test_a_missing_matplotlib_is_said_before_anything_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
-    arguments = ["--only", "static", "--seeds", "1", "--docs", str(tmp_path / "paper.md")]
-    assert main(["--out", str(tmp_path / "out"), *arguments]) == 2
-    assert "matplotlib is not installed" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_markdown_of_ones_own_is_replaced_and_others_are_not(
@@ -223,14 +174,3 @@ def test_bad_arguments_are_refused(
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_an_existing_folder_is_not_touched(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--out", str(report / "out"), "--only", "static"]) == 2
-    assert "exists" in capsys.readouterr().err
-
-
-def test_help_names_every_experiment(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    text = capsys.readouterr().out
-    assert all(f"  {name} " in text for name in EXPERIMENTS)
