@@ -26,7 +26,6 @@ from pam_antagonist.report.figure import (
     Region,
     Series,
 )
-from validation import pictures
 from validation.pictures import SHARPNESS, WIDTH, made_here, picture
 
 Pixels = NDArray[np.int64]
@@ -100,35 +99,6 @@ def test_a_gap_is_left_white() -> None:
     assert red[column(0.05) : column(0.38)].all() and red[column(0.62) : column(0.95)].all()
 
 
-def test_a_band_is_filled_and_its_gaps_are_not() -> None:
-    lower, upper = level(0.2), level(0.6)
-    upper[30:51] = np.nan
-    image = pixels(series(band("b", lower, upper, "rgba(208, 16, 16, 0.5)", quiet=True)))
-    pink = found(image, "#e78787", 12)
-    assert pink[row(0.5, 200) : row(0.3, 200), column(0.6) : column(0.9)].mean() > 0.9, "all but the grid"
-    assert not pink[:, column(0.32) : column(0.48)].any()
-    assert not pink[: row(0.65, 200)].any() and not pink[row(0.15, 200) :].any()
-
-
-def test_a_logarithmic_axis_has_equal_decades() -> None:
-    lines = [line(str(value), level(value), color, quiet=True)
-             for value, color in ((1.0, RED), (10.0, GREEN), (100.0, BLUE))]  # fmt: skip
-    image = pixels(series(*lines, log=True, bounds=(0.1, 1000.0)))
-    for share, color in ((0.25, RED), (0.5, GREEN), (0.75, BLUE)):
-        assert np.flatnonzero(found(image, color).any(axis=1)).mean() == pytest.approx(row(share, 200), abs=2)
-
-
-def test_panels_lie_above_each_other_over_one_time_axis() -> None:
-    late = level(0.5)
-    late[:80] = np.nan
-    panels = (Panel(TIME, Axis("a", bounds=(0.0, 1.0)), (line("a", level(0.5), RED, quiet=True),), 100),
-              Panel(TIME, Axis("b", bounds=(0.0, 1.0)), (line("b", late, BLUE, quiet=True),), 200))  # fmt: skip
-    image = pixels(alone(*panels))
-    assert np.flatnonzero(found(image, RED).any(axis=1)).mean() == pytest.approx(row(0.5, 100), abs=2)
-    assert np.flatnonzero(found(image, BLUE).any(axis=1)).mean() == pytest.approx((34 + 100 + 22 + 100) * 1.5, abs=2)
-    assert np.flatnonzero(found(image, BLUE).any(axis=0))[0] == pytest.approx(column(0.8), abs=3)
-
-
 def test_a_level_has_a_line_and_a_label_unless_it_is_out_of_range() -> None:
     nothing = line("a", level(np.nan), RED, quiet=True)
     image = pixels(series(nothing, Reference(0.5, "limit", GREEN)))
@@ -155,19 +125,6 @@ def test_a_long_legend_makes_the_picture_taller_and_hides_nothing() -> None:
     for color in colors:
         assert found(margin, color, 12).any(), color
     assert (long[:, -4:] == 255).all(), "nothing runs out of the picture"
-
-
-def test_a_strip_has_a_row_a_category() -> None:
-    category = np.array([0] * 50 + [2] * 50)
-    figure = alone(figures.strip(("1: a", "2: b", "3: c"), category, time(100), columns=10))
-    image = pixels(figure)
-    dark = found(image, "#0b5c8a", 12)
-    top, inner = 10, figure.height - 10 - 44
-    lower, upper = (round((top + share * inner) * SHARPNESS) for share in (0.75, 0.25))
-    middle = column(0.5)
-    assert dark[lower, column(0.02) : middle - 4].all() and not dark[lower, middle + 4 :].any()
-    assert not found(image[lower - 3 : lower + 4, middle + 4 :], "#b9bfc6").any(), "the first category is no zero"
-    assert dark[upper, middle + 4 : column(0.98)].all() and not dark[upper, : middle - 4].any()
 
 
 def test_bars_stand_beside_each_other_on_zero() -> None:
@@ -235,20 +192,6 @@ def test_a_picture_is_known_by_its_mark() -> None:
     assert made_here(picture(series(line("a", level(0.5), RED))))
     assert not made_here(other.getvalue())
     assert not made_here(b"tEXtSoftware\0pam_antagonist")
-
-
-def test_where_a_palette_would_be_off_all_colours_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    image = pytest.importorskip("PIL.Image")
-    rng = np.random.default_rng(1)
-    figure = series(*(line(color, rng.random(101), color, quiet=True) for color in (RED, GREEN, BLUE)))
-    small = picture(figure)
-    monkeypatch.setattr(pictures, "_TOLERANCE", 0)
-    large = picture(figure)
-    assert len(large) > 2 * len(small)
-    few, all_ = (image.open(io.BytesIO(content)) for content in (small, large))
-    assert (few.mode, all_.mode) == ("P", "RGB")
-    off = np.abs(np.asarray(few.convert("RGB"), dtype=int) - np.asarray(all_, dtype=int))
-    assert 0 < off.max() <= 24
 
 
 def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:

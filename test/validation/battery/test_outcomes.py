@@ -14,7 +14,7 @@ from battery_outcomes import CREEP, DROOP, LEAK, outcome
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.errors import ChannelErrors
-from validation.battery import command, outcomes, places, remainders, scores
+from validation.battery import command, outcomes, places, scores
 from validation.battery.draw import NOTHING_FROM, cases
 from validation.battery.plants import JOINTS, Case
 
@@ -122,14 +122,6 @@ def test_a_case_is_judged_on_the_channel_that_it_moves() -> None:
     assert result.right and result.right_muscle
 
 
-def test_the_angle_s_error_is_in_degrees_and_of_the_free_joint() -> None:
-    case = a_case("friction", "hess and soom", None)
-    result = outcomes.judge(case, lambda recordings: said("none"), 12.0)
-    assert result.channel == "angle"
-    assert result.errors["true"] == pytest.approx(np.degrees(5e-4), rel=0.05)
-    assert result.errors["recalibrated"] == 1.0
-
-
 def test_recordings_that_are_refused_are_a_wrong_answer() -> None:
     def refuse(recordings):
         raise BadInput("too quiet")
@@ -138,15 +130,6 @@ def test_recordings_that_are_refused_are_a_wrong_answer() -> None:
     assert result.verdict == "refused" and not result.right
     assert scores.confusion([result])[1] == (("leak", "1"),)
     assert scores.confusion([result])[0][1:] == ("refused",)
-
-
-def test_outcomes_survive_their_file(tmp_path: Path) -> None:
-    case = cases(3, 1)[0][1]
-    result = outcomes.judge(case, lambda recordings: said("effect", ("leak", 1), ("creep", None)), 10.0)
-    outcomes.save(tmp_path, 0, result)
-    assert outcomes.load(tmp_path, 0, case, 10.0) == result
-    assert outcomes.load(tmp_path, 1, case, 10.0) is None
-    assert [path.name for path in tmp_path.iterdir()] == ["case_000.json"]
 
 
 def test_the_file_of_another_battery_is_refused(tmp_path: Path) -> None:
@@ -222,25 +205,6 @@ def test_cases_with_nothing_wrong_by_number(tmp_path: Path, oracle, capsys) -> N
     # None of three: up to 71 % of all joints may give a false alarm.
     assert "0.0 to 70.8 %" in text
     assert sorted(path.name for path in out.glob("case_*")) == [f"case_{NOTHING_FROM + k}.json" for k in range(3)]
-
-
-def test_remainders_are_worked_out_once(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-
-    def made(form) -> remainders.Remainder:
-        asked.append(form.name)
-        return remainders.Remainder(8.0, 10.0, 5.0, 1.5)
-
-    monkeypatch.setattr(remainders, "remainder", made)
-    assert run("--out", tmp_path, "--remainders") == 0
-    assert asked == [form.name for form in remainders.with_law()]
-    assert "15.0 %" in capsys.readouterr().out
-    assert remainders.load(tmp_path / remainders.FILE)[asked[0]].share == pytest.approx(0.15)
-    assert run("--out", tmp_path, "--remainders") == 0
-    assert len(asked) == len(set(asked))
-    (tmp_path / remainders.FILE).write_text("[]", encoding="utf-8")
-    assert run("--out", tmp_path, "--remainders") == 2
-    assert "no remainders" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

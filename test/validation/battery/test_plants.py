@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +10,11 @@ import pytest
 from pam_antagonist.model import integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import load_rig
 from validation.battery import physics
-from validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, UNCATALOGUED_FROM, cases
+from validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, cases
 from validation.battery.forms import FOREIGN, SINGLE, UNCATALOGUED, Form
-from validation.battery.places import PLACES
 from validation.battery.plants import JOINTS, KINDS, Case, staircase
 
 RIG = load_rig("shin2022")
@@ -140,16 +137,6 @@ def test_sizes_of_every_effect_are_on_the_grid() -> None:
             assert all(LARGE <= size <= LEVELS[-1] for size in case.sizes)
 
 
-def test_what_is_outside_of_every_law_has_a_place_and_changes_no_other_battery() -> None:
-    battery = cases(1, 5, 2, uncatalogued=2 * len(UNCATALOGUED))
-    assert battery[:7] == cases(1, 5, 2)
-    outside = [case for number, case in battery if number >= UNCATALOGUED_FROM]
-    assert sorted(case.form[0] for case in outside) == sorted(2 * [form.name for form in UNCATALOGUED])
-    assert len(UNCATALOGUED) >= 10 and all(form.source for form in UNCATALOGUED)
-    assert {case.kind for case in outside} == {"foreign"} and min(case.sizes[0] for case in outside) >= LARGE
-    assert set(PLACES) >= {form.effect for form in (*SINGLE, *FOREIGN, *UNCATALOGUED)}
-
-
 def test_further_cases_whose_only_fault_is_a_calibration() -> None:
     battery = cases(1, 5, 0, 24)
     assert battery[:5] == cases(1, 5)
@@ -181,12 +168,3 @@ def test_the_same_seed_is_the_same_battery_and_another_is_not() -> None:
     assert cases(4, 30) != cases(5, 30)
     one, other = (cases(4, 2)[1][1].recording("locked", 3.0) for _ in range(2))
     assert np.array_equal(one.pressure, other.pressure) and np.array_equal(one.torque, other.torque)
-
-
-def test_written_bags_hold_the_recordings(tmp_path: Path) -> None:
-    case = cases(2, 1)[0][1]
-    case.write(tmp_path, 3.0)
-    for joint in JOINTS:
-        bag, there = read_bag(tmp_path / joint), case.recording(joint, 3.0)
-        for name in ("stamp_ns", "pressure", "voltage", "angle", "torque"):
-            assert np.array_equal(getattr(bag, name), getattr(there, name)), name

@@ -8,14 +8,10 @@ import shutil
 from html import unescape
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from pam_antagonist.report.figure import Axis, Figure, Line, Panel
-from validation.paper import docs, page
+from validation.paper import page
 from validation.paper.command import main
-from validation.paper.result import Result
-from validation.paper.scenario import Scenario
 
 QUICK = ["static", "influence"]
 
@@ -91,38 +87,6 @@ def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None
         assert content.startswith(b"\x89PNG") and 5_000 < len(content) < 120_000, file
 
 
-def _result(title: str, *links: str, color: str = "#000000") -> Result:
-    line = Line("a", np.array([0.0, 1.0]), np.array([1.0, 2.0]), color)
-    panel = Panel(Axis("x [m]"), Axis("y [N]"), (line,))
-    figures = tuple(Figure(title, "About it.", (panel,), link) for link in links)
-    return Result(name="static", title="Static", question="What?", figures=figures)
-
-
-def test_pictures_of_an_earlier_run_are_replaced_and_others_are_left(scenario: Scenario, tmp_path: Path) -> None:
-    path, folder = tmp_path / "my docs.md", tmp_path / "my docs"
-    docs.write(path, [_result("First", "one", "two", "static")], scenario, (0,))
-    assert sorted(file.name for file in folder.iterdir()) == ["static.png", "static_one.png", "static_two.png"]
-    assert "(my%20docs/static_one.png)" in path.read_text(encoding="utf-8"), "a place without a space"
-    before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    photo = b"\x89PNG\r\n\x1a\n of somebody else"
-    (folder / "photo.png").write_bytes(photo)
-    (folder / "notes.txt").write_text("static", encoding="utf-8")
-
-    docs.check(path, ["static"])
-    docs.write(path, [_result("Second [N]", "two")], scenario, (0,))
-    assert sorted(file.name for file in folder.iterdir()) == ["notes.txt", "photo.png", "static_two.png"]
-    assert (folder / "photo.png").read_bytes() == photo
-    assert (folder / "static_two.png").read_bytes() == before["static_two.png"], "equal figures, equal bytes"
-    assert r"![Second \[N\]](my%20docs/static_two.png)" in path.read_text(encoding="utf-8")
-
-    docs.write(path, [_result("Third")], scenario, (0,))
-    assert sorted(file.name for file in folder.iterdir()) == ["notes.txt", "photo.png"]
-    (folder / "photo.png").unlink()
-    (folder / "notes.txt").unlink()
-    docs.write(path, [_result("Third")], scenario, (0,))
-    assert not folder.exists() and "![" not in path.read_text(encoding="utf-8")
-
-
 def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
     report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,24 +101,6 @@ def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
         assert says in error and error.count("\n") == 1
         assert not (tmp_path / "out").exists()
     assert (tmp_path / "paper/static_9.png").read_bytes() == b"mine"
-
-
-def test_markdown_of_ones_own_is_replaced_and_others_are_not(
-    report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["--seeds", "1", "--jobs", "1", "--no-figures", "--only", "static"]
-    mine, other = tmp_path / "mine.md", tmp_path / "other.md"
-    mine.write_text((report / "paper.md").read_text(encoding="utf-8"), encoding="utf-8")
-    assert main(["--out", str(tmp_path / "a"), *arguments, "--docs", str(mine)]) == 0
-    assert "Proposition 1" not in mine.read_text(encoding="utf-8")
-    assert "![" not in mine.read_text(encoding="utf-8") and not (tmp_path / "mine").exists(), (
-        "no figures were asked for"
-    )
-    other.write_text("notes", encoding="utf-8")
-    assert main(["--out", str(tmp_path / "b"), *arguments, "--docs", str(other)]) == 2
-    assert "other.md" in capsys.readouterr().err
-    assert other.read_text(encoding="utf-8") == "notes"
-    assert not (tmp_path / "b").exists()
 
 
 @pytest.mark.parametrize(
