@@ -13,6 +13,8 @@ from scipy.io import savemat
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, csv_table
+from pam_antagonist.recording.csv_import import read_csv
+from pam_antagonist.recording.csv_map import load_map
 
 COLUMNS = {name: np.array([row[k] for row in ROWS], dtype=float) for k, name in enumerate(HEADER)}
 COLUMNS["p1"] = COLUMNS["p1"].astype(np.int16)  # as a converter gives them
@@ -140,3 +142,16 @@ def test_a_library_that_is_missing_is_named(
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(BadInput, match=rf"{library} is not installed.*'pam_antagonist\[import\]'"):
         lab.read()
+
+
+def test_scale_offset_and_the_part_that_is_wanted(lab: Lab) -> None:
+    """The published file of the measured joint: F = torque / r, x = angle * r."""
+    radius, angle, torque = 6.875e-3, np.linspace(-0.05, 0.09, 30_000), np.linspace(-1.0, 1.0, 30_000)
+    pressure = np.full((30_000, 1), 366.0)
+    columns = {"F": torque[:, None] / radius, "x": angle[:, None] * radius, "dx": pressure, "p1": pressure}
+    savemat(lab.csv, {**columns, "p2": pressure})
+    recording = read_csv(lab.csv, load_map("sealed_joint_mat"))
+    assert len(recording) == 18_700 and recording.external_torque is not None
+    assert recording.angle == pytest.approx(angle[:18_700], abs=1e-9)
+    assert recording.external_torque == pytest.approx(torque[:18_700], abs=1e-9)
+    assert recording.pressure[0, 0] == pytest.approx(366e3 + 101325.0)

@@ -186,3 +186,12 @@ def test_what_stands_behind_damage_is_read_on_request(
         lost = damage[1]
         assert f"{lost.size} bytes are lost, from byte" in lost and lost.size > 100_000
         assert (place == "begin" and compression == "chunk") or 0.5 < lost.length_s < 6.0
+
+
+def test_a_cut_off_sqlite3_file_is_read_on_request(tmp_path: Path) -> None:
+    bag = FakeRig(3000).write(tmp_path / "bag", FakeRig(3000).streams(), storage="sqlite3")
+    file = bag / "bag.db3"
+    file.write_bytes(file.read_bytes()[: int(0.7 * file.stat().st_size)])
+    recording = read_bag(bag, recover=True)
+    assert 1500 < len(recording) < 2900
+    np.testing.assert_array_equal(recording.angle[:-1], FakeRig(3000).angle[: len(recording) - 1])

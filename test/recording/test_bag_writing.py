@@ -171,3 +171,11 @@ def test_a_write_that_fails_is_reported(rig: FakeRig, tmp_path: Path, monkeypatc
     with pytest.raises(OSError, match="No space left"):
         bag.close()
     bag.close()
+
+
+def test_only_what_there_is_is_written(tmp_path: Path) -> None:
+    recording = Recording(Path("x"), STAMPS, np.full((SIZE, 2), 4e5), np.full((SIZE, 2), 5.0), angle=np.zeros(SIZE))
+    write_bag(tmp_path / "bag", recording)
+    back = read_bag(tmp_path / "bag")
+    assert back.angle is not None
+    assert back.torque is None and back.external_torque is None and back.estimate is None and back.reference is None
