@@ -57,16 +57,3 @@ def test_the_report_of_a_run_that_failed_says_so_first(
     assert "Not begun: free, locked, identify" in page
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert not report["steps"][0]["done"] and "gains" in report["left"]
-
-
-def test_an_interrupted_run_is_not_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def drive(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(commission_steps, "drive", drive)
-    out = tmp_path / "new"
-    arguments = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal", "--no-lock"]
-    assert commission.main(arguments) == 130
-    assert json.loads((out / "report.json").read_text(encoding="utf-8"))["steps"][0]["said"] == "interrupted"
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert "Step wiring failed: interrupted." in page and "Not begun: free, identify" in page
