@@ -22,28 +22,6 @@ from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
 from pam_antagonist.safety import SafeAction
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--rig", "shin2023"], "unknown rig 'shin2023'"),
-        (["--rig", "shin2022", "--hardware", "none.yaml"], "no such hardware file"),
-        (["--rig", "shin2022", "--drift", "2000"], "--drift"),
-        (["--rig", "shin2022", "--drift", "nan"], "--drift"),
-        (["--rig", "shin2022", "--first-us", "-1"], "--first-us"),
-        (["--rig", "shin2022", "--seed", "-1"], "--seed"),
-        (["--rig", "shin2022", "--fault", "melt"], "expected one of flip, drop"),
-        (["--rig", "shin2022", "--flip", "2"], "a share from 0 to 1"),
-        (["--rig", "shin2022", "--freeze-sensor", "3@1"], "muscle 1 or 2"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_in_one_line(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["device_emulator", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and words in error and error.count("\n") == 1
-
-
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     precious = tmp_path / "precious"
     precious.write_text("data")

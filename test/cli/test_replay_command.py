@@ -79,14 +79,6 @@ def test_a_file_for_the_estimate_that_cannot_be_is_refused_first(
     assert not (tmp_path / "out").exists()
 
 
-def test_an_existing_output_is_not_touched(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "report.json").write_text("precious")
-    assert main([str(bag), "--rig", "shin2022", "--out", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and str(tmp_path) in error
-    assert (tmp_path / "report.json").read_text() == "precious"
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -78,27 +78,6 @@ def test_a_bad_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert not (tmp_path / "bag").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--profile", "sinus"], "sinus"),
-        (["--profile", "none.csv"], "none.csv"),
-        (["--duration", "0"], "--duration 0"),
-        (["--duration", "nan"], "--duration nan"),
-        (["--seed", "-1"], "--seed: '-1': expected"),
-        (["--mismatch", "3"], "mismatch 3"),
-        (["--lock-angle", "5"], "--joint locked"),
-    ],
-)
-def test_bad_arguments_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
-) -> None:
-    assert main(["--rig", "shin2022", "--out", str(tmp_path / "bag"), *arguments]) == 2
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
-    assert not (tmp_path / "bag").exists()
-
-
 def test_an_existing_bag_is_not_touched(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = bag_hash(bag)
     assert main(["--rig", "shin2022", "--out", str(bag), "--duration", "1"]) == 2

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.cli import demo
 from pam_antagonist.cli.demo_steps import task
 from pam_antagonist.control import PI_MODES, Box, Mode, Reachable
 from pam_antagonist.nodes.processes import Processes
@@ -136,39 +135,6 @@ def test_a_failing_process_stops_the_demo_with_its_own_words(tmp_path: Path, dom
 
 def _parent(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--rig", "no_such"], "unknown rig 'no_such'"),
-        (["--tuning", "no_such"], "tuning 'no_such'"),
-        (["--duration", "0"], "--duration"),
-        (["--duration", "inf"], "--duration"),
-        (["--mode", "position"], "--mode"),
-        (["--mode", "impedance", "--rig", "shin2022"], "does not have the state external_torque"),
-        (["--mismatch", "1"], "--mismatch"),
-        (["--gains", "quick"], "--gains quick: expected fast, published, model, or a YAML file"),
-        (["--gains", "no_such.yaml"], "no_such.yaml: cannot be read"),
-        (["--seed", "-1"], "--seed"),
-        (["bag"], "bag"),
-    ],
-)
-def test_bad_arguments_are_refused_before_anything_starts(
-    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert demo.main([*arguments, "--out", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and words in error and error.count("\n") == 1
-    assert not out.exists()
-
-
-def test_output_folder_that_exists_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "precious").write_text("data")
-    assert demo.main(["--out", str(tmp_path)]) == 2
-    assert "nothing is overwritten" in capsys.readouterr().err
-    assert os.listdir(tmp_path) == ["precious"]
 
 
 @pytest.mark.parametrize("mode", PI_MODES)

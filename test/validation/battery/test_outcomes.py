@@ -207,25 +207,6 @@ def test_cases_with_nothing_wrong_by_number(tmp_path: Path, oracle, capsys) -> N
     assert sorted(path.name for path in out.glob("case_*")) == [f"case_{NOTHING_FROM + k}.json" for k in range(3)]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("--shard", "3/2"), "I/K"),
-        (("--shard", "one"), "I/K"),
-        (("--count", 0), "one case or more"),
-        (("--nothing", -1), "whole number from 0"),
-        (("--seed", -1), "whole number from 0"),
-        (("--duration", 1), "10 to 3600"),
-        (("--jobs", 0), "whole number from 1"),
-    ],
-)
-def test_bad_arguments(tmp_path: Path, capsys, arguments, word: str) -> None:
-    assert run("--out", tmp_path / "out", *arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and error.count("\n") == 1 and word in error
-    assert not (tmp_path / "out").exists()
-
-
 def test_bags_with_their_truth(tmp_path: Path, capsys) -> None:
     assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 0
     assert "2 cases" in capsys.readouterr().out

@@ -50,19 +50,6 @@ def test_drift_is_told_from_delays() -> None:
     assert drift[-1] == pytest.approx(50e-6 * 50e3, rel=0.02)  # 50 ppm over 50 s
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--soak", "3"], "--soak 3: expected seconds from 15 to 86400"),
-        (["--soak", "nan"], "--soak nan: expected seconds"),
-        (["--soak", "60", "--only", "kernels"], "--soak and --only"),
-    ],
-)
-def test_what_it_refuses(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert benchmark.main(arguments) == 2
-    assert words in capsys.readouterr().err
-
-
 @pytest.mark.ros
 @pytest.mark.realtime
 @pytest.mark.skipif(not os.environ.get("PAM_PROOF"), reason="a release measures it: PAM_PROOF=1 ./run test runs it")

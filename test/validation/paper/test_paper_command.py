@@ -101,22 +101,3 @@ def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
         assert says in error and error.count("\n") == 1
         assert not (tmp_path / "out").exists()
     assert (tmp_path / "paper/static_9.png").read_bytes() == b"mine"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--only", "offlien"], "offline"),
-        (["--only", "static", "--seeds", "0"], "--seeds: '0': expected"),
-        (["--only", "static", "--seed", "-1"], "--seed: '-1': expected"),
-        (["--only", "static", "--jobs", "0"], "--jobs: '0': expected"),
-        (["--only", "compare_torque", "--force-map", "no_such.csv"], "no_such.csv"),
-    ],
-)
-def test_bad_arguments_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
-) -> None:
-    assert main(["--out", str(tmp_path / "out"), *arguments]) == 2
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
