@@ -159,15 +159,6 @@ def test_silence_gives_safe_voltages_in_the_order_of_stamps(node: Any) -> None:
     assert [voltage for _, voltage in published(node)[1:3]] == [SAFE, SAFE]
 
 
-def test_a_clock_that_is_set_back_is_no_silence(node: Any) -> None:
-    estimate(node, node.now_ns())
-    node._heard_ns = node.now_ns() + 10**12
-    node._watch()
-    assert len(published(node)) == 1
-    node._watch()
-    assert len(published(node)) == 1
-
-
 def test_last_command_is_safe(node: Any) -> None:
     begin = node.now_ns()
     refer(node, 0, 0.3)

@@ -87,16 +87,6 @@ def test_nothing_is_published_before_the_first_whole_sample(node: Any) -> None:
     assert [stamp_of(item) for item in node.published] == [begin + MS]
 
 
-def test_a_jump_backwards_restarts_the_filter(node: Any) -> None:
-    begin = node.now_ns()
-    for start in (begin, begin - 10 * 10**9):
-        for k in range(5):
-            send(node, start + k * MS, 450e3, 450e3, (5.5, 5.5))
-    assert len(node.published) == 10
-    assert node._estimator.counts.restarts == 1
-    assert node._estimator.started_ns == begin - 10 * 10**9
-
-
 def test_diagnostics_tell_what_was_lost(node: Any) -> None:
     begin = node.now_ns()
     for k in range(10):

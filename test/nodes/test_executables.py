@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pam_antagonist.nodes import bridge, controller, estimator, plant, recorder
+from pam_antagonist.nodes import bridge, controller, estimator, joints, plant, recorder
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
 
 NODES = {"plant": plant, "bridge": bridge, "estimator": estimator, "controller": controller}
@@ -57,6 +57,13 @@ def test_help_names_topics_and_every_parameter(name: str, capsys: pytest.Capture
         (estimator, ["-p", "max_age:=-1.0"], ["max_age", "-1.0"]),
         (controller, ["-p", "angle_proportional:=-5.0"], ["angle_proportional", "-5.0"]),
         (controller, ["-p", "bias:=10.0"], ["bias", "10 V"]),
+        (joints, ["-r", "__ns:=/arm"], ["__ns:=/arm would rename all nodes of the process"]),
+        (joints, ["-p", "joints:=[a, a]", "-p", "joint_name:=x"], ["/a is given twice"]),
+        (joints, ["-p", "joints:=['/']"], ["is the root"]),
+        (joints, ["-p", "joints:=[a, b]"], ["/a and /b have one joint_name, 'joint'"]),
+        (joints, ["-p", "source:=plnat"], ["one of plant, bridge, none"]),
+        (joints, ["-p", "jonts:=[a]"], ["did you mean 'joints'"]),
+        (joints, ["-p", "mismatch:=0.5"], ["mismatch"]),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(
@@ -64,7 +71,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
 ) -> None:
     assert module.main(["--ros-args", *arguments]) == 2
     # beside warnings of ROS itself
-    lines = [line for line in capfd.readouterr().err.splitlines() if line and not line.startswith("[WARN]")]
+    lines = [line for line in capfd.readouterr().err.splitlines() if line and not line.startswith(("[WARN]", "[INFO]"))]
     assert len(lines) == 1
     assert lines[0].startswith("error: ")
     assert all(word in lines[0] for word in words), lines[0]

@@ -49,11 +49,6 @@ def parquet_table(path: Path) -> None:
 WRITERS = (matlab, matlab_73, numpy_archive, parquet_table)
 
 
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
-
-
 def same(first: Recording, second: Recording) -> None:
     for name in ("stamp_ns", "pressure", "voltage"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name

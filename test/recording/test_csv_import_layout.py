@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from csv_files import HEADER, ROWS, Lab, table
@@ -11,11 +9,6 @@ from csv_files import HEADER, ROWS, Lab, table
 from pam_antagonist.recording import csv_table
 
 EXPECTED = np.array([row[1:3] for row in ROWS]) * 1e3
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
 
 
 NUMBERED = {

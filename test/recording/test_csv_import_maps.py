@@ -13,11 +13,6 @@ from pam_antagonist.recording.csv_map import example_text, load_map, map_names
 from pam_antagonist.recording.units import UNITS
 
 
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
-
-
 def gauge(**changes: Any) -> dict[str, Any]:
     return {"column": "p1", "unit": "kPa", "reference": "gauge", **changes}
 

@@ -25,11 +25,6 @@ t_s,torque_Nm,angle_deg,p1_kPa_gauge,p2_kPa_gauge
 """
 
 
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
-
-
 def bag_of(lab: Lab, folder: Path) -> Path:
     mapping = load_map(lab.map)
     write_bag(folder, read_csv(lab.csv, mapping))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,6 @@ import pytest
 from csv_files import Lab
 
 from pam_antagonist.recording.csv_time import START_NS
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
 
 
 def at(lab: Lab, times: Iterable[Any], **time: Any) -> Lab:
