@@ -9,6 +9,7 @@ import pytest
 
 from pam_antagonist.api.simulate import FIRST_STAMP_NS
 from pam_antagonist.cli.simulate import main
+from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.recording import bag_hash, read_bag
 from pam_antagonist.rig import load_rig
@@ -108,3 +109,8 @@ def test_profiles_start_at_rest_and_stay_within_their_span(name: str) -> None:
     assert voltage.max() <= 8.0
     assert np.ptp(voltage, axis=0).min() > 1.5, "both valves are used"
     assert np.corrcoef(voltage.T)[0, 1] < 0.9, "and not always together"
+
+
+def test_an_unknown_profile_is_refused() -> None:
+    with pytest.raises(BadInput, match="paper, steps, multisine"):
+        excitation.profile("square", 1.0, 1e-3)

@@ -12,6 +12,7 @@ import pytest
 from pam_antagonist.__main__ import main as dispatch
 from pam_antagonist.cli import new_rig, replay
 from pam_antagonist.cli.static import main
+from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_fit import VOLUME as PARABOLA
 from pam_antagonist.identification.static_fit import Form
 from pam_antagonist.rig import load_rig
@@ -221,6 +222,10 @@ def test_one_muscle_of_a_data_sheet_gets_its_table(tmp_path, drive):
     assert other == pytest.approx(measured, rel=0.3)
     assert rig.value("muscle_2.force.c6") == pytest.approx(0.3, rel=1e-4)
     assert rig.priors["muscle_1.force.c1"] < 0.2 * rig.priors["muscle_2.force.c1"], "the other one was not measured"
+    if drive == "valve":
+        (tmp_path / "pushes.yaml").write_text(f"based_on: {out / 'rig.yaml'}\nmuscle_1: {{force: {{c2: -3.0}}}}\n")
+        with pytest.raises(BadInput, match=r"muscle_1.force.c2: -3, expected above 0 with model.force: braided"):
+            load_rig(tmp_path / "pushes.yaml")
 
 
 @pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
@@ -279,3 +284,9 @@ def test_two_lengths_do_not_make_the_form_that_was_asked_for(tables, tmp_path, c
     error = capsys.readouterr().err
     assert "does not determine a force map of form hildebrandt" in error
     assert "it determines linear: choose by --form" in error
+
+
+def test_lengths_that_are_nearly_the_same_make_no_parabola(tables, tmp_path, capsys):
+    tables[0].write_text("length_mm,volume_cm3\n165,50\n165.000000001,51\n165.000000002,52\n")
+    assert main(arguments(tables, tmp_path / "out")) == 2
+    assert "cannot tell its coefficients apart; expected at least 3 lengths that are" in capsys.readouterr().err
