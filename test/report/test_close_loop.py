@@ -14,8 +14,9 @@ from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict,
 from pam_antagonist.diagnosis.rig_choice import RigChoice
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.report.close_loop import DiagnoseResult
-from pam_antagonist.report.close_loop_document import errors_table
+from pam_antagonist.report.close_loop_document import errors_table, summary
 from pam_antagonist.report.close_loop_findings import findings
+from pam_antagonist.report.document import Findings
 from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import plain
 
@@ -131,3 +132,9 @@ def test_a_clear_effect_is_good_and_an_ambiguous_one_a_warning(found: DiagnoseRe
 def test_a_part_that_is_not_explained_is_a_warning(found: DiagnoseResult) -> None:
     parts = (PartVerdict("pressures", "unexplained", 0.0), PartVerdict("torque", "effect", 0.9))
     assert "The residual of the pressures is above noise" in said(replace(found, parts=parts), "warn")
+
+
+def test_names_of_recordings_keep_their_first_letter(found: DiagnoseResult) -> None:
+    shown = summary(replace(found, warnings=("lab/free: too short", "the noise is large")))
+    warnings, *_ = [block for block in shown if isinstance(block, Findings)]
+    assert [item.text for item in warnings.items] == ["lab/free: too short.", "The noise is large."]

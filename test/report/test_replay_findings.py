@@ -145,3 +145,23 @@ def test_a_model_that_diverged_has_no_error_that_is_a_number(report: ReplayRepor
     now = replace(report, model_alone=replace(report.model_alone, angle=lost))
     assert "The model alone diverges: this rig file does not describe the joint." in said(now, "warn")
     assert "×" not in said(now, "warn")
+
+
+def test_a_filter_is_not_judged_by_a_few_samples(report: ReplayReport) -> None:
+    short = replace(report, samples=3, duration_s=0.002)
+    assert said(short, "warn") == "0.002 s is too short to judge the filter by; expected 1 s or more."
+    assert not said(short, "good") and said(report, "good")
+
+
+def test_remarks_on_the_recording(report: ReplayReport) -> None:
+    issues = ("37 samples without pressure_2", *(f"remark {k}" for k in range(8)))
+    counts = replace(report.estimator.counts, outliers=3, gaps=1)
+    report = replace(
+        report,
+        recording=replace(report.recording, issues=issues),
+        estimator=replace(report.estimator, counts=counts),
+    )
+    assert "37 samples without pressure_2." in said(report, "warn")
+    assert "3 more such remarks" in said(report, "warn")
+    met = "3 samples with a pressure outside the gate, which it left out and 1 gaps, which it bridged by prediction"
+    assert met in said(report, "note")
