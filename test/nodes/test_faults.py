@@ -40,9 +40,12 @@ def around(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Ite
 def pipeline(around: tuple[Processes, Any]) -> tuple[Processes, Any]:
     """Plant, estimator and controller; what another test has killed runs again."""
     processes, probe = around
-    for name in ("estimator", "controller", "plant"):
-        if name not in processes.running:
-            processes.start(name, ARGUMENTS.get(name, []))
+    missing = [name for name in ("estimator", "controller", "plant") if name not in processes.running]
+    for name in missing:
+        processes.start(name, ARGUMENTS.get(name, []))
+    if missing:
+        probe.clear()
+        probe.until(lambda: len(probe.seen["valve_command"]) > 100, 60.0, "commands")
     return processes, probe
 
 
