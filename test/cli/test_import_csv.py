@@ -89,14 +89,6 @@ def test_what_was_odd_is_said(as_csv: Path, tmp_path: Path, capsys: pytest.Captu
     assert "no 1 ms, the longest (201 ms) before line 501: times kept as they are" in said
 
 
-def test_an_existing_output_is_left_alone(as_csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "precious").touch()
-    assert main(arguments(as_csv, tmp_path / "out")) == 2
-    assert "nothing is overwritten" in capsys.readouterr().err
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
-
-
 @pytest.mark.parametrize("where", ["write_bag", "write_notes"])
 def test_nothing_is_left_of_an_output_that_failed(
     as_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], where: str

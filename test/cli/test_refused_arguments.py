@@ -112,14 +112,15 @@ def test_what_cannot_be_used_is_refused_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ["replay", "identify", "close_loop", "demo", "paper"])
+@pytest.mark.parametrize("name", ["simulate", "replay", "identify", "close_loop", "import_csv", "demo", "paper"])
 def test_an_output_that_exists_is_left_alone(
     name: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if name in NEED_ROS:
         pytest.importorskip(NEED_ROS[name])
     (tmp_path / "precious").write_text("data")
-    given = {"demo": [], "paper": ["--only", "static"]}.get(name, [str(bag), "--rig", "shin2022"])
+    others = {"simulate": "--rig shin2022", "import_csv": f"{bag} --map sealed_joint", "paper": "--only static"}
+    given = {**others, "demo": ""}.get(name, f"{bag} --rig shin2022").split()
     assert main([name, *given, "--out", str(tmp_path)], ALL) == 2
     error = capsys.readouterr().err
     assert str(tmp_path) in error and error.count("\n") == 1

@@ -11,7 +11,7 @@ from pam_antagonist.api.simulate import FIRST_STAMP_NS
 from pam_antagonist.cli.simulate import main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
-from pam_antagonist.recording import bag_hash, read_bag
+from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation import excitation
 
@@ -77,13 +77,6 @@ def test_a_bad_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[st
     error = capsys.readouterr().err
     assert "u.csv" in error and says in error and error.count("\n") == 1
     assert not (tmp_path / "bag").exists()
-
-
-def test_an_existing_bag_is_not_touched(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = bag_hash(bag)
-    assert main(["--rig", "shin2022", "--out", str(bag), "--duration", "1"]) == 2
-    assert str(bag) in capsys.readouterr().err
-    assert bag_hash(bag) == before
 
 
 # ------------------------------------------------------------------ profiles

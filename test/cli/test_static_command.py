@@ -194,15 +194,6 @@ def test_a_muscle_without_a_rig(tables, tmp_path, capsys):
 
 
 @pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
-def test_the_measured_muscle_without_a_rig_is_braided_if_its_nominal_length_is_known(tmp_path):
-    line = ["--force-map", str(MAP), "--report-only", "--no-figures"]
-    assert main([*line, "--out", str(tmp_path / "a"), "--length", "0.3"]) == 0
-    force = json.loads((tmp_path / "a" / "report.json").read_text())["force"]
-    assert force["form"] == "braided" and force["forms"]["braided"]["coefficients"]["c6"]["value"] == 0.3
-    assert force["forms"]["braided"]["left_out"]["rmse_n"] < 40.0
-
-
-@pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
 @pytest.mark.parametrize("drive", ["valve", "regulator"])
 def test_one_muscle_of_a_data_sheet_gets_its_table(tmp_path, drive):
     start, out = tmp_path / "bench.yaml", tmp_path / "out"
