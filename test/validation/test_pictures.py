@@ -19,6 +19,7 @@ from pam_antagonist.report.figure import (
     Axis,
     Band,
     Figure,
+    Heatmap,
     Line,
     Panel,
     Points,
@@ -209,3 +210,22 @@ def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+def test_an_interval_is_a_bar_around_its_point_and_rows_have_names() -> None:
+    points = Points("p", np.array([0.0]), np.array([0.0]), RED, half_width=np.array([1.0]), quiet=True)
+    image = pixels(alone(Panel(Axis("x [%]", bounds=(-2.0, 2.0)), Axis(labels=("gain", "offset")), (points,), 200)))
+    red = found(image, RED)
+    columns = np.flatnonzero(red.any(axis=0))
+    area = (WIDTH - LEFT - RIGHT) * SHARPNESS
+    assert np.ptp(columns) == pytest.approx(area / 2, rel=0.02), "from -1 to 1 on an axis from -2 to 2"
+    assert np.flatnonzero(red.any(axis=1)).mean() == pytest.approx((10 + 50) * SHARPNESS, abs=3), "the upper row"
+
+
+def test_a_scale_of_colours_stands_beside_its_cells_within_the_picture() -> None:
+    cells = Heatmap(np.arange(2.0), np.zeros((2, 2)), ("r", "s"), (BLUE, "#ffffff", RED), (-1.0, 1.0), "{value}")
+    axes, rows = Axis(labels=("a", "b")), Axis(labels=("r", "s"))
+    without, image = (pixels(alone(Panel(axes, rows, (replace(cells, scale=scale),), 200))) for scale in (False, True))
+    assert not found(without, RED).any() and found(image, RED).any() and found(image, BLUE).any()
+    assert np.flatnonzero(found(image, RED).any(axis=1)).max() < np.flatnonzero(found(image, BLUE).any(axis=1)).min()
+    assert (image[:, -4:] == 255).all(), "its numbers included"

@@ -14,7 +14,7 @@ from battery_outcomes import CREEP, DROOP, LEAK, outcome
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.errors import ChannelErrors
-from validation.battery import command, outcomes, places, scores
+from validation.battery import command, outcomes, places, remainders, scores
 from validation.battery.draw import NOTHING_FROM, cases
 from validation.battery.plants import JOINTS, Case
 
@@ -217,3 +217,31 @@ def test_bags_with_their_truth(tmp_path: Path, capsys) -> None:
         assert [name for name, _ in truth["effects"]] == [name for name, _ in case.effects]
         assert {path.name for path in folder.iterdir()} == {"free", "locked", "truth.json"}
     assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 2
+
+
+def test_pages_of_changed_code_say_so(tmp_path: Path, oracle) -> None:
+    arguments = ("--out", tmp_path / "result", "--count", 0, "--nothing", 2, "--duration", 10)
+    assert run(*arguments) == 0
+    path = tmp_path / "result" / f"case_{NOTHING_FROM}.json"
+    path.write_text(path.read_text(encoding="utf-8").replace(outcomes.fingerprint(), "older"), encoding="utf-8")
+    assert run(*arguments, "--docs", tmp_path / "battery.md") == 0
+    assert "The code was changed in between" in (tmp_path / "battery.md").read_text(encoding="utf-8")
+
+
+def test_remainders_are_worked_out_once(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def made(form) -> remainders.Remainder:
+        asked.append(form.name)
+        return remainders.Remainder(8.0, 10.0, 5.0, 1.5)
+
+    monkeypatch.setattr(remainders, "remainder", made)
+    assert run("--out", tmp_path, "--remainders") == 0
+    assert asked == [form.name for form in remainders.with_law()]
+    assert "15.0 %" in capsys.readouterr().out
+    assert remainders.load(tmp_path / remainders.FILE)[asked[0]].share == pytest.approx(0.15)
+    assert run("--out", tmp_path, "--remainders") == 0
+    assert len(asked) == len(set(asked))
+    (tmp_path / remainders.FILE).write_text("[]", encoding="utf-8")
+    assert run("--out", tmp_path, "--remainders") == 2
+    assert "no remainders" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.model import integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
@@ -168,3 +169,14 @@ def test_the_same_seed_is_the_same_battery_and_another_is_not() -> None:
     assert cases(4, 30) != cases(5, 30)
     one, other = (cases(4, 2)[1][1].recording("locked", 3.0) for _ in range(2))
     assert np.array_equal(one.pressure, other.pressure) and np.array_equal(one.torque, other.torque)
+
+
+def test_a_battery_of_one_effect_takes_its_forms_in_turn() -> None:
+    forms = [form.name for form in SINGLE if form.effect == "friction"]
+    battery = [case for _, case in cases(1, 3 * len(forms), effect="friction")]
+    assert {case.effects for case in battery} == {(("friction", None),)}
+    assert {case.kind for case in battery} == {"single"}
+    assert sorted(case.form[0] for case in battery) == sorted(3 * forms)
+    assert {case.sizes[0] for case in battery} == {level for level in LEVELS if level >= LARGE}
+    with pytest.raises(BadInput, match="the effect 'frictoin' has no forms here; expected one of hysteresis"):
+        cases(1, 1, effect="frictoin")

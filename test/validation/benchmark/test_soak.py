@@ -12,6 +12,7 @@ import pytest
 from pam_antagonist.recording import Arrival, Recording
 from pam_antagonist.replays.accounting import STAGES
 from validation.benchmark import command as benchmark
+from validation.benchmark.figure import at_most
 from validation.benchmark.soak import Usage, clock_drift, growth
 
 
@@ -70,3 +71,15 @@ def test_a_short_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     worst = max(sum(values) for values in series["lost"].values())
     assert worst == max(said["figures"]["soak_lost"]["parts"][stage] for stage in STAGES)
     assert "soak_memory_growth" in capsys.readouterr().out
+
+
+def test_the_figures_as_json_on_standard_output(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from validation.benchmark import kernels
+
+    monkeypatch.setattr(kernels, "measure", lambda rig: [at_most("step", "what a step costs", 2.0, 3.0, "", {})])
+    assert benchmark.main(["--only", "kernels", "--json", "-"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["figures"]["step"]["value"] == 2.0
+    assert "what a step costs" in printed.err

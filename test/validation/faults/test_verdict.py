@@ -17,16 +17,7 @@ from validation.faults.catalogue import FAULTS, RELAYED
 from validation.faults.causes import AtDevice, Messages
 from validation.faults.command import chosen
 from validation.faults.command import main as command
-from validation.faults.fault import (
-    Fault,
-    Observed,
-    Outcome,
-    Recovery,
-    Status,
-    Valves,
-    Wanted,
-    judge,
-)
+from validation.faults.fault import Fault, Observed, Outcome, Recovery, Status, Valves, Wanted, judge
 from validation.faults.relay import Line, Order, parse_order
 from validation.faults.valve_log import BRIDGE_SAFE, Row
 
@@ -168,3 +159,19 @@ def test_what_a_relay_does_to_messages() -> None:
     line.put(-1, 3.05)  # in order again, but behind those that wait
     assert list(line.due(3.09)) == []
     assert list(line.due(3.11)) == [*range(1000), -1]
+
+
+def test_the_table_as_json_on_standard_output(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = pytest.importorskip("validation.faults.run", exc_type=ImportError)
+
+    def made(faults: list[Fault], rig: str, done: Any) -> list[Outcome]:
+        outcome = judge(faults[0], seen((121, BRIDGE_SAFE), (310, ON)))
+        done(outcome)
+        return [outcome]
+
+    monkeypatch.setattr(run, "run_faults", made)
+    assert command(["--only", "bridge killed", "--json", "-"]) in (0, 1)
+    printed = capsys.readouterr()
+    assert "bridge killed" in str(json.loads(printed.out)) and "bridge killed" in printed.err
