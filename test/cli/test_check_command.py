@@ -92,13 +92,3 @@ def test_replay_of_a_corrected_bag_is_that_of_the_good_one(free: Recording, exch
         assert replay.main([*arguments, "--rig", "shin2022", "--out", str(tmp_path / name), "--no-figures"]) == 0
         reports.append(json.loads((tmp_path / name / "report.json").read_text())["ukf"])
     assert reports[0] == reports[1]
-
-
-def test_no_check_goes_on_as_it_is(exchanged: Path, tmp_path: Path) -> None:
-    arguments = [str(exchanged), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--no-figures", "--no-check"]
-    assert replay.main(arguments) == 0
-
-
-def test_a_unit_that_does_not_exist_is_refused(free: Recording, capsys: pytest.CaptureFixture[str]) -> None:
-    assert check.main([str(free.path), "--rig", "shin2022", "--pressure-unit", "kpascal"]) == 2
-    assert "--pressure-unit: unknown unit" in capsys.readouterr().err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -164,23 +163,3 @@ def test_valves_that_move_are_not_those_of_a_sealed_rig(
 ) -> None:
     assert main([str(leaking), "--rig", "sealed_joint", "--out", str(tmp_path / "out")]) == 2
     assert "the chambers of rig sealed_joint are sealed" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_damaged_bag_is_read_up_to_the_damage_if_that_is_asked_for(
-    leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(leaking, tmp_path / "cut")
-    (file,) = (tmp_path / "cut").glob("*.mcap")
-    file.write_bytes(file.read_bytes()[: int(0.9 * file.stat().st_size)])
-    arguments = [str(tmp_path / "cut"), "--rig", "shin2022", "--out", str(tmp_path / "o")]
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "--recover" in error
-    assert main([*arguments, "--recover", "--jobs", "1", "--no-figures"]) == 0
-    assert "! " in (said := capsys.readouterr().out) and "truncated or damaged" in " ".join(said.split())
-    report = json.loads((tmp_path / "o" / "report.json").read_text())
-    assert "truncated or damaged" in report["warnings"][0] and report["verdict"] == "effect"
-    assert "truncated or damaged" in " ".join(
-        (tmp_path / "o" / "rig_extended.yaml").read_text().replace("#", "").split()
-    )

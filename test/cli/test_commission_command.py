@@ -11,22 +11,6 @@ from pam_antagonist.cli import commission, commission_steps
 from pam_antagonist.nodes.processes import ProcessFailed
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--unattended", "--source", "bridge"], "only for a simulated joint"),
-        (["--duration", "1"], "expected 30 to 3600 s"),
-        (["--max-angle", "80"], "expected above 0, to 25.0 deg"),
-    ],
-)
-def test_arguments_that_do_not_go_together_are_refused(
-    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert commission.main(["--rig", "shin2022", "--out", str(tmp_path / "new"), *arguments]) == 2
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
-
-
 def test_a_folder_of_something_else_stays_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
     assert "but commission did not write it" in capsys.readouterr().err
@@ -57,16 +41,3 @@ def test_the_report_of_a_run_that_failed_says_so_first(
     assert "Not begun: free, locked, identify" in page
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert not report["steps"][0]["done"] and "gains" in report["left"]
-
-
-def test_an_interrupted_run_is_not_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def drive(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(commission_steps, "drive", drive)
-    out = tmp_path / "new"
-    arguments = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal", "--no-lock"]
-    assert commission.main(arguments) == 130
-    assert json.loads((out / "report.json").read_text(encoding="utf-8"))["steps"][0]["said"] == "interrupted"
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert "Step wiring failed: interrupted." in page and "Not begun: free, identify" in page

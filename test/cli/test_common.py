@@ -88,20 +88,6 @@ def test_an_output_folder_appears_when_it_is_whole(tmp_path: Path) -> None:
     assert (tmp_path / "a" / "out" / "x").read_text() == "1"
 
 
-def test_a_folder_that_exists_is_refused_even_when_it_is_empty(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    with pytest.raises(BadInput, match="exists"), common.output_folder(tmp_path / "out"):
-        pytest.fail("it was taken")
-    assert list((tmp_path / "out").iterdir()) == []
-
-
-def test_a_writer_may_make_the_folder_itself(tmp_path: Path) -> None:
-    with common.output_folder(tmp_path / "out", make=False) as folder:
-        assert not folder.exists()
-        folder.mkdir()
-    assert (tmp_path / "out").is_dir()
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), BadInput("x"), ValueError("y")])
 def test_a_failure_leaves_nothing(tmp_path: Path, error: BaseException) -> None:
     with pytest.raises(type(error)), common.output_folder(tmp_path / "out") as folder:

@@ -15,33 +15,11 @@ import pytest
 
 from pam_antagonist.__main__ import main
 from pam_antagonist.errors import BadInput
-from pam_antagonist.hardware.line_faults import FaultPlan, LineFault, parse_fault
+from pam_antagonist.hardware.line_faults import FaultPlan, parse_fault
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.hardware.serial_device import SerialDevice
 from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
 from pam_antagonist.safety import SafeAction
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--rig", "shin2023"], "unknown rig 'shin2023'"),
-        (["--rig", "shin2022", "--hardware", "none.yaml"], "no such hardware file"),
-        (["--rig", "shin2022", "--drift", "2000"], "--drift"),
-        (["--rig", "shin2022", "--drift", "nan"], "--drift"),
-        (["--rig", "shin2022", "--first-us", "-1"], "--first-us"),
-        (["--rig", "shin2022", "--seed", "-1"], "--seed"),
-        (["--rig", "shin2022", "--fault", "melt"], "expected one of flip, drop"),
-        (["--rig", "shin2022", "--flip", "2"], "a share from 0 to 1"),
-        (["--rig", "shin2022", "--freeze-sensor", "3@1"], "muscle 1 or 2"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_in_one_line(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["device_emulator", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and words in error and error.count("\n") == 1
 
 
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -51,19 +29,6 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert main(["device_emulator", "--rig", "shin2022", option, str(precious)]) == 2
         assert str(precious) in capsys.readouterr().err
     assert precious.read_text() == "data"
-
-
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("silent", LineFault("silent", 0.0, 0.0, float("inf"))),
-        ("flip=0.01", LineFault("flip", 0.01, 0.0, float("inf"))),
-        ("unplug@2-3.5", LineFault("unplug", 0.0, 2.0, 3.5)),
-        ("freeze=2@1", LineFault("freeze", 2.0, 1.0, float("inf"))),
-    ],
-)
-def test_faults_are_written_as_the_help_says(text: str, fault: LineFault) -> None:
-    assert parse_fault(text) == fault
 
 
 @pytest.mark.parametrize(
@@ -156,24 +121,6 @@ def test_a_host_finds_a_device_with_a_joint_behind_the_link(
     assert rows[0] == ["time_ns", "device_us", "event", "voltage_1", "voltage_2", "safe"]
     assert [row[2] for row in rows if row[2] not in ("event", "voltage")] == ["+stop", "-stop"]
     assert rows[-1][3:] == ["5.0", "5.25", "1"]
-
-
-@pytest.mark.realtime
-def test_an_emulator_ends_during_a_stall_without_an_end(
-    emulated: Callable[..., tuple[subprocess.Popen[str], Path, Path]],
-) -> None:
-    emulator, link, log = emulated("--fault", "stall@0.1")
-    device = SerialDevice(lambda: SerialTransport(str(link)))
-    device.start(SafeAction((5.0, 5.25)))
-    end = time.monotonic() + 1.0
-    while time.monotonic() < end:
-        device.samples(0.05)
-        device.command((6.0, 5.0))
-    device.close()
-    emulator.send_signal(signal.SIGTERM)
-    emulator.communicate(timeout=10.0)
-    assert emulator.returncode == 0
-    assert ",+stall," in log.read_text()
 
 
 @pytest.mark.realtime

@@ -65,14 +65,6 @@ def test_the_table_needs_the_standard_library_only(python: Python) -> None:
 
 
 @pytest.mark.parametrize("name", OFFLINE)
-def test_help_of_a_command_teaches(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([name, "--help"]) == 0
-    text = capsys.readouterr().out
-    assert "examples:" in text
-    assert "--rig" in text and "--out" in text
-
-
-@pytest.mark.parametrize("name", OFFLINE)
 def test_offline_commands_load_no_ros(name: str, python: Python, bag: Path, tmp_path: Path) -> None:
     arguments = {"replay": [str(bag)], "simulate": ["--duration", "1"]}[name]
     code = f"""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -10,9 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.__main__ import main as dispatch
 from pam_antagonist.api import import_csv as importing
-from pam_antagonist.cli import replay
 from pam_antagonist.cli.import_csv import main
 from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.notes import sealed_muscles
@@ -67,16 +64,6 @@ def test_a_recording_comes_back_from_its_csv_file(
     assert f"{len(before)} samples" in said and "one each 1 ms" in said and "external torque not in the file" in said
 
 
-def test_replay_of_the_csv_file_is_replay_of_the_recording(bag: Path, as_csv: Path, tmp_path: Path) -> None:
-    assert main(arguments(as_csv, tmp_path / "imported")) == 0
-    reports = []
-    for path, out in ((bag, "a"), (tmp_path / "imported", "b")):
-        assert replay.main([str(path), "--rig", "shin2022", "--out", str(tmp_path / out), "--no-figures"]) == 0
-        reports.append(json.loads((tmp_path / out / "report.json").read_text()))
-    for name in ("angle", "torque"):
-        assert reports[1]["ukf"][name] == pytest.approx(reports[0]["ukf"][name], rel=1e-6)
-
-
 @pytest.mark.skipif(not FILE.exists(), reason="no ../shared/data/measured beside the project")
 def test_the_sealed_joint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "sealed"
@@ -100,14 +87,6 @@ def test_what_was_odd_is_said(as_csv: Path, tmp_path: Path, capsys: pytest.Captu
     said = " ".join(capsys.readouterr().out.split())
     assert "! 1 of 3800 samples without angle (column 'phi')" in said
     assert "no 1 ms, the longest (201 ms) before line 501: times kept as they are" in said
-
-
-def test_an_existing_output_is_left_alone(as_csv: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "precious").touch()
-    assert main(arguments(as_csv, tmp_path / "out")) == 2
-    assert "nothing is overwritten" in capsys.readouterr().err
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
 
 
 @pytest.mark.parametrize("where", ["write_bag", "write_notes"])
@@ -173,12 +152,6 @@ def test_missing_arguments_are_named(given: list[str], capsys: pytest.CaptureFix
     assert error.count("\n") == 1 and "--example" in error
 
 
-def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
-    assert dispatch(["import_csv", "--help"]) == 0
-    text = capsys.readouterr().out
-    assert "examples:" in text and "--example" in text and "sealed_joint" in text
-
-
 def test_it_loads_no_ros_and_no_estimator(
     python: Callable[..., subprocess.CompletedProcess[str]], as_csv: Path
 ) -> None:
@@ -193,16 +166,6 @@ sys.exit(status or (f"loaded {{heavy}}" if heavy else 0))
     done = python("-c", code)
     assert done.returncode == 0, done.stderr
     assert (as_csv.parent / "out" / "metadata.yaml").exists()
-
-
-def test_an_interrupt_leaves_nothing(as_csv: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = sorted(tmp_path.iterdir())
-    monkeypatch.setattr(importing, "write_notes", interrupted)
-    assert main(arguments(as_csv, tmp_path / "out")) == 130
-    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_what_the_import_found_is_known_to_who_reads_the_bag(as_csv: Path, tmp_path: Path) -> None:

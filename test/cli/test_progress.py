@@ -29,13 +29,6 @@ def test_off_a_terminal_there_are_lines(said: Said) -> None:
     assert all(line == "close_loop: second phase, 0 s" for line in lines)
 
 
-def test_before_anything_is_done_there_is_no_line(said: Said) -> None:
-    with progress.counted(100, "replay") as advance:
-        time.sleep(0.12)
-        advance(100)
-    assert said() == ""
-
-
 def test_what_fails_stays_where_it_was(said: Said) -> None:
     with pytest.raises(ValueError), progress.counted(100, "replay") as advance:
         advance(40)
@@ -53,14 +46,6 @@ def test_on_a_terminal_the_bar_reaches_the_end(said: Said, monkeypatch: pytest.M
         advance(90)  # more than there is
     drawn = said()
     assert "replay  30 % |" in drawn and "left" in drawn and "100 % |" in drawn
-
-
-def test_on_a_terminal_a_phase_is_named_with_the_time_so_far(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    with progress.phases("identify") as begin:
-        begin("friction")
-        time.sleep(0.1)
-    assert "identify: friction, 00:0" in said()
 
 
 def test_what_is_quick_shows_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,18 +25,3 @@ def test_the_table_and_the_page_hold_the_set(tmp_path: Path, capsys: pytest.Capt
 def test_narrower_bounds_reach_less(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--rig", "shin2022", "--lowest-pressure", "300e3", "--supply-margin", "100e3"]) == 0
     assert "300 to 610 kPa" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--lowest-pressure", "700e3"], "lowest_pressure 700000 Pa, supply_margin 20000 Pa: expected pressures from"),
-        (["--least-force", "much"], "expected a number, 0 or more"),
-    ],
-)
-def test_bounds_that_leave_nothing_are_refused_in_one_line(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["--rig", "shin2022", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1

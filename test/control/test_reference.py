@@ -22,30 +22,6 @@ def references(
     return References(Rules(both((0.35, 3.0)), both(slew), both(timeout), lost))
 
 
-def test_nothing_is_asked_for_before_the_first_reference() -> None:
-    wanted = references().at(S, S, 0.1, 0.2)
-    assert wanted.mode is None and not wanted.lost
-
-
-@pytest.mark.parametrize(("value", "followed"), [(0.2, 0.2), (0.35, 0.35), (20.0, 0.35), (-0.5, -0.35)])
-def test_a_reference_out_of_range_is_limited_and_said(value: float, followed: float) -> None:
-    kept = references()
-    kept.set(Mode.ANGLE, value, 0)
-    assert kept.at(S, 0, 0.0, 0.0).value == followed
-    assert bool(kept.limited) == (value != followed) == bool(kept.limited_count)
-    if kept.limited:
-        assert kept.limited == f"reference {value:g} rad is limited to ±0.35 rad"
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_reference_that_is_not_finite_asks_for_nothing_until_a_better_one_comes(value: float) -> None:
-    kept = references()
-    kept.set(Mode.TORQUE, value, 0)
-    assert math.isnan(kept.at(S, 0, 0.0, 0.0).value) and "finite" in kept.complaint
-    kept.set(Mode.TORQUE, 1.0, 0)
-    assert kept.at(S, 0, 0.0, 0.0).value == 1.0 and not kept.complaint
-
-
 def test_a_torque_is_lost_when_nobody_repeats_it_and_an_angle_is_not() -> None:
     kept = references()
     kept.set(Mode.ANGLE, 0.1, 0)

@@ -11,7 +11,6 @@ from typing import Any
 
 import pages
 import pytest
-import yaml
 
 from pam_antagonist.recording.messages import typestore
 from pam_antagonist.recording.topics import TOPICS
@@ -117,19 +116,3 @@ def test_foxglove(suffix: str) -> None:
                 assert path["timestampMethod"] == "receiveTime"  # what a script publishes has no header
             else:
                 check_field(path["value"], JOINTS[suffix])
-
-
-@pytest.mark.parametrize("suffix", JOINTS)
-def test_rviz(suffix: str) -> None:
-    content = yaml.safe_load((TOOLS / f"rviz{suffix}.rviz").read_text())
-    manager = content["Visualization Manager"]
-    models = [item for item in manager["Displays"] if item["Class"] == "rviz_default_plugins/RobotModel"]
-    assert [item["Description Topic"]["Value"] for item in models] == [
-        f"{namespace}/robot_description" for namespace in JOINTS[suffix]
-    ]
-    # robot_state_publisher keeps its description for those who come later.
-    assert {item["Description Topic"]["Durability Policy"] for item in models} == {"Transient Local"}
-    links = re.findall(r'<link name="\$\{name\}(_\w+)"', (pages.ROOT / "urdf" / "joint.urdf.xacro").read_text())
-    fixed = manager["Global Options"]["Fixed Frame"]
-    assert fixed.removeprefix(models[0]["Name"]) in links
-    assert JUGGLED[models[0]["Name"]] == JOINTS[suffix][0]

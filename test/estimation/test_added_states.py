@@ -37,7 +37,7 @@ def with_effects(*names: str) -> Rig:
 @pytest.mark.parametrize("joint", ["free", "locked"])
 @pytest.mark.parametrize("names", [*((name,) for name in NAMED), EIGHT], ids="+".join)
 def test_stays_definite_over_a_recording(names: tuple[str, ...], joint: str) -> None:
-    recording = trial(10.0, seed=7, joint=joint)
+    recording = trial(4.0, seed=7, joint=joint)
     estimator = Estimator(with_effects(*names), joint=joint)
     run = estimator.run(recording.stamp_ns, recording.pressure, recording.voltage)
     assert run.counts.processed == len(recording.stamp_ns)

@@ -189,15 +189,6 @@ def test_waits_for_a_first_complete_sample() -> None:
     assert run.index[0] == 8 and run.started_ns[0] == CLEAN.stamp_ns[8]
 
 
-def test_reset_forgets() -> None:
-    estimator = Estimator(RIG)
-    first = estimator.run(CLEAN.stamp_ns, CLEAN.pressure, CLEAN.voltage)
-    estimator.reset()
-    assert estimator.started_ns is None
-    again = estimator.run(CLEAN.stamp_ns, CLEAN.pressure, CLEAN.voltage)
-    assert first.rows.tobytes() == again.rows.tobytes()
-
-
 def test_half_the_rate_is_integrated_in_two_steps() -> None:
     slow = _run(CLEAN.pressure[::2], CLEAN.voltage[::2], CLEAN.stamp_ns[::2])
     # Samples that are missing by design are no gap: from the second distance on, the filter knows the stream's period.

@@ -19,45 +19,6 @@ TEXT = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## `(\w+)`\n(.*?)(?=^## |^<!-- end)", TEXT, flags=re.MULTILINE | re.DOTALL))
 
 
-def table(section: str, title: str) -> list[list[str]]:
-    """Cells of the table whose first column has this title."""
-    lines = section.splitlines()
-    starts = [k for k, line in enumerate(lines) if line.startswith(f"| {title} |")]
-    if not starts:
-        return []
-    rows = []
-    for line in lines[starts[0] + 2 :]:
-        if not line.startswith("|"):
-            break
-        rows.append([cell.strip() for cell in line.strip("|").split("|")])
-    return rows
-
-
-def test_a_section_for_each_effect_in_the_catalogue_s_order():
-    assert list(SECTIONS) == list(CATALOGUE)
-
-
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_words(name):
-    effect, section = CATALOGUE[name], SECTIONS[name]
-    assert effect.meaning in section
-    assert f"*Signature* {effect.signature}" in section
-    assert "```math" in section
-
-
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_every_number_and_every_state_is_there(name):
-    effect, section = CATALOGUE[name], SECTIONS[name]
-    shown = {word: row for row in table(section, "parameter") for word in re.findall(r"`(\w+)`", row[0])}
-    numbers = () if effect.of_tables else effect.parameters
-    assert list(shown) == [item.name for item in numbers]
-    states = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\*State\* ([^$\[]*)", section, re.MULTILINE)))
-    assert states == [item.name for item in effect.states]
-    for item in numbers:
-        allowed = f"{item.low:g} to {item.high:g} {item.unit.replace('-', '')}".rstrip()
-        assert shown[item.name][2:4] == [f"{item.neutral:g}", allowed]
-
-
 def test_what_a_sealed_joint_shows():
     paragraph = TEXT.split("**A sealed joint**")[1].split("\n\n")[0]
     assert set(re.findall(r"`(\w+)`", paragraph)) == {name for name, item in CATALOGUE.items() if item.sealed.part}

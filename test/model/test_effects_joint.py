@@ -16,7 +16,6 @@ from pam_antagonist.model.effects import parameter_path
 from pam_antagonist.model.effects.hysteresis import loop_rate
 
 T = paper.CORRECTED
-SHUT = {f"valve_{i}.{way}_area": 0.0 for i in (1, 2) for way in ("inflow", "outflow")}
 DT = 1e-3
 WIDTH = 2e-3
 
@@ -79,23 +78,6 @@ def test_a_joint_with_hysteresis_takes_more_work_in_a_cycle(rig):
 
 
 # Creep
-
-
-def test_creep_is_a_share_of_a_step_that_comes_late(rig):
-    share, time = 0.1, 2.0
-    p = with_effects(rig.parameters("locked", changes=SHUT), creep={"share_1": share, "share_2": 0.2, "time": time})
-    x = equilibrium.initial_state(0.0, 450e3, 450e3, np.array([5.5, 5.5]), p)
-    before = dynamics.forces(x, p)[0]
-    x[2] = 600e3  # the pressure jumps
-    states, _, _ = integration.simulate(x, np.tile([5.5, 5.5], (10_001, 1)), p, DT, 1)
-    force = np.array([dynamics.forces(state, p)[0] for state in states])
-    full = paper.force(T, 1, T["L_0"], 600e3)
-    assert before == pytest.approx(paper.force(T, 1, T["L_0"], 450e3), rel=1e-9)
-    assert force[0] == pytest.approx(before + (1 - share) * (full - before), rel=1e-9)
-    expected = full - share * (full - before) * np.exp(-DT * np.arange(10_001) / time)
-    assert force == pytest.approx(expected, rel=1e-9)
-    other = [dynamics.forces(state, p)[1] for state in states[::1000]]
-    assert other == pytest.approx([paper.force(T, 2, T["L_0"], 450e3)] * 11, rel=1e-9)
 
 
 # Load
@@ -171,20 +153,6 @@ def test_a_known_push_and_an_estimated_one_move_alike(rig):
 # Warming up
 
 
-def test_a_muscle_loses_its_share_of_the_gauge_pressure_s_force(rig):
-    """Cold it is the base model; warm, by (6), it has lost s v (P − P_out), and nothing at the atmosphere."""
-    share = 0.08
-    p = with_effects(rig.parameters(), warm_up={"share_1": share, "time": 30.0})
-    for angle, pressure in ((0.0, 450e3), (0.3, 300e3), (-0.2, 101.3e3)):
-        cold, warm = (dynamics.forces(np.array([angle, 0.0, pressure, pressure, w]), p) for w in (0.0, 1.0))
-        base = dynamics.forces(np.array([angle, 0.0, pressure, pressure]), rig.parameters())
-        assert cold == base
-        l_1 = paper.length(T, 1, angle)
-        slope = (paper.force(T, 1, l_1, 500e3) - paper.force(T, 1, l_1, 400e3)) / 100e3
-        assert base[0] - warm[0] == pytest.approx(share * slope * (pressure - 101.3e3), abs=1e-9)
-        assert warm[1] == base[1], "muscle 2 does not drift here"
-
-
 # Slack
 
 
@@ -201,15 +169,3 @@ def test_a_slack_muscle_never_pushes(rig, width):
                 assert 0.0 <= pulls - max(linear, 0.0) <= 0.5 * width + 1e-12
                 pushes += linear < 0.0
     assert pushes > 50, "the base model pushes in some of these states"
-
-
-def test_where_the_base_model_pushes(rig):
-    """The figures of docs/explanation/model.md: pressures [kPa] below which a muscle's force is negative."""
-    base = rig.parameters()
-
-    def zero_force(muscle, degrees):
-        low, high = (dynamics.forces(np.array([math.radians(degrees), 0.0, q, q]), base)[muscle] for q in (1e5, 2e5))
-        return 100.0 + 100.0 * low / (low - high)
-
-    assert [round(zero_force(0, degrees)) for degrees in (-25, 0, 25)] == [109, 131, 284]
-    assert [round(zero_force(1, degrees)) for degrees in (-25, 0, 25)] == [327, 119, 83]

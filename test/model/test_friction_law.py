@@ -80,16 +80,6 @@ def test_a_small_push_is_stopped_within_a_few_steps(rig):
     assert abs(states[-1, 1]) < 1e-15
 
 
-def test_shaft_friction_grows_with_the_load_on_the_shaft(p):
-    """T_s = r_p μ_s |F_1 + F_2 − M g|: 1.2e-3 N m for every newton, zero where the muscles carry the seesaw."""
-    at = (400e3, 400e3)
-    values = [joint.coulomb_torque(f, f, *at, p) for f in (50.0, 51.0)]
-    assert values[1] - values[0] == pytest.approx(2 * 0.006 * 0.2, rel=1e-9)
-    weight = T["M"] * T["g"]
-    assert joint.coulomb_torque(weight, 0.0, *at, p) == pytest.approx(paper.muscle_friction(T, *at), rel=1e-12)
-    assert joint.coulomb_torque(0.0, 0.0, *at, p) > joint.coulomb_torque(weight, 0.0, *at, p)
-
-
 def test_muscle_friction_falls_with_pressure_and_is_bounded_at_the_atmosphere(p):
     """μ_p/(P − P_out)² is singular at P_out. Both terms are bounded at 20 kPa gauge, 1 N m each."""
     weight = T["M"] * T["g"]  # no shaft friction at this load
@@ -104,11 +94,3 @@ def test_muscle_friction_falls_with_pressure_and_is_bounded_at_the_atmosphere(p)
     for pressure in (0.0, ATMOSPHERE - 1.0, ATMOSPHERE, ATMOSPHERE + 1.0, ATMOSPHERE + 20e3):
         assert muscle(pressure) == pytest.approx(1.0, rel=1e-9)
     assert muscle(ATMOSPHERE + 21e3) < 0.95
-
-
-def test_the_bound_is_a_parameter_of_the_rig(p):
-    """... so that the printed law can be had down to any gauge pressure."""
-    lower = par.changed(p, {"friction.pressure_floor": 1e3})
-    value = joint.coulomb_torque(0.0, 0.0, ATMOSPHERE + 1e3, 10e6, lower)
-    assert value == pytest.approx(400.0, rel=1e-4)
-    assert math.isfinite(joint.coulomb_torque(0.0, 0.0, ATMOSPHERE, ATMOSPHERE, lower))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from pam_antagonist.nodes.processes import free_domain
 
-# pytest's importlib mode puts no folder on the path: probe.py stands beside the tests.
+# pytest's importlib mode puts no folder on the path: probe.py and sent.py stand beside the tests.
 sys.path.insert(0, str(Path(__file__).parent))
+
+from sent import Sent
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -53,3 +56,32 @@ def ros(domain: None) -> Iterator[None]:
     rclpy.init(args=[])
     yield
     rclpy.try_shutdown()
+
+
+@pytest.fixture
+def new_node(ros: None) -> Iterator[Callable[..., Any]]:
+    """Makes nodes in the process of the tests, which end with the test: ``new_node(PlantNode, seed=5)``.
+
+    ``node.keep(name=output)`` collects in ``node.sent[name]`` what would go out as messages.
+    """
+    from rclpy.parameter import Parameter
+
+    made: list[Any] = []
+
+    def make(kind: Any, *arguments: Any, **parameters: Any) -> Any:
+        given = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = kind(*arguments, parameter_overrides=given)
+        made.append(node)
+        node.sent = {}
+
+        def keep(**outputs: Any) -> None:
+            for name, output in outputs.items():
+                node.sent[name] = output._publish = Sent(output.publisher.msg_type)
+
+        node.keep = keep
+        return node
+
+    yield make
+    for node in made:
+        node.close()
+        node.destroy_node()

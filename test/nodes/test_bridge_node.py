@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
+from sent import stamp_of
 
 from pam_antagonist.hardware.device import DeviceInfo, RawSample
 from pam_antagonist.hardware.link import Sample
@@ -43,55 +44,16 @@ class Absent:
         return {}
 
 
-class Sent(list):
-    """Messages of a topic, as objects."""
-
-    def __init__(self, kind: Any) -> None:
-        self.kind = kind
-
-    def __call__(self, data: Any) -> None:
-        from rclpy.serialization import deserialize_message
-
-        self.append(deserialize_message(data, self.kind) if isinstance(data, bytes) else data)
-
-
 @pytest.fixture
-def make(ros: None) -> Iterator[Callable[..., Any]]:
-    from rclpy.parameter import Parameter
-
+def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
     from pam_antagonist.nodes.bridge import BridgeNode
 
-    nodes = []
-
     def factory(**parameters: Any) -> Any:
-        overrides = {name: Parameter(name, value=value) for name, value in parameters.items()}
-
-        class Node(BridgeNode):
-            @property
-            def _parameter_overrides(self) -> dict:
-                return overrides
-
-            @_parameter_overrides.setter
-            def _parameter_overrides(self, value: dict) -> None:
-                pass
-
-        node = Node(Absent)
-        outputs = {
-            "p1": node._pressures[0],
-            "p2": node._pressures[1],
-            "valves": node._valves,
-            "joint": node._joint._both,
-        }
-        node.sent = {}
-        for name, output in outputs.items():
-            node.sent[name] = output._publish = Sent(output.publisher.msg_type)
-        nodes.append(node)
+        node = new_node(BridgeNode, Absent, **parameters)
+        node.keep(p1=node._pressures[0], p2=node._pressures[1], valves=node._valves, joint=node._joint._both)
         return node
 
-    yield factory
-    for node in nodes:
-        node.close()
-        node.destroy_node()
+    return factory
 
 
 def sample(k: int = 0, pressure: tuple[float, float] = (4e5, 3e5), **changes: Any) -> Sample:
@@ -99,15 +61,11 @@ def sample(k: int = 0, pressure: tuple[float, float] = (4e5, 3e5), **changes: An
     return Sample(T0 + k * MS, pressure, **fields)
 
 
-def stamp(message: Any) -> int:
-    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
-
-
 def test_four_messages_of_a_sample_carry_one_stamp_and_its_values(make: Callable[..., Any]) -> None:
     node = make()
     for k in range(3):
         node._deliver(sample(k))
-    assert {name: [stamp(message) for message in messages] for name, messages in node.sent.items()} == dict.fromkeys(
+    assert {name: [stamp_of(message) for message in messages] for name, messages in node.sent.items()} == dict.fromkeys(
         node.sent, [T0, T0 + MS, T0 + 2 * MS]
     )
     first, second, valves, joint = (node.sent[name][-1] for name in ("p1", "p2", "valves", "joint"))
@@ -131,7 +89,7 @@ def test_joint_has_the_channels_that_there_are(make: Callable[..., Any], angle, 
         assert published == []
     else:
         (message,) = published
-        assert (list(message.position), list(message.effort), stamp(message)) == (position, effort, T0)
+        assert (list(message.position), list(message.effort), stamp_of(message)) == (position, effort, T0)
 
 
 @pytest.mark.parametrize(

@@ -36,23 +36,15 @@ def driver(ros: None) -> Iterator[Any]:
 
 
 @pytest.fixture
-def make(ros: None) -> Iterator[Callable[..., Any]]:
-    from rclpy.parameter import Parameter
-
+def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
     from pam_antagonist.nodes.estimator import EstimatorNode
 
-    made = []
-
     def factory(**parameters: Any) -> Any:
-        given = [Parameter(name, value=value) for name, value in parameters.items()]
-        node = EstimatorNode(parameter_overrides=given)
-        made.append(node)
+        node = new_node(EstimatorNode, **parameters)
         node.start()
         return node
 
-    yield factory
-    for node in made:
-        node.destroy_node()
+    return factory
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

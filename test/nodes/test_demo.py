@@ -13,9 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-import yaml
 
-from pam_antagonist.cli import demo, new_rig
 from pam_antagonist.cli.demo_steps import task
 from pam_antagonist.control import PI_MODES, Box, Mode, Reachable
 from pam_antagonist.nodes.processes import Processes
@@ -47,30 +45,14 @@ def descendants(text: str) -> list[int]:
 
 @pytest.mark.ros
 @pytest.mark.realtime
-def test_without_measured_pressures_the_loop_goes_by_the_commands(tmp_path: Path, domain: None) -> None:
-    out = tmp_path / "out"
-    given = ("--rig", "shin2022_regulators", "--no-pressures", "--duration", "4", "--no-figures", "--out", str(out))
-    process = start(*given)
-    said, errors = process.communicate(timeout=90)
-    assert process.returncode == 0, errors
-    recording = read_bag(out / "bag")
-    assert recording.angle is not None and not math.isfinite(recording.pressure.max())
-    report = json.loads((out / "report.json").read_text())
-    live = report["live_equal"]
-    assert live["equal"] == live["compared"] > 2000, live
-    assert report["ukf"]["angle"]["rmse_deg"] < 1.0
-    assert abs(math.degrees(recording.angle.max())) > 10.0, "the controller acted on estimates without pressures"
-    assert "Lost: published, estimated, commanded" in said
-
-
-@pytest.mark.ros
-@pytest.mark.realtime
 def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) -> None:
     out = tmp_path / "out"
     process = start("--mode", "torque", "--duration", "5", "--no-figures", "--out", str(out), "--seed", "2")
     said, errors = process.communicate(timeout=90)
     assert process.returncode == 0, errors
     assert errors == ""
+    first = said.splitlines()[0]
+    assert f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} " in first and "watch" in first
     took = re.search(r"running after ([0-9.]+) s", said)
     assert took is not None
     for words in ("UKF", "model alone", "Steady-state performance", "95 % interval", "Latency", "Lost: published"):
@@ -115,7 +97,8 @@ def test_a_joint_that_is_pushed_yields_as_a_spring_and_damper(tmp_path: Path, do
 @pytest.mark.realtime
 def test_ctrl_c_stops_every_process_and_keeps_a_whole_bag(tmp_path: Path, domain: None) -> None:
     out = tmp_path / "out"
-    process = start("--duration", "60", "--out", str(out))
+    given = ("--rig", "shin2022_regulators", "--no-pressures", "--duration", "60", "--out", str(out))
+    process = start(*given)
     end = time.monotonic() + 60.0
     while not (out / "bag").is_dir() or "running" not in (process.stdout.readline() if process.stdout else ""):
         assert time.monotonic() < end
@@ -129,7 +112,8 @@ def test_ctrl_c_stops_every_process_and_keeps_a_whole_bag(tmp_path: Path, domain
     assert not descendants(str(tmp_path))
     recording = read_bag(out / "bag")
     assert len(recording.stamp_ns) > 1000
-    assert recording.issues == ()
+    assert recording.drive == "regulator" and recording.angle is not None
+    assert not math.isfinite(recording.pressure.max()), "without measured pressures"
 
 
 @pytest.mark.ros
@@ -153,41 +137,8 @@ def _parent(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--rig", "no_such"], "unknown rig 'no_such'"),
-        (["--tuning", "no_such"], "tuning 'no_such'"),
-        (["--duration", "0"], "--duration"),
-        (["--duration", "inf"], "--duration"),
-        (["--mode", "position"], "--mode"),
-        (["--mode", "impedance", "--rig", "shin2022"], "does not have the state external_torque"),
-        (["--mismatch", "1"], "--mismatch"),
-        (["--gains", "quick"], "--gains quick: expected fast, published, model, or a YAML file"),
-        (["--gains", "no_such.yaml"], "no_such.yaml: cannot be read"),
-        (["--seed", "-1"], "--seed"),
-        (["bag"], "bag"),
-    ],
-)
-def test_bad_arguments_are_refused_before_anything_starts(
-    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert demo.main([*arguments, "--out", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and words in error and error.count("\n") == 1
-    assert not out.exists()
-
-
-def test_output_folder_that_exists_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "precious").write_text("data")
-    assert demo.main(["--out", str(tmp_path)]) == 2
-    assert "nothing is overwritten" in capsys.readouterr().err
-    assert os.listdir(tmp_path) == ["precious"]
-
-
 @pytest.mark.parametrize("mode", PI_MODES)
-@pytest.mark.parametrize("duration", [1.0, 5.0, 30.0, 600.0])
+@pytest.mark.parametrize("duration", [1.0, 600.0])
 def test_references_are_steps_within_the_paper_s_ranges(mode: Mode, duration: float) -> None:
     steps = task(load_rig("shin2022"), mode, "fast", duration).references
     times = [at for at, _, _ in steps]
@@ -228,26 +179,3 @@ def test_a_stop_for_safety_is_found_in_the_logs_with_its_first_reason(tmp_path: 
     angle = "the estimated angle is +0.574 rad, beyond 0.4538 rad (+32.9 deg; the limit is 26.0 deg)"
     (tmp_path / "controller.log").write_text(f"[ERROR] [1795579816.66] [pam.controller]: stopped: {angle}\n")
     assert processes.stopped() == f"controller: {angle}"
-
-
-@pytest.mark.ros
-@pytest.mark.realtime
-def test_a_new_rig_moves_beyond_the_paper_s_limit_and_says_where_to_watch_it(tmp_path: Path, domain: None) -> None:
-    rig, out = tmp_path / "mine.yaml", tmp_path / "out"
-    answers = {
-        "kind": "lever", "radius": "20mm", "muscle": "DMSP-10", "nominal-length": "200mm", "length": "185mm",
-        "supply": "6bar", "valve": "MPYE-5-M5", "inertia": "0.001", "mass": "0.3kg", "stop": "40deg", "rate": "500",
-    }  # fmt: skip
-    assert new_rig.main(["--out", str(rig), *(word for k, v in answers.items() for word in (f"--{k}", v))]) == 0
-    gains = tmp_path / "parameters.yaml"
-    given = {"law": "model", "pressure_bandwidth": 19.0, "model_integral": 1.5}
-    gains.write_text(yaml.safe_dump({"/**/controller": {"ros__parameters": given}}))
-    process = start(
-        "--rig", str(rig), "--gains", str(gains), "--duration", "5", "--no-figures", "--out", str(out)
-    )  # fmt: skip
-    said, errors = process.communicate(timeout=120)
-    assert process.returncode == 0, errors
-    assert f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} " in said.splitlines()[0] and "watch" in said.splitlines()[0]
-    recording = read_bag(out / "bag")
-    assert recording.angle is not None and math.degrees(recording.angle.max()) > 29.0, "the paper's stop is at 26"
-    assert json.loads((out / "report.json").read_text())["demo"]["stopped_for_safety"] is None

@@ -19,10 +19,8 @@ SAFE = (5.0, 5.2)  # not the default, so that nothing else can be taken for it
 LIMIT_MS = 50.0
 
 
-LARGEST = math.radians(18.0)  # what references are limited to
-
 ARGUMENTS = {
-    "controller": ros_arguments({"safe_voltage": list(SAFE), "max_angle": LARGEST}, {}),
+    "controller": ros_arguments({"safe_voltage": list(SAFE), "max_angle": math.radians(18.0)}, {}),
     "plant": ros_arguments({"safe_voltage": list(SAFE)}, {}),
 }
 
@@ -42,9 +40,12 @@ def around(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Ite
 def pipeline(around: tuple[Processes, Any]) -> tuple[Processes, Any]:
     """Plant, estimator and controller; what another test has killed runs again."""
     processes, probe = around
-    for name in ("estimator", "controller", "plant"):
-        if name not in processes.running:
-            processes.start(name, ARGUMENTS.get(name, []))
+    missing = [name for name in ("estimator", "controller", "plant") if name not in processes.running]
+    for name in missing:
+        processes.start(name, ARGUMENTS.get(name, []))
+    if missing:
+        probe.clear()
+        probe.until(lambda: len(probe.seen["valve_command"]) > 100, 60.0, "commands")
     return processes, probe
 
 
@@ -90,47 +91,6 @@ def first_safe_after(probe: Any, topic: str, time_ns: int) -> float:
     return (received[first][0] - time_ns) * 1e-6
 
 
-def test_without_a_reference_the_valves_have_the_safe_voltages(pipeline: tuple[Processes, Any]) -> None:
-    processes, probe = pipeline
-    processes.stop("controller")  # it may have had one in another test
-    probe.clear()
-    processes.start("controller", ARGUMENTS["controller"])
-    probe.until(lambda: len(probe.seen["valve_command"]) > 100, 60.0, "commands")
-    assert all(is_safe(message) for _, message in probe.seen["valve_command"])
-    assert all(is_safe(message) for _, message in probe.seen["valve_state"])
-    processes.check()
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_reference_that_cannot_be_used_leads_to_safe_voltages(pipeline: tuple[Processes, Any], value: float) -> None:
-    from pam_antagonist_msgs.msg import JointReference
-
-    processes, probe = pipeline
-    follow(processes, probe)
-    probe.refer(JointReference.ANGLE, value)
-    probe.wait(0.3)
-    probe.clear()
-    probe.wait(0.1)
-    assert probe.seen["valve_command"]
-    assert all(is_safe(message) for _, message in probe.seen["valve_command"])
-
-
-def test_a_reference_out_of_range_is_limited(pipeline: tuple[Processes, Any]) -> None:
-    """Degrees, where radians are expected."""
-    from pam_antagonist_msgs.msg import JointReference
-
-    processes, probe = pipeline
-    follow(processes, probe)
-    probe.clear()
-    probe.refer(JointReference.ANGLE, 20.0)
-    there = lambda: abs(probe.seen["joint_estimate"][-1][1].angle - LARGEST) < 0.01  # noqa: E731
-    probe.until(lambda: bool(probe.seen["joint_estimate"]) and there(), 30.0, "the largest angle")
-    probe.wait(0.5)
-    assert there()
-    assert not any(is_safe(message) for _, message in probe.seen["valve_command"])
-    follow(processes, probe)
-
-
 def test_estimator_killed(pipeline: tuple[Processes, Any]) -> None:
     processes, probe = pipeline
     follow(processes, probe)
@@ -169,10 +129,17 @@ def test_controller_killed(pipeline: tuple[Processes, Any]) -> None:
     assert 0.0 < first_safe_after(probe, "valve_state", at) < LIMIT_MS
 
 
-def test_controller_leaves_safe_voltages_behind_when_it_is_told_to_end(pipeline: tuple[Processes, Any]) -> None:
+@pytest.mark.parametrize("way", ["signal", "service of its life cycle"])
+def test_controller_leaves_safe_voltages_behind_when_it_is_told_to_end(
+    pipeline: tuple[Processes, Any], way: str
+) -> None:
     processes, probe = pipeline
     follow(processes, probe)
-    assert processes.stop("controller") == {"controller": 0}
+    if way == "signal":
+        assert processes.stop("controller") == {"controller": 0}
+    else:
+        assert probe.transition("controller", "shutdown")
+        assert processes.running.pop("controller").popen.wait(10.0) == 0
     probe.wait(0.1)
     assert is_safe(probe.seen["valve_command"][-1][1])
 

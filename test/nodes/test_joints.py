@@ -13,7 +13,6 @@ import pytest
 
 from pam_antagonist.cli import replay
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes import joints
 from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.paths import config_dir
 from pam_antagonist.recording import SeveralJoints, read_bag
@@ -157,27 +156,6 @@ def test_stop_all_reaches_bridges_and_controllers_of_valves_that_are_owned_elsew
 
 
 # ------------------------------------------------------------------------------------------------ arguments
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["-r", "__ns:=/arm"], "__ns:=/arm would rename all nodes of the process"),
-        (["-p", "joints:=[a, a]", "-p", "joint_name:=x"], "/a is given twice"),
-        (["-p", "joints:=['/']"], "is the root"),
-        (["-p", "joints:=[a, b]"], "/a and /b have one joint_name, 'joint'"),
-        (["-p", "source:=plnat"], "one of plant, bridge, none"),
-        (["-p", "jonts:=[a]"], "did you mean 'joints'"),
-        (["-p", "mismatch:=0.5"], "mismatch"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_in_one_line(
-    arguments: list[str], words: str, domain: None, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert joints.main(["--ros-args", *arguments]) == 2
-    lines = [line for line in capfd.readouterr().err.splitlines() if line and not line.startswith(("[WARN]", "[INFO]"))]
-    assert len(lines) == 1 and lines[0].startswith("error: ") and words in lines[0], lines
 
 
 @pytest.mark.ros

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -133,16 +132,6 @@ def test_the_first_of_two_messages_with_one_stamp_counts():
     assert pairing.counts.duplicates == 1
 
 
-def test_nan_is_handed_on_as_it_is():
-    clock, pairing = fresh()
-    pairing.add(PRESSURE_1, MS, math.nan)
-    pairing.add(PRESSURE_2, MS, 2.0)
-    (out,) = pairing.add(VALVES, MS, 3.0, 4.0)
-    assert math.isnan(out.pressure_1)
-    assert out.pressure_2 == 2.0
-    assert pairing.counts.incomplete == 0  # it came
-
-
 def test_a_jump_backwards_starts_anew():
     clock, pairing = fresh()
     run([message(t, k) for k in range(2000, 2010) for t in TOPICS], clock, pairing)
@@ -174,13 +163,6 @@ def test_stamps_that_stand_still_do_not_fill_the_memory():
     for k in range(20_000):
         pairing.add(PRESSURE_1, k, 1.0)  # a nanosecond apart, and no other topic
     assert pairing.counts.samples >= 14_000
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
-def test_order_of_topics_within_a_sample_does_not_matter(order):
-    clock, pairing = fresh()
-    out = run([message(order[i], k) for k in range(50) for i in range(3)], clock, pairing)
-    assert same(out, [sample(k) for k in range(50)])
 
 
 def test_without_measured_pressures_the_commands_alone_are_a_sample() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from sent import stamp_of
 
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
@@ -19,60 +19,25 @@ MS = 1_000_000
 T0 = 1_795_000_000 * 10**9
 
 
-class Sent(list):
-    """Messages of a topic, as objects."""
-
-    def __init__(self, kind: Any) -> None:
-        self.kind = kind
-
-    def __call__(self, data: bytes) -> None:
-        from rclpy.serialization import deserialize_message
-
-        self.append(deserialize_message(data, self.kind))
-
-
 @pytest.fixture
-def make(ros: None) -> Iterator[Callable[..., Any]]:
-    from rclpy.parameter import Parameter
+def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
+    from pam_antagonist.nodes.plant import PlantNode
 
-    nodes = []
+    class Node(PlantNode):
+        """A plant whose clock stands still until it is moved."""
+
+        time = T0
+
+        def now_ns(self) -> int:
+            return self.time
 
     def factory(**parameters: Any) -> Any:
-        module = importlib.import_module("pam_antagonist.nodes.plant")
-        overrides = {name: Parameter(name, value=value) for name, value in parameters.items()}
-
-        class Node(module.PlantNode):
-            """A plant whose clock stands still until it is moved."""
-
-            time = T0
-
-            def now_ns(self) -> int:
-                return self.time
-
-            @property
-            def _parameter_overrides(self) -> dict:
-                return overrides
-
-            @_parameter_overrides.setter
-            def _parameter_overrides(self, value: dict) -> None:
-                pass
-
-        node = Node()
+        node = new_node(Node, **parameters)
         node.trigger_activate()
-        outputs = {"p1": node._pressures[0], "p2": node._pressures[1], "valves": node._valves, "joint": node._joint}
-        node.sent = {}
-        for name, output in outputs.items():
-            node.sent[name] = output._publish = Sent(output.publisher.msg_type)
-        nodes.append(node)
+        node.keep(p1=node._pressures[0], p2=node._pressures[1], valves=node._valves, joint=node._joint)
         return node
 
-    yield factory
-    for node in nodes:
-        node.destroy_node()
-
-
-def stamp(message: Any) -> int:
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+    return factory
 
 
 def command(node: Any, first: float, second: float) -> None:
@@ -93,7 +58,7 @@ def test_four_messages_of_a_sample_carry_one_stamp(make: Callable[..., Any]) -> 
     node = make()
     for _ in range(10):
         tick(node, 1.0)
-    stamps = {name: [stamp(message) for message in messages] for name, messages in node.sent.items()}
+    stamps = {name: [stamp_of(message) for message in messages] for name, messages in node.sent.items()}
     assert stamps["p1"] == [T0 + k * MS for k in range(1, 11)]
     assert stamps["p2"] == stamps["valves"] == stamps["joint"] == stamps["p1"]
 
@@ -122,7 +87,7 @@ def test_uneven_ticks_do_not_move_the_stamps(make: Callable[..., Any]) -> None:
     rng = np.random.default_rng(0)
     for pause in rng.uniform(0.2, 5.0, 200):
         tick(node, pause)
-    stamps = [stamp(message) for message in node.sent["p1"]]
+    stamps = [stamp_of(message) for message in node.sent["p1"]]
     assert np.all(np.diff(stamps) == MS)
     assert 0 <= node.time - stamps[-1] < MS
 
@@ -135,7 +100,7 @@ def test_a_stall_is_caught_up_with_in_portions(make: Callable[..., Any]) -> None
     for _ in range(20):
         tick(node, 0.0)
     assert len(node.sent["p1"]) == 301
-    assert np.all(np.diff([stamp(message) for message in node.sent["p1"]]) == MS)
+    assert np.all(np.diff([stamp_of(message) for message in node.sent["p1"]]) == MS)
 
 
 @pytest.mark.parametrize("jump", [1500.0, -1500.0])
@@ -146,7 +111,7 @@ def test_a_jump_of_the_clock_is_not_caught_up_with(make: Callable[..., Any], jum
     tick(node, jump)
     tick(node, 1.0)
     assert len(node.sent["p1"]) == 7
-    assert stamp(node.sent["p1"][-1]) == node.time
+    assert stamp_of(node.sent["p1"][-1]) == node.time
     assert node.health(1)["sampling"].values["clock jumps"] == 1
 
 
@@ -272,7 +237,7 @@ def test_simulated_time_drives_the_samples(domain: None) -> None:
                 for _ in range(20):
                     executor.spin_once(timeout_sec=0.001)
             probe.wait(0.2)
-            stamps = [stamp(message) for _, message in probe.seen["pressure_1"]]
+            stamps = [stamp_of(message) for _, message in probe.seen["pressure_1"]]
             executor.remove_node(node)
             executor.shutdown()
             node.destroy_node()
@@ -287,7 +252,8 @@ def test_it_is_pushed_while_it_runs_and_says_so(make: Callable[..., Any]) -> Non
     from rclpy.parameter import Parameter
 
     node = make(rig="shin2022_external_torque", noise=False)
-    pushed = node._pushed._publish = Sent(node._pushed.publisher.msg_type)
+    node.keep(pushed=node._pushed)
+    pushed = node.sent["pushed"]
     moved = []
     for torque in (0.0, 1.0):
         (result,) = node.set_parameters([Parameter("push", value=torque)])
@@ -296,7 +262,7 @@ def test_it_is_pushed_while_it_runs_and_says_so(make: Callable[..., Any]) -> Non
             node._sample(node.time)
             node.time += MS
         moved.append(node.sent["joint"][-1].position[0])
-        assert pushed[-1].wrench.torque.z == torque and stamp(pushed[-1]) == stamp(node.sent["joint"][-1])
+        assert pushed[-1].wrench.torque.z == torque and stamp_of(pushed[-1]) == stamp_of(node.sent["joint"][-1])
     assert abs(moved[0]) < math.radians(0.1) and moved[1] > math.radians(3.0)
     (result,) = node.set_parameters([Parameter("push", value=100.0)])
     assert not result.successful and "push" in result.reason

@@ -18,26 +18,18 @@ SAFE = (5.5, 5.5)
 
 
 @pytest.fixture
-def make(ros: None) -> Iterator[Callable[..., Any]]:
+def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
     """A controller of left_elbow with parameters, and what it publishes."""
-    from rclpy.parameter import Parameter
-
     from pam_antagonist.nodes.controller import ControllerNode
 
-    made = []
-
     def factory(**parameters: Any) -> Any:
-        given = {"joint_name": "left_elbow", "diagnostics_period": 60.0, **parameters}
-        node = ControllerNode(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
+        node = new_node(ControllerNode, **{"joint_name": "left_elbow", "diagnostics_period": 60.0, **parameters})
         node.trigger_activate()
         node.published = []
         node._output._publish = lambda data: node.published.append(node._valves(data)[1:])
-        made.append(node)
         return node
 
-    yield factory
-    for node in made:
-        node.destroy_node()
+    return factory
 
 
 @pytest.fixture

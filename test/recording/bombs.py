@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +15,39 @@ from backports import zstd
 from fake_bags import FLUID
 
 from pam_antagonist.recording.mcap import MAGIC
+
+CHILD = """
+import json, resource, sys, time
+sys.path[:0] = {path!r}
+from pathlib import Path
+from pam_antagonist.errors import BadInput
+{imports}
+used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + (1 << 30), used + (1 << 30)))
+began = time.monotonic()
+try:
+    {reads}
+    said = "read"
+except BadInput as error:
+    said = str(error)
+seconds = time.monotonic() - began
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(json.dumps([said, seconds, int(peak.split()[1]) / 1024]))
+"""
+
+
+def assert_refused_in_a_gigabyte(imports: str, reads: str, *words: str, seconds: float) -> None:
+    """In a process of its own that may not have more than 1 GB; what it reads is ``sys.argv``."""
+    code = CHILD.format(path=sys.path, imports=imports, reads=reads)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    said, took, megabytes = json.loads(done.stdout)
+    assert said != "read" and "\n" not in said and len(said) < 1000
+    assert "memory" not in said.lower()  # refused, not starved
+    assert took < seconds and megabytes < 1000.0
+    print(f"{words[0]}: {took:.2f} s, {megabytes:.0f} MB: {said}")
 
 
 def mcap(*bodies: bytes) -> bytes:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-# pytest's importlib mode puts no folder on the path: fake_bags.py stands beside the tests.
+# pytest's importlib mode puts no folder on the path: csv_files.py and fake_bags.py stand beside the tests.
 sys.path.insert(0, str(Path(__file__).parent))
 
+from csv_files import Lab
 from fake_bags import FakeRig
 
 
@@ -25,3 +26,9 @@ def rig_a() -> Path:
     if not folder.is_dir():
         pytest.skip(f"the recordings of rig A are not at {folder}")
     return folder
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Lab:
+    """A folder with a CSV file and its map."""
+    return Lab(tmp_path)

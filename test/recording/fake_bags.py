@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.messages import typestore
 
 FLUID = "sensor_msgs/msg/FluidPressure"
@@ -117,3 +120,13 @@ class FakeRig:
         np.testing.assert_array_equal(recording.angle, self.angle)
         np.testing.assert_array_equal(recording.torque, self.torque)
         np.testing.assert_array_equal(recording.external_torque, self.external)
+
+
+def refusal(path: Path, **options: object) -> str:
+    """What is said instead of reading: one line that names the bag."""
+    with pytest.raises(BadInput) as caught:
+        read_bag(path, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert str(path) in text
+    return text

@@ -49,11 +49,6 @@ def parquet_table(path: Path) -> None:
 WRITERS = (matlab, matlab_73, numpy_archive, parquet_table)
 
 
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
-
-
 def same(first: Recording, second: Recording) -> None:
     for name in ("stamp_ns", "pressure", "voltage"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
@@ -118,19 +113,6 @@ def test_what_is_no_number_is_refused(lab: Lab) -> None:
     assert "expected real numbers" in lab.refusal()
 
 
-def test_scale_offset_and_the_part_that_is_wanted(lab: Lab) -> None:
-    """The published file of the measured joint: F = torque / r, x = angle * r."""
-    radius, angle, torque = 6.875e-3, np.linspace(-0.05, 0.09, 30_000), np.linspace(-1.0, 1.0, 30_000)
-    pressure = np.full((30_000, 1), 366.0)
-    columns = {"F": torque[:, None] / radius, "x": angle[:, None] * radius, "dx": pressure, "p1": pressure}
-    savemat(lab.csv, {**columns, "p2": pressure})
-    recording = read_csv(lab.csv, load_map("sealed_joint_mat"))
-    assert len(recording) == 18_700 and recording.external_torque is not None
-    assert recording.angle == pytest.approx(angle[:18_700], abs=1e-9)
-    assert recording.external_torque == pytest.approx(torque[:18_700], abs=1e-9)
-    assert recording.pressure[0, 0] == pytest.approx(366e3 + 101325.0)
-
-
 def test_begin_and_end_cut_a_text_file_too(lab: Lab) -> None:
     lab.entries(time={"column": "t", "unit": "s", "begin": 0.01, "end": 0.03})
     assert lab.read().pressure[:, 0].tolist() == [310e3, 320e3]
@@ -155,3 +137,16 @@ def test_a_library_that_is_missing_is_named(
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(BadInput, match=rf"{library} is not installed.*'pam_antagonist\[import\]'"):
         lab.read()
+
+
+def test_scale_offset_and_the_part_that_is_wanted(lab: Lab) -> None:
+    """The published file of the measured joint: F = torque / r, x = angle * r."""
+    radius, angle, torque = 6.875e-3, np.linspace(-0.05, 0.09, 30_000), np.linspace(-1.0, 1.0, 30_000)
+    pressure = np.full((30_000, 1), 366.0)
+    columns = {"F": torque[:, None] / radius, "x": angle[:, None] * radius, "dx": pressure, "p1": pressure}
+    savemat(lab.csv, {**columns, "p2": pressure})
+    recording = read_csv(lab.csv, load_map("sealed_joint_mat"))
+    assert len(recording) == 18_700 and recording.external_torque is not None
+    assert recording.angle == pytest.approx(angle[:18_700], abs=1e-9)
+    assert recording.external_torque == pytest.approx(torque[:18_700], abs=1e-9)
+    assert recording.pressure[0, 0] == pytest.approx(366e3 + 101325.0)

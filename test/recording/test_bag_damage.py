@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from backports import zstd
-from fake_bags import FakeRig
+from fake_bags import FakeRig, refusal
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.mcap import MAGIC, MAX_CHUNK
 
@@ -29,15 +28,6 @@ def little_memory(limit: int = 1 << 30) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-
-
-def refusal(path: Path, **options) -> str:
-    with pytest.raises(BadInput) as caught:
-        read_bag(path, **options)
-    text = str(caught.value)
-    assert "\n" not in text
-    assert str(path) in text
-    return text
 
 
 def record(opcode: int, body: bytes, size: int | None = None) -> bytes:
@@ -82,22 +72,6 @@ def test_a_cut_says_where(rig: FakeRig, tmp_path: Path) -> None:
     assert "bytes, of which" in refusal(bag)
     file.write_bytes(whole[:-37])  # footer and closing magic
     assert f"it ends at byte {len(whole) - 37} without a footer; 200 messages stand before that" in refusal(bag)
-
-
-def test_what_stands_before_the_cut_is_read_on_request(tmp_path: Path) -> None:
-    bag = tmp_path / "bag"
-    long = FakeRig(6000)  # several chunks
-    long.write(bag, {topic: s for topic, s in long.streams().items() if "measured" not in topic})
-    file = bag / "bag.mcap"
-    whole = file.read_bytes()
-    file.write_bytes(whole[: int(0.8 * len(whole))])
-    recording = read_bag(bag, recover=True)
-    size = len(recording)
-    assert 2000 < size < 6000
-    both = np.isfinite(recording.pressure).all(axis=1)
-    assert np.count_nonzero(~both) <= 1
-    np.testing.assert_array_equal(recording.pressure[both], long.pressure[:size][both])
-    assert any("is truncated or damaged, the " in issue and "read the" in issue for issue in recording.issues)
 
 
 def test_what_stands_before_the_cut_of_a_packed_file(tmp_path: Path) -> None:

@@ -119,11 +119,16 @@ try:
     {end}
 except OSError as error:
     print(error.strerror, bag.kept, flush=True)
+finally:
+    {last}
 """
 
 
-def recorder(bag: Path, limits: str = "", end: str = "time.sleep(60)", before: str = "") -> subprocess.Popen[bytes]:
-    code = RECORDER.format(path=[str(Path(__file__).parent), *sys.path], bag=str(bag), limits=limits, end=end)
+def recorder(
+    bag: Path, limits: str = "", end: str = "time.sleep(60)", before: str = "", last: str = "pass"
+) -> subprocess.Popen[bytes]:
+    path = [str(Path(__file__).parent), *sys.path]
+    code = RECORDER.format(path=path, bag=str(bag), limits=limits, end=end, last=last)
     return subprocess.Popen([sys.executable, "-c", before + code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
@@ -143,6 +148,20 @@ def test_killed_at_any_moment(tmp_path: Path, seed: int, limits: str) -> None:
     last = max((tmp_path / "bag").glob("*.mcap"), key=lambda path: (len(path.stem), path.stem))
     whole = last.read_bytes().endswith(b"\x89MCAP0\r\n")
     assert whole or not last.stat().st_size or f"{last.name} was not closed" in said or f"{last.name} holds no" in said
+
+
+@pytest.mark.parametrize("last", ["bag.close()", "pass"])
+def test_ctrl_c_leaves_a_whole_bag(tmp_path: Path, last: str) -> None:
+    # A shell that starts the tests in the background has its children ignore Ctrl-C.
+    heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    with recorder(tmp_path / "bag", last=last, before=heard) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"go\n"
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) != 0
+    recording = read_bag(tmp_path / "bag")
+    assert_a_beginning(recording, FakeRig(3000), 200)
+    assert recording.issues == ()
 
 
 def chunk_ends(data: bytes) -> list[int]:

@@ -50,6 +50,14 @@ def test_every_topic_has_a_known_type_and_a_name() -> None:
     assert TOPICS["diagnostics"].resolve("/pam") == "/diagnostics"
 
 
+def test_topic_table_needs_no_bag_library() -> None:
+    code = (
+        "import sys, pam_antagonist.recording as r; r.TOPICS; print('rosbags' in sys.modules or 'numpy' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "False"
+
+
 @pytest.mark.parametrize(
     ("digest", "definition", "differs"),
     [
@@ -99,11 +107,3 @@ def test_a_former_definition_is_taken_where_the_bag_declares_it_or_the_length_fi
         cut = Payloads.of([data.data[:-9].tobytes()])
         with pytest.raises(CdrError, match="needs"):
             decode(cut, msgtype, undeclared)
-
-
-def test_topic_table_needs_no_bag_library() -> None:
-    code = (
-        "import sys, pam_antagonist.recording as r; r.TOPICS; print('rosbags' in sys.modules or 'numpy' in sys.modules)"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "False"

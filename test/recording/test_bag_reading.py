@@ -45,20 +45,6 @@ def test_files_without_metadata(rig: FakeRig, tmp_path: Path, storage: str) -> N
     assert len(folder.issues) == 1 and "no metadata.yaml" in folder.issues[0]
 
 
-def test_big_endian(rig: FakeRig, tmp_path: Path) -> None:
-    rig.little_endian = False
-    rig.assert_same(read_bag(rig.write(tmp_path / "bag", rig.streams())))
-
-
-def test_layouts_that_change_on_the_way(rig: FakeRig, tmp_path: Path) -> None:
-    streams = rig.streams()
-    for i, stamp in enumerate(rig.stamp_ns):
-        rig.little_endian = i % 3 > 0
-        frame = "muscle_with_a_long_name"[: i % 7]
-        streams["/pam/pressure_1"].items[i] = rig.pressure_message(stamp, rig.pressure[i, 0], frame=frame)
-    rig.assert_same(read_bag(rig.write(tmp_path / "bag", streams)))
-
-
 @pytest.mark.parametrize("namespace", ["", "/lab/left", "/pam"])
 def test_namespace_is_found(rig: FakeRig, tmp_path: Path, namespace: str) -> None:
     recording = read_bag(rig.write(tmp_path / "bag", rig.streams(namespace)))
@@ -74,33 +60,6 @@ def test_two_rigs_in_one_bag_want_a_choice(rig: FakeRig, tmp_path: Path) -> None
         read_bag(bag)
     rig.assert_same(read_bag(bag, namespace="left"))
     other.assert_same(read_bag(bag, namespace="/right/"))
-
-
-def test_other_names(rig: FakeRig, tmp_path: Path) -> None:
-    streams = rig.streams()
-    streams["/tank/sensor"] = streams.pop("/pam/pressure_2")
-    streams["/encoder"] = streams.pop("/pam/measured/joint_states")
-    bag = rig.write(tmp_path / "bag", streams)
-    rig.assert_same(read_bag(bag, topics={"pressure_2": "/tank/sensor", "measured/joint_states": "encoder"}))
-    everywhere = {name: f"/{name}" for name in ("pressure_1", "pressure_2", "valve_state", "measured_joint_states")}
-    streams = {f"/{topic.split('/', 2)[2]}" if topic.startswith("/pam") else topic: s for topic, s in streams.items()}
-    streams["/pressure_2"], streams["/measured_joint_states"] = streams.pop("/tank/sensor"), streams.pop("/encoder")
-    rig.assert_same(read_bag(rig.write(tmp_path / "all", streams), topics=everywhere))
-
-
-def test_several_files(rig: FakeRig, tmp_path: Path) -> None:
-    half = rig.size // 2
-    parts = []
-    for k, rows in enumerate((slice(None, half), slice(half, None))):
-        streams = {topic: Stream(s.type, s.items[rows]) for topic, s in rig.streams().items()}
-        parts.append(rig.write(tmp_path / f"part_{k}", streams) / f"part_{k}.mcap")
-    bag = tmp_path / "part_0"
-    shutil.copy(parts[1], bag)
-    text = (bag / "metadata.yaml").read_text()
-    (bag / "metadata.yaml").write_text(text.replace("  - part_0.mcap", "  - part_0.mcap\n  - part_1.mcap", 1))
-    rig.assert_same(read_bag(bag))
-    (bag / "metadata.yaml").unlink()
-    rig.assert_same(read_bag(bag))
 
 
 def test_missing_messages_are_nan(rig: FakeRig, tmp_path: Path) -> None:
@@ -150,14 +109,6 @@ def test_late_messages_are_sorted(rig: FakeRig, tmp_path: Path) -> None:
     assert recording.received_ns["pressure_1"].log_ns[6] == log + 3 * PERIOD_NS + 1
 
 
-def test_messages_without_a_stamp_are_dropped(rig: FakeRig, tmp_path: Path) -> None:
-    streams = rig.streams()
-    streams["/pam/pressure_1"].items.insert(0, rig.pressure_message(0, 4e5, log_ns=FIRST_NS - 1))
-    recording = read_bag(rig.write(tmp_path / "bag", streams))
-    rig.assert_same(recording)
-    assert recording.issues == ("1 messages of /pam/pressure_1 without a stamp: dropped",)
-
-
 def restarted(rig: FakeRig) -> dict[str, Stream]:
     """Half a second recorded ten seconds later than the rest, but received before it."""
     streams = rig.streams()
@@ -179,13 +130,6 @@ def test_last_restart_is_read_on_request(rig: FakeRig, tmp_path: Path) -> None:
     assert recording.issues == ("time runs backwards in the recording: read what follows the last restart",)
     with pytest.raises(ValueError, match="restarts is 'first'"):
         read_bag(bag, restarts="first")
-
-
-def test_a_gap_is_said(rig: FakeRig, tmp_path: Path) -> None:
-    rig.stamp_ns = rig.stamp_ns + 3 * 10**9 * (np.arange(rig.size) >= 10)
-    recording = read_bag(rig.write(tmp_path / "bag", rig.streams()))
-    rig.assert_same(recording)
-    assert recording.issues == ("no samples for 3.001 s, from 0.009 s after the first one on",)
 
 
 def test_several_joints(rig: FakeRig, tmp_path: Path) -> None:

@@ -55,15 +55,6 @@ def test_any_mix_of_layouts_decodes_like_message_by_message(messages) -> None:
     assert sorted(seen) == list(range(len(messages)))
 
 
-def test_equal_layouts_are_one_group() -> None:
-    columns = {"header.stamp.sec": np.arange(1000), "header.stamp.nanosec": 7, "header.frame_id": "joint"}
-    matrix = encode(FLUID, 1000, {**columns, "fluid_pressure": np.arange(1000.0), "variance": 0.0})
-    decoded = decode(Payloads.of(list(matrix)), FLUID)
-    assert len(decoded.groups) == 1
-    np.testing.assert_array_equal(decoded.fixed("fluid_pressure"), np.arange(1000.0))
-    np.testing.assert_array_equal(decoded.stamp_ns("header.stamp"), np.arange(1000) * 10**9 + 7)
-
-
 @pytest.mark.parametrize("little", [True, False])
 def test_encoded_estimates_are_what_rosbags_writes(little: bool) -> None:
     rng = np.random.default_rng(1)
@@ -80,23 +71,6 @@ def test_encoded_estimates_are_what_rosbags_writes(little: bool) -> None:
         fields = {name: values[i] if values.ndim > 1 else values[i].item() for name, values in columns.items()}
         message = typestore().types[ESTIMATE](header=header(5, i + 1, "ab"), started=time, **fields)
         assert matrix[i].tobytes() == bytes(typestore().serialize_cdr(message, ESTIMATE, little_endian=little))
-
-
-def test_encoded_sequences_are_what_rosbags_writes() -> None:
-    times = {"header.stamp.sec": 1, "header.stamp.nanosec": 2, "header.frame_id": ""}
-    arrays = {"position": np.array([[1.0, 2.0]]), "velocity": np.empty((1, 0)), "effort": np.array([[3.0]])}
-    matrix = encode(JOINT, 1, {**times, "name": ["a", "long name"], **arrays})
-    values = (array[0] for array in arrays.values())
-    message = typestore().types[JOINT](header(1, 2, ""), ["a", "long name"], *values)
-    assert matrix[0].tobytes() == bytes(typestore().serialize_cdr(message, JOINT, little_endian=True))
-
-
-def test_encoding_wants_every_field_and_no_other() -> None:
-    columns = {"header.stamp.sec": 1, "header.stamp.nanosec": 2, "header.frame_id": "", "fluid_pressure": 1.0}
-    with pytest.raises(KeyError, match="variance"):
-        encode(FLUID, 1, columns)
-    with pytest.raises(KeyError, match="varience"):
-        encode(FLUID, 1, {**columns, "variance": 0.0, "varience": 0.0})
 
 
 PLAIN = bytes(encode(FLUID, 1, {"header.stamp.sec": 1, "header.stamp.nanosec": 2, "header.frame_id": "joint",
@@ -150,11 +124,6 @@ def test_messages_as_fast_dds_serializes_them() -> None:
     )
     decoded = decode(Payloads.of([valve]), "pam_antagonist_msgs/msg/ValveCommand")
     np.testing.assert_array_equal(decoded.fixed("voltage"), [[1.0, 2.0]])
-
-
-def test_padding_to_a_word_is_accepted() -> None:
-    decoded = decode(Payloads.of([PLAIN + bytes(3)]), FLUID)
-    assert decoded.fixed("fluid_pressure")[0] == 1.0
 
 
 def test_nanoseconds_of_a_second_are_refused() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from csv_files import HEADER, ROWS, Lab, table
@@ -11,11 +9,6 @@ from csv_files import HEADER, ROWS, Lab, table
 from pam_antagonist.recording import csv_table
 
 EXPECTED = np.array([row[1:3] for row in ROWS]) * 1e3
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
 
 
 NUMBERED = {
@@ -210,11 +203,3 @@ def test_a_file_that_is_too_long_is_refused_early(lab: Lab, monkeypatch: pytest.
     assert "rows (1 MB), expected at most 20,000: cut the file into parts" in said
     about = int(said.split("about ")[1].split(" rows")[0].replace(",", ""))
     assert 50_000 < about < 70_000, "told from the first lines"
-
-
-def test_progress_adds_up_to_the_file(lab: Lab) -> None:
-    lab.rows([(f"{k / 100:.2f}", 300, 500, 5, 5) for k in range(25_000)])
-    seen: list[int] = []
-    csv_table.read_table(lab.csv, csv_table.Layout(), {"pressure_1": "p1"}, seen.append)
-    assert sum(seen) == lab.csv.stat().st_size
-    assert len(seen) == 3 and min(seen) > 0

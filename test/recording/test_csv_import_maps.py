@@ -6,17 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from csv_files import MAP, Lab
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.csv_map import example_text, load_map, map_names
 from pam_antagonist.recording.units import UNITS
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
 
 
 def gauge(**changes: Any) -> dict[str, Any]:
@@ -152,18 +146,3 @@ def test_the_example_is_a_map_that_reads_the_file_it_describes(lab: Lab) -> None
     assert recording.pressure[0] == pytest.approx([467325.0, 441325.0])
     assert recording.angle is not None and recording.torque is not None and recording.external_torque is not None
     assert recording.issues == ()
-
-
-def test_the_example_names_every_unit_of_pressure_and_every_key() -> None:
-    text = example_text()
-    for unit in UNITS["pressure"]:
-        assert f"{unit}" in text
-    file = load_map("sealed_joint").file
-    assert set(yaml.safe_load(text)["file"]) == set(getattr(type(file), "model_fields", None) or type(file).__fields__)
-
-
-def test_defaults_of_the_layout_are_those_that_the_example_shows(lab: Lab) -> None:
-    shown = yaml.safe_load(example_text())["file"]
-    shown["missing"] = tuple(shown["missing"])
-    layout = load_map(lab.map).file
-    assert {name: getattr(layout, name) for name in shown} == shown

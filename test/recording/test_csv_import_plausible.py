@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from csv_files import HEADER, Lab
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
 
 
 def swing(low: float, high: float, count: int = 60) -> list[float]:
@@ -148,13 +142,6 @@ def test_constant_voltages_are_judged_as_well(lab: Lab) -> None:
     said = lab.entries(valve_1={"constant": 5.5, "unit": "mV"}).refusal()
     assert said.endswith("5.5 looks like V")
     assert lab.entries(valve_1={"constant": 0, "unit": "mV"}).read().voltage[0, 0] == 0.0
-
-
-def test_pressures_that_never_stand_in_one_row_are_interpolated(lab: Lab) -> None:
-    recording = lab.rows([(0.01 * k, 300 if k % 2 else "", "" if k % 2 else 400 + k, 5, 5) for k in range(60)]).read()
-    assert len(recording) == 30
-    assert recording.pressure[:-1, 1] == pytest.approx(1e3 * (400 + np.arange(1, 59, 2)))
-    assert "pressure_2 (column 'p2') interpolated between rows with a value" in " ".join(recording.issues)
 
 
 @pytest.mark.parametrize("column", range(1, 5))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.notes import read_notes, sealed_muscles, write_notes
 
-FILE = Path(__file__).parents[3] / "shared" / "data" / "measured" / "sealed_joint" / "sealed_joint.csv"
 SEALED = {"constant": 0.0, "unit": "V", "sealed": True}
 # As the recording begins and turns around; the torque's sign does not follow the angle's.
 LINES = """\
@@ -25,11 +23,6 @@ t_s,torque_Nm,angle_deg,p1_kPa_gauge,p2_kPa_gauge
 0.001,0.290619,1.246350,366.32873,366.75250
 0.002,-0.426941,-3.427394,372.76374,359.67752
 """
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
 
 
 def bag_of(lab: Lab, folder: Path) -> Path:
@@ -50,33 +43,6 @@ def test_the_map_turns_its_columns_into_si_units(lab: Lab) -> None:
     assert recording.torque is None, "there is no torque meter: the torque was commanded"
     assert recording.voltage.tolist() == [[0.0, 0.0]] * 3
     assert np.diff(recording.stamp_ns).tolist() == [1_000_000, 1_000_000]
-
-
-@pytest.mark.skipif(not FILE.exists(), reason="no ../shared/data/measured beside the project")
-def test_the_whole_recording(tmp_path: Path) -> None:
-    mapping = load_map("sealed_joint")
-    write_bag(tmp_path / "bag", read_csv(FILE, mapping))
-    recording = read_bag(tmp_path / "bag")
-    with FILE.open(newline="") as stream:
-        rows = [[float(cell) for cell in row] for row in list(csv.reader(stream))[1:]]
-    values = np.array(rows)
-    assert len(recording) == len(values) and set(np.diff(recording.stamp_ns)) == {1_000_000}
-    assert recording.pressure == pytest.approx(values[:, 3:5] * 1e3 + 101325.0, rel=1e-12)
-    assert recording.angle == pytest.approx(np.radians(values[:, 2]), rel=1e-12, abs=1e-15)
-    assert recording.external_torque is not None
-    assert np.array_equal(recording.external_torque, values[:, 1])
-    # Muscle 1 gets shorter, and its sealed air thinner, as the angle grows: the sign that rigs have.
-    difference = recording.pressure[:, 0] - recording.pressure[:, 1]
-    assert np.corrcoef(difference, np.asarray(recording.angle))[0, 1] < -0.99
-    assert np.corrcoef(recording.external_torque, np.asarray(recording.angle))[0, 1] > 0.9
-
-
-def test_the_same_map_takes_a_longer_recording(lab: Lab) -> None:
-    rows = [(f"{k / 1000:.3f}", 0.1, 1.0 + k * 1e-4, 366.0 - k * 1e-4, 366.0) for k in range(40_000)]
-    lab.rows(rows, ("t_s", "torque_Nm", "angle_deg", "p1_kPa_gauge", "p2_kPa_gauge"))
-    recording = read_csv(lab.csv, load_map("sealed_joint"))
-    assert len(recording) == 40_000 and recording.duration_s == pytest.approx(39.999)
-    assert recording.issues == ()
 
 
 def test_a_bag_says_which_muscles_are_sealed(lab: Lab, tmp_path: Path) -> None:
@@ -109,14 +75,6 @@ def test_notes_are_added_to_those_that_are_there_and_change_no_message(lab: Lab,
     assert "pam_antagonist.source_sha256" in read_notes(bag)
     assert bag_hash(bag) == before
     assert np.array_equal(read_bag(bag).pressure, recording.pressure)
-
-
-def test_a_bag_without_notes_has_none(lab: Lab, tmp_path: Path) -> None:
-    write_bag(tmp_path / "bag", lab.read())
-    assert read_notes(tmp_path / "bag") == {}
-    (tmp_path / "bag" / "metadata.yaml").unlink()
-    assert read_notes(tmp_path / "bag") == {}
-    assert sealed_muscles(tmp_path / "bag") == ()
 
 
 @pytest.mark.parametrize("text", ["", "5", "[]", "rosbag2_bagfile_information: 3",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,6 @@ import pytest
 from csv_files import Lab
 
 from pam_antagonist.recording.csv_time import START_NS
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
 
 
 def at(lab: Lab, times: Iterable[Any], **time: Any) -> Lab:
@@ -31,13 +25,6 @@ def milliseconds(recording_stamps: np.ndarray) -> list[float]:
 def test_a_rate_replaces_the_column(lab: Lab) -> None:
     lab.entries(time={"rate": 300})
     assert lab.read().stamp_ns.tolist() == [START_NS, START_NS + 3_333_333, START_NS + 6_666_667, START_NS + 10_000_000]
-
-
-def test_times_begin_anywhere(lab: Lab) -> None:
-    for first in (0.0, -2.5, 1e6):
-        stamps = at(lab, [first, first + 0.01, first + 0.02]).read().stamp_ns
-        assert stamps[0] == START_NS
-        assert milliseconds(stamps) == pytest.approx([0.0, 10.0, 20.0], abs=1e-3)
 
 
 def test_seconds_since_1970_are_kept(lab: Lab) -> None:
@@ -69,13 +56,6 @@ def test_a_gap_is_kept_and_said(lab: Lab) -> None:
     assert (hole.kind, hole.size, round(hole.length_s, 3)) == ("hole", 10, 0.11)
     assert said == (
         "1 of 99 intervals between rows are no 10 ms, the longest (110 ms) before line 52: times kept as they are"
-    )
-
-
-def test_a_gap_of_seconds_is_said_as_in_any_recording(lab: Lab) -> None:
-    times = np.concatenate([np.arange(50), 300 + np.arange(50)]) * 0.01
-    assert any(
-        text == "no samples for 2.510 s, from 0.490 s after the first one on" for text in at(lab, times).read().issues
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +11,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pam_antagonist.recording.units import UNITS
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Lab:
-    return Lab(tmp_path)
-
 
 # 400 kPa in each unit. psi: 1 psi = 6.894757293168361 kPa (NIST SP 811).
 FOUR_HUNDRED = {

@@ -14,11 +14,6 @@ TIME = 0.01 * np.arange(SIZE)
 ANGLE = 25.0 * np.sin(6.0 * TIME) - 5.0  # [deg]
 
 
-@pytest.fixture
-def lab(tmp_path: Any) -> Lab:
-    return Lab(tmp_path)
-
-
 def rows_of(**columns: Any) -> list[list[float]]:
     """Rows of a joint that moves; columns replace those of the same name or are added."""
     known = {"t": TIME, "p1": 300 + ANGLE, "p2": 400 - ANGLE, "u1": 5 + 0.1 * ANGLE, "u2": 5 - 0.1 * ANGLE}

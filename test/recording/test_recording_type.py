@@ -67,10 +67,6 @@ def test_times() -> None:
     assert np.isnan(recording(stamp_ns=STAMPS[:1], pressure=np.ones((1, 2)), voltage=np.ones((1, 2))).sample_period_s)
 
 
-moving = np.column_stack([np.linspace(4e5, 5e5, 5), np.linspace(5e5, 4e5, 5)])
-together = np.column_stack([np.linspace(4e5, 5e5, 5)] * 2)
-
-
 def test_slice_cuts_everything_at_the_same_times() -> None:
     reference = RecordedReference(STAMPS[[0, 2, 4]], [0, 1, 0], [0.1, 0.2, 0.3], [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
     whole = recording(
@@ -91,13 +87,3 @@ def test_slice_cuts_everything_at_the_same_times() -> None:
     np.testing.assert_array_equal(whole.slice(0.0, np.inf).stamp_ns, STAMPS)
     with pytest.raises(BadInput, match="no sample between 7"):
         whole.slice(7.0, 8.0)
-
-
-def test_estimate_from_structured_rows() -> None:
-    rows = np.zeros(5, [(name, "f8", shape) for name, shape in ESTIMATE_SHAPES.items()])
-    rows["angle"] = np.arange(5)
-    rows["covariance"][:, 0, 1] = 7.0
-    made = RecordedEstimate.from_rows(STAMPS, STAMPS[:1].repeat(5), rows)
-    np.testing.assert_array_equal(made.angle, np.arange(5))
-    assert np.all(made.covariance[:, 0, 1] == 7.0)
-    assert made.flags.dtype == np.uint8

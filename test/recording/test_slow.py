@@ -20,10 +20,6 @@ def test_rows_between_the_readings_of_a_slow_sensor_are_found(every: int) -> Non
     assert np.array_equal(repeated(held(every), 0.02), np.arange(600) % every > 0)
 
 
-def test_a_sensor_as_quick_as_the_log_repeats_nothing() -> None:
-    assert not repeated(MOVING, 0.02).any()
-
-
 def test_a_coarse_converter_is_not_slow() -> None:
     assert not repeated(np.round(MOVING / 4e3) * 4e3, 0.02).any()
 
@@ -39,11 +35,6 @@ def test_a_pressure_at_rest_is_measured() -> None:
 
 def test_at_a_kilohertz_repeats_are_steps_of_a_converter() -> None:
     assert not repeated(held(2), 0.001).any()
-
-
-@pytest.mark.parametrize("rows", [0, 1, 2])
-def test_a_few_rows_are_no_sensor(rows: int) -> None:
-    assert repeated(MOVING[:rows], 0.02).shape == (rows,)
 
 
 def logged(taken: np.ndarray, period: float) -> np.ndarray:

@@ -28,14 +28,6 @@ def test_what_fits_is_not_touched() -> None:
     assert list(decimate.min_max_indices(np.arange(7.0), 7)) == list(range(7))
 
 
-def test_a_single_spike_in_a_minute_is_still_there() -> None:
-    values = np.zeros(60_000)
-    values[31_415] = 1.0
-    index = decimate.min_max_indices(values)
-    assert 31_415 in index
-    assert len(index) <= decimate.LIMIT
-
-
 @given(VALUES)
 def test_a_thinned_band_covers_all_of_the_full_one(values: list[float]) -> None:
     lower = np.array(values)

@@ -108,12 +108,6 @@ def test_text_is_escaped_everywhere() -> None:
     assert not any(tag == "script" for tag, _ in Reader(render(document)).tags)
 
 
-def test_findings_are_told_by_sign_and_not_by_colour_alone() -> None:
-    page = render(Document("k", "t", (Findings((Finding("good", "a"), Finding("warn", "b"), Finding("note", "c"))),)))
-    assert [sign in page for sign in (">✓<", ">!<", ">i<")] == [True] * 3
-    assert [f'aria-label="{word}"' in page for word in ("good", "attention", "note")] == [True] * 3
-
-
 def test_without_plotly_a_page_with_figures_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     real = builtins.__import__
 
@@ -151,18 +145,6 @@ def test_long_rows_are_packed_as_steps_from_which_every_number_comes_back() -> N
         ]
 
 
-def test_many_remarks_are_folded_behind_what_is_to_be_acted_on() -> None:
-    items = (*(Finding("note", f"note {k}") for k in range(9)), Finding("warn", "look here"))
-    page = render(Document("k", "t", (Findings(items),)))
-    assert "9 more remarks" in page and page.index("look here") < page.index("<details>") < page.index("note 0")
-
-
-def test_a_checksum_may_break_and_a_number_keeps_its_unit() -> None:
-    page = render(Document("k", "t", (Text("within 0.3 kPa and 20 % [N m]"), Text("f" * 64))))
-    assert "0.3\u00a0kPa" in page and "20\u00a0%" in page and "[N\u00a0m]" in page
-    assert "ffffffff<wbr>ffffffff" in page
-
-
 def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None:
     stamps = np.concatenate((np.arange(50), np.arange(200, 250))) * 1_000_000
     x, ones = figures.seconds(stamps, 0), np.ones(100)
@@ -173,12 +155,6 @@ def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None
     assert max(band["x"][: band["x"].index(None)]) == pytest.approx(0.049)
 
 
-def test_a_moving_mean_by_hand() -> None:
-    mean = figures.moving_mean(np.array([1.0, 2.0, np.nan, 6.0]), 3)
-    assert mean == pytest.approx([1.5, 1.5, 4.0, 6.0])
-    assert np.isnan(figures.moving_mean(np.full(3, np.nan), 1)).all()
-
-
 def test_a_strip_shows_the_categories_that_occur() -> None:
     panel = figures.strip(("1: a", "2: b", "3: c"), np.array([0, 0, 2, 2]), _time(4), columns=2)
     plot = plotly_renderer.plot(Figure("t", "", (panel,)))
@@ -186,15 +162,6 @@ def test_a_strip_shows_the_categories_that_occur() -> None:
     assert plot["data"][0]["z"] == [[1.0, None], [None, 1.0]]
     assert [row[0] for row in plot["data"][0]["text"]] == ["1: a", "3: c"]
     assert plot["data"][0]["hovertemplate"] == "%{text}<br>%{x} s: %{z:.0%} of the time<extra></extra>"
-
-
-def test_a_cell_without_a_value_has_no_text() -> None:
-    panels = figures.matrix(
-        [("", np.array([[1.25, np.nan]]))], ["a"], ["b", "c"], ("#ffffff", "#000000"), (0, 2), "{value:.0f} %"
-    )
-    (trace,) = plotly_renderer.plot(Figure("t", "", panels))["data"]
-    assert trace["text"] == [["1 %", ""]] and trace["z"] == [[1.25, None]]
-    assert trace["hovertemplate"] == "%{y}, %{x}: %{z:.0f} %<extra></extra>"
 
 
 def test_every_kind_of_series_has_its_trace_or_shape() -> None:

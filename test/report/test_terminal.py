@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pam_antagonist.report.document import Definitions, Finding, Findings, Section, Text
 from pam_antagonist.report.table import Comparison, Table
-from pam_antagonist.report.terminal import WIDTH, render, table, warnings
+from pam_antagonist.report.terminal import WIDTH, render
 
 
 def test_findings_are_marked_and_wrapped() -> None:
@@ -24,21 +24,12 @@ def test_no_line_ends_between_a_number_and_its_unit() -> None:
     assert text.splitlines()[1].startswith("0.93 N m and 93.3 %")
 
 
-def test_warnings_are_those_of_findings() -> None:
-    assert warnings(["look here", "and here"]) == "! look here\n! and here"
-
-
 def test_blocks_stand_apart_and_what_only_a_page_shows_is_left_out() -> None:
     numbers = Table(("", "UKF"), (("Angle", "0.1"),))
     shown = render(
         (Text("Result."), Table(("a", "b"), ()), Definitions((("UKF", "a filter"),)), Section("More", (numbers,)))
     )
     assert shown == "Result.\n\nMore\n         UKF\n  Angle  0.1"
-
-
-def test_text_cells_are_set_to_the_left() -> None:
-    prose = Table(("What", "Which"), (("Rig", "shin2022"), ("Seed", "0")), prose=True)
-    assert table(prose, indent="").splitlines() == ["What  Which", "Rig   shin2022", "Seed  0"]
 
 
 def test_a_comparison_marks_the_best_of_each_row() -> None:

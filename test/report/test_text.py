@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.report.table import Table, number, percent
-from pam_antagonist.report.terminal import table
+from pam_antagonist.report.table import number
 from pam_antagonist.strict_json import dumps, plain, write_json
 
 
@@ -80,22 +79,3 @@ def test_what_has_no_form_is_refused() -> None:
 )
 def test_numbers_have_the_digits_that_mean_something(value: float | None, digits: int, text: str) -> None:
     assert number(value, digits) == text
-
-
-def test_percent() -> None:
-    assert percent(0.9604) == "96.0 %"
-    assert percent(None) == "–"
-
-
-def test_columns_line_up() -> None:
-    text = table(Table(("", "UKF", "model alone"), (("Angle", "0.1", "12.25"), ("a longer name", "1", "2"))), indent="")
-    assert text.splitlines() == [
-        "               UKF  model alone",
-        "Angle          0.1        12.25",
-        "a longer name    1            2",
-    ]
-
-
-def test_a_row_of_the_wrong_length_is_refused() -> None:
-    with pytest.raises(ValueError, match="2 cells"):
-        Table(("a", "b"), (("x",),))

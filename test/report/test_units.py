@@ -26,12 +26,6 @@ def test_a_parameter_is_shown_in_a_unit_for_people(name: str, unit: str, shown: 
     assert rig.value(name) * readable(unit).scale == pytest.approx(value)
 
 
-def test_effects_have_units_too() -> None:
-    assert unit_of(load_rig("shin2022"), "effects.leak.area_1") == "m2"
-    assert readable("m2") == readable("m2", 1.2e-9) == ("mm²", 1e6)
-    assert readable("m2", 3.7e-12) == ("µm²", 1e12)
-
-
 def test_a_row_of_pressures_has_one_unit_in_which_its_smallest_can_be_read() -> None:
     table = Comparison("", "UKF", "model alone")
     table.pressures("RMSE", (0.0662, 412.0))

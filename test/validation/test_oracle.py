@@ -68,12 +68,6 @@ def test_what_differs_is_said(
     assert lines[-1] == f"1 of 1 cases compared: {worse} things are worse"
 
 
-def test_a_file_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "old").write_text("{}\n")
-    assert oracle.main([str(tmp_path / "new"), "--against", str(tmp_path / "old"), "--compare-only"]) == 2
-    assert "no file of an oracle" in capsys.readouterr().err
-
-
 def test_the_frozen_answers_are_whole_and_their_joints_can_be_made_again(capsys: pytest.CaptureFixture[str]) -> None:
     frozen = Path(__file__).parents[1] / "diagnosis" / "oracle.jsonl"
     entries = oracle.read(frozen)

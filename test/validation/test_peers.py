@@ -76,12 +76,6 @@ def test_a_law_of_the_residual_equations_is_added_to_the_model(free: joints.Join
     assert pushed.rmse_deg > found.rmse_deg + 0.1
 
 
-def test_less_to_fit_is_the_beginning_of_each_recording(free: joints.Joint) -> None:
-    assert free.seconds == pytest.approx(12.0)
-    assert free.shortened(3.0).seconds == pytest.approx(3.0, abs=0.01)
-    assert free.shortened(99.0).seconds == free.seconds
-
-
 @pytest.mark.skipif(not (DATA / "strangers").is_dir(), reason="the recordings at hand are not beside the project")
 def test_the_command_continues_and_shows_its_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--data", str(DATA), "--out", str(tmp_path / "out"), "--only", "wrist linear"]

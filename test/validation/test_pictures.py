@@ -27,7 +27,6 @@ from pam_antagonist.report.figure import (
     Region,
     Series,
 )
-from validation import pictures
 from validation.pictures import SHARPNESS, WIDTH, made_here, picture
 
 Pixels = NDArray[np.int64]
@@ -101,64 +100,6 @@ def test_a_gap_is_left_white() -> None:
     assert red[column(0.05) : column(0.38)].all() and red[column(0.62) : column(0.95)].all()
 
 
-def test_width_dash_and_opacity_are_seen() -> None:
-    thin, wide, dotted, dashed, faint = (
-        pixels(series(line("a", level(0.5), RED, quiet=True, **style)))
-        for style in ({"width": 2.0}, {"width": 6.0}, {"dash": "dot"}, {"dash": "dash"}, {"opacity": 0.3, "width": 4.0})
-    )
-    assert found(wide, RED).sum() == pytest.approx(3 * found(thin, RED).sum(), rel=0.2)
-    runs = {name: np.sum(np.diff(found(image, RED, 90).any(axis=0).astype(int)) == 1)
-            for name, image in (("solid", thin), ("dot", dotted), ("dash", dashed))}  # fmt: skip
-    assert runs["solid"] == 1
-    assert runs["dot"] == pytest.approx((WIDTH - LEFT - RIGHT) / 6, rel=0.1), "3 px of line, 3 px of gap"
-    assert runs["dash"] == pytest.approx((WIDTH - LEFT - RIGHT) / 18, rel=0.1)
-    assert not found(faint, RED).any()
-    assert found(faint, "#f1b7b7", 12).sum() > 1000
-
-
-def test_a_band_is_filled_and_its_gaps_are_not() -> None:
-    lower, upper = level(0.2), level(0.6)
-    upper[30:51] = np.nan
-    image = pixels(series(band("b", lower, upper, "rgba(208, 16, 16, 0.5)", quiet=True)))
-    pink = found(image, "#e78787", 12)
-    assert pink[row(0.5, 200) : row(0.3, 200), column(0.6) : column(0.9)].mean() > 0.9, "all but the grid"
-    assert not pink[:, column(0.32) : column(0.48)].any()
-    assert not pink[: row(0.65, 200)].any() and not pink[row(0.15, 200) :].any()
-
-
-def test_what_is_given_later_lies_in_front() -> None:
-    one, other = line("a", level(0.5), RED, width=6.0, quiet=True), line("b", level(0.5), BLUE, width=6.0, quiet=True)
-    assert not found(pixels(series(one, other)), RED).any()
-    assert not found(pixels(series(other, one)), BLUE).any()
-
-
-def test_a_logarithmic_axis_has_equal_decades() -> None:
-    lines = [line(str(value), level(value), color, quiet=True)
-             for value, color in ((1.0, RED), (10.0, GREEN), (100.0, BLUE))]  # fmt: skip
-    image = pixels(series(*lines, log=True, bounds=(0.1, 1000.0)))
-    for share, color in ((0.25, RED), (0.5, GREEN), (0.75, BLUE)):
-        assert np.flatnonzero(found(image, color).any(axis=1)).mean() == pytest.approx(row(share, 200), abs=2)
-
-
-def test_what_a_logarithm_does_not_have_is_a_gap() -> None:
-    values = level(1.0)
-    values[40:61] = 0.0
-    red = found(pixels(series(line("a", values, RED, quiet=True), log=True, bounds=(0.1, 10.0))), RED)
-    assert not red[:, column(0.42) : column(0.58)].any()
-    assert np.ptp(np.flatnonzero(red.any(axis=1))) < 6, "no line runs down to nothing"
-
-
-def test_panels_lie_above_each_other_over_one_time_axis() -> None:
-    late = level(0.5)
-    late[:80] = np.nan
-    panels = (Panel(TIME, Axis("a", bounds=(0.0, 1.0)), (line("a", level(0.5), RED, quiet=True),), 100),
-              Panel(TIME, Axis("b", bounds=(0.0, 1.0)), (line("b", late, BLUE, quiet=True),), 200))  # fmt: skip
-    image = pixels(alone(*panels))
-    assert np.flatnonzero(found(image, RED).any(axis=1)).mean() == pytest.approx(row(0.5, 100), abs=2)
-    assert np.flatnonzero(found(image, BLUE).any(axis=1)).mean() == pytest.approx((34 + 100 + 22 + 100) * 1.5, abs=2)
-    assert np.flatnonzero(found(image, BLUE).any(axis=0))[0] == pytest.approx(column(0.8), abs=3)
-
-
 def test_a_level_has_a_line_and_a_label_unless_it_is_out_of_range() -> None:
     nothing = line("a", level(np.nan), RED, quiet=True)
     image = pixels(series(nothing, Reference(0.5, "limit", GREEN)))
@@ -170,28 +111,6 @@ def test_a_level_has_a_line_and_a_label_unless_it_is_out_of_range() -> None:
     assert not found(pixels(series(nothing, Reference(1.05, "limit", GREEN))), GREEN, 60).any()
     free = pixels(series(nothing, Reference(2.0, "limit", GREEN), bounds=None))
     assert found(free, GREEN, 60).any(), "where nothing bounds it, the axis reaches to its level lines"
-
-
-def test_a_label_is_at_its_line_on_a_logarithmic_axis() -> None:
-    nothing = line("a", level(np.nan), RED, quiet=True)
-    image = pixels(series(nothing, Reference(10.0, "limit", GREEN), log=True, bounds=(0.1, 1000.0)))
-    rows = np.flatnonzero(found(image, GREEN, 60).any(axis=1))
-    assert rows[0] > row(0.6, 200) and rows[-1] == pytest.approx(row(0.5, 200), abs=3)
-
-
-def test_a_dollar_is_a_dollar() -> None:
-    one, two = (
-        pixels(series(line(name, level(0.5), RED)))[: row(1.0, 200) - 2, column(0.0) + 2 :] for name in ("a$b$", "ab")
-    )
-    wide, narrow = (np.ptp(np.flatnonzero((image.max(axis=2) < 100).any(axis=0))) for image in (one, two))
-    assert wide > 1.8 * narrow, "two letters, two signs; no formula"
-
-
-def test_the_legend_names_what_is_not_quiet() -> None:
-    image = pixels(series(line("a", level(0.5), RED, width=3.0), line("b", level(0.4), BLUE, width=3.0, quiet=True)))
-    above = image[: row(1.0, 200) - 2]
-    assert found(above, RED).any() and not found(above, BLUE).any()
-    assert (above.max(axis=2) < 100).any(), "its name"
 
 
 def test_a_long_legend_makes_the_picture_taller_and_hides_nothing() -> None:
@@ -207,26 +126,6 @@ def test_a_long_legend_makes_the_picture_taller_and_hides_nothing() -> None:
     for color in colors:
         assert found(margin, color, 12).any(), color
     assert (long[:, -4:] == 255).all(), "nothing runs out of the picture"
-
-
-def test_a_strip_has_a_row_a_category() -> None:
-    category = np.array([0] * 50 + [2] * 50)
-    figure = alone(figures.strip(("1: a", "2: b", "3: c"), category, time(100), columns=10))
-    image = pixels(figure)
-    dark = found(image, "#0b5c8a", 12)
-    top, inner = 10, figure.height - 10 - 44
-    lower, upper = (round((top + share * inner) * SHARPNESS) for share in (0.75, 0.25))
-    middle = column(0.5)
-    assert dark[lower, column(0.02) : middle - 4].all() and not dark[lower, middle + 4 :].any()
-    assert not found(image[lower - 3 : lower + 4, middle + 4 :], "#b9bfc6").any(), "the first category is no zero"
-    assert dark[upper, middle + 4 : column(0.98)].all() and not dark[upper, : middle - 4].any()
-
-
-def test_cells_are_shaded_by_their_value() -> None:
-    # Every second sample is of the first category.
-    image = pixels(alone(figures.strip(("1: a", "2: b"), np.arange(400) % 2, time(400), columns=10)))
-    assert found(image, "#6da0be", 12).mean() > 0.4
-    assert not found(image, "#0b5c8a", 12).any()
 
 
 def test_bars_stand_beside_each_other_on_zero() -> None:
@@ -247,33 +146,6 @@ def test_bars_stand_beside_each_other_on_zero() -> None:
     assert {round(abs(k - zero) / (height * SHARPNESS), 1) for k in gap} >= {0.2}
 
 
-def test_charts_lie_beside_each_other_with_points_and_lines() -> None:
-    x = np.linspace(0.0, 1.0, 5)
-    shown = (Points("points", x, x, RED), Line("line", x, x, BLUE, width=1.7))
-    panels = (Panel(Axis("x [m]"), Axis("y [N]"), (part,), 252) for part in shown)
-    image = pixels(alone(*panels, beside=True))[row(1.0, 200) :]
-    red, blue = found(image, RED).any(axis=0), found(image, BLUE).any(axis=0)
-    assert not red[column(0.45) :].any() and not blue[: column(0.55)].any()
-    assert np.sum(np.diff(red.astype(int)) == 1) == 5
-    assert np.sum(np.diff(blue.astype(int)) == 1) == 1
-
-
-@pytest.mark.parametrize("log", [False, True])
-def test_spreads_go_from_top_to_bottom_and_their_names_fit(log: bool) -> None:
-    names = ["short", "a name that is much longer than the margin of the figure"]
-    rows = [(names[0], np.array([1.0, 2.0, 4.0]), RED), (names[1], np.array([3.0]), BLUE)]
-    image = pixels(alone(figures.spreads(rows, "q [%]", log)))
-    height = image.shape[0]
-    red, blue = found(image, RED), found(image, BLUE)
-    assert red.any() and not red[height // 2 :].any()
-    assert blue.any() and not blue[: height // 4].any()
-    assert (image[:, :4] == 255).all() and (image[:, 20:200].min(axis=2) < 120).any()
-    bars = [np.flatnonzero(mask.sum(axis=0) > 20).mean() for mask in (red, blue)]
-    points = np.flatnonzero(found(image, "#ea9494", 25).any(axis=0))
-    expected = np.log(1.5) / np.log(4.0) if log else 1.0 / 3.0
-    assert (bars[1] - bars[0]) / np.ptp(points) == pytest.approx(expected, abs=0.03)
-
-
 def test_a_region_is_shaded_behind_everything_and_does_not_widen_the_axis() -> None:
     image = pixels(
         series(Region(0.5, 2.0, "rgba(16, 16, 208, 0.5)"), line("a", level(0.5), RED, width=3.0, quiet=True))
@@ -282,40 +154,6 @@ def test_a_region_is_shaded_behind_everything_and_does_not_widen_the_axis() -> N
     assert shaded[row(0.9, 200) : row(0.7, 200), column(0.52) : column(0.98)].mean() > 0.85, "all but the grid"
     assert not shaded[:, : column(0.48)].any()
     assert red.any(axis=0)[column(0.02) : column(0.98)].all()
-
-
-def test_an_interval_is_a_bar_around_its_point_and_rows_have_names() -> None:
-    points = Points("p", np.array([0.0]), np.array([0.0]), RED, half_width=np.array([1.0]), quiet=True)
-    image = pixels(alone(Panel(Axis("x [%]", bounds=(-2.0, 2.0)), Axis(labels=("gain", "offset")), (points,), 200)))
-    red = found(image, RED)
-    columns = np.flatnonzero(red.any(axis=0))
-    area = (WIDTH - LEFT - RIGHT) * SHARPNESS
-    assert np.ptp(columns) == pytest.approx(area / 2, rel=0.02), "from -1 to 1 on an axis from -2 to 2"
-    assert np.flatnonzero(red.any(axis=1)).mean() == pytest.approx((10 + 50) * SHARPNESS, abs=3), "the upper row"
-
-
-def test_a_scale_of_colours_stands_beside_its_cells_within_the_picture() -> None:
-    cells = Heatmap(np.arange(2.0), np.zeros((2, 2)), ("r", "s"), (BLUE, "#ffffff", RED), (-1.0, 1.0), "{value}")
-    axes, rows = Axis(labels=("a", "b")), Axis(labels=("r", "s"))
-    without, image = (pixels(alone(Panel(axes, rows, (replace(cells, scale=scale),), 200))) for scale in (False, True))
-    assert not found(without, RED).any() and found(image, RED).any() and found(image, BLUE).any()
-    assert np.flatnonzero(found(image, RED).any(axis=1)).max() < np.flatnonzero(found(image, BLUE).any(axis=1)).min()
-    assert (image[:, -4:] == 255).all(), "its numbers included"
-
-
-def test_cells_have_their_numbers_and_a_panel_its_title() -> None:
-    values = np.array([[1.0, np.nan]])
-
-    def drawn(cell: str, title: str) -> Pixels:
-        part = Heatmap(np.arange(2.0), values, ("r",), ("#ffffff", "#cfe3f1"), (0.0, 1.0), "{value}", cell)
-        return pixels(alone(Panel(Axis(labels=("a", "b")), Axis(labels=("r",)), (part,), 60, title)))
-
-    with_number, without = drawn("{value:.1f}×", ""), drawn("", "")
-    dark = (with_number.max(axis=2) < 100) & ~(without.max(axis=2) < 100)
-    middle = column(0.5)
-    assert dark[10:90, column(0.15) : column(0.35)].any() and not dark[10:90, middle + 4 :].any()
-    titled = drawn("", "recalibrated")
-    assert (titled[: round(32 * SHARPNESS), column(0.0) :].max(axis=2) < 100).any()
 
 
 GOOD = series(line("a", level(0.5), RED), Reference(0.5, "limit"))
@@ -357,30 +195,6 @@ def test_a_picture_is_known_by_its_mark() -> None:
     assert not made_here(b"tEXtSoftware\0pam_antagonist")
 
 
-def test_colours_are_kept_where_a_palette_would_lose_one() -> None:
-    # A short line among thousands of shades of others.
-    rng = np.random.default_rng(1)
-    shades = [f"#{40 + 9 * k:02x}{200 - 8 * k:02x}{30 + 7 * k:02x}" for k in range(20)]
-    many = [line(shade, rng.random(101), shade, opacity=0.5, quiet=True) for shade in shades]
-    image = pixels(series(*many, line("one", level(np.nan), "#ff00ff", width=2.0)))
-    assert found(image[: row(1.0, 200)], "#ff00ff", 25).sum() > 50
-    assert (image[0] == 255).all()
-
-
-def test_where_a_palette_would_be_off_all_colours_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    image = pytest.importorskip("PIL.Image")
-    rng = np.random.default_rng(1)
-    figure = series(*(line(color, rng.random(101), color, quiet=True) for color in (RED, GREEN, BLUE)))
-    small = picture(figure)
-    monkeypatch.setattr(pictures, "_TOLERANCE", 0)
-    large = picture(figure)
-    assert len(large) > 2 * len(small)
-    few, all_ = (image.open(io.BytesIO(content)) for content in (small, large))
-    assert (few.mode, all_.mode) == ("P", "RGB")
-    off = np.abs(np.asarray(few.convert("RGB"), dtype=int) - np.asarray(all_, dtype=int))
-    assert 0 < off.max() <= 24
-
-
 def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     code = (
         "import sys\n"
@@ -396,3 +210,22 @@ def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+def test_an_interval_is_a_bar_around_its_point_and_rows_have_names() -> None:
+    points = Points("p", np.array([0.0]), np.array([0.0]), RED, half_width=np.array([1.0]), quiet=True)
+    image = pixels(alone(Panel(Axis("x [%]", bounds=(-2.0, 2.0)), Axis(labels=("gain", "offset")), (points,), 200)))
+    red = found(image, RED)
+    columns = np.flatnonzero(red.any(axis=0))
+    area = (WIDTH - LEFT - RIGHT) * SHARPNESS
+    assert np.ptp(columns) == pytest.approx(area / 2, rel=0.02), "from -1 to 1 on an axis from -2 to 2"
+    assert np.flatnonzero(red.any(axis=1)).mean() == pytest.approx((10 + 50) * SHARPNESS, abs=3), "the upper row"
+
+
+def test_a_scale_of_colours_stands_beside_its_cells_within_the_picture() -> None:
+    cells = Heatmap(np.arange(2.0), np.zeros((2, 2)), ("r", "s"), (BLUE, "#ffffff", RED), (-1.0, 1.0), "{value}")
+    axes, rows = Axis(labels=("a", "b")), Axis(labels=("r", "s"))
+    without, image = (pixels(alone(Panel(axes, rows, (replace(cells, scale=scale),), 200))) for scale in (False, True))
+    assert not found(without, RED).any() and found(image, RED).any() and found(image, BLUE).any()
+    assert np.flatnonzero(found(image, RED).any(axis=1)).max() < np.flatnonzero(found(image, BLUE).any(axis=1)).min()
+    assert (image[:, -4:] == 255).all(), "its numbers included"

@@ -18,8 +18,6 @@ from validation.battery import command, outcomes, places, remainders, scores
 from validation.battery.draw import NOTHING_FROM, cases
 from validation.battery.plants import JOINTS, Case
 
-NOTHING = Errors(None, None, (np.nan, np.nan))
-
 
 def errors(angle: float, torque: float, pressure: tuple[float, float]) -> Errors:
     return Errors(ChannelErrors("deg", angle, 1.0, 1.0), ChannelErrors("nm", torque, 1.0, 1.0), pressure)
@@ -101,16 +99,6 @@ def test_muscles_are_counted_apart() -> None:
     assert outcome("single", [CREEP], "effect", [("creep", 2)]).right_muscle is None
 
 
-def test_reduction_is_a_share_of_what_a_true_model_takes_away() -> None:
-    def of(before, after, true) -> float | None:
-        return outcome("single", [LEAK], errors={"recalibrated": before, "extended": after, "true": true}).reduction
-
-    assert of(10.0, 4.0, 2.0) == pytest.approx(0.75)
-    assert of(10.0, 12.0, 2.0) == pytest.approx(-0.25)
-    assert of(2.05, 2.0, 2.0) is None, "there was nothing to take away"
-    assert of(None, 4.0, 2.0) is None
-
-
 def a_case(effect: str, form: str, muscle: int | None) -> Case:
     return Case(form, "single", ((effect, muscle),), (form,), 21, (10.0,))
 
@@ -134,22 +122,6 @@ def test_a_case_is_judged_on_the_channel_that_it_moves() -> None:
     assert result.right and result.right_muscle
 
 
-def test_the_angle_s_error_is_in_degrees_and_of_the_free_joint() -> None:
-    case = a_case("friction", "hess and soom", None)
-    result = outcomes.judge(case, lambda recordings: said("none"), 12.0)
-    assert result.channel == "angle"
-    assert result.errors["true"] == pytest.approx(np.degrees(5e-4), rel=0.05)
-    assert result.errors["recalibrated"] == 1.0
-
-
-def test_errors_that_are_not_there_are_unknown() -> None:
-    case = a_case("friction", "hess and soom", None)
-    answer = said("unexplained", before=NOTHING, after=NOTHING)
-    result = outcomes.judge(case, lambda recordings: answer, 12.0)
-    assert result.errors["recalibrated"] is None and result.errors["extended"] is None
-    assert result.reduction is None
-
-
 def test_recordings_that_are_refused_are_a_wrong_answer() -> None:
     def refuse(recordings):
         raise BadInput("too quiet")
@@ -158,15 +130,6 @@ def test_recordings_that_are_refused_are_a_wrong_answer() -> None:
     assert result.verdict == "refused" and not result.right
     assert scores.confusion([result])[1] == (("leak", "1"),)
     assert scores.confusion([result])[0][1:] == ("refused",)
-
-
-def test_outcomes_survive_their_file(tmp_path: Path) -> None:
-    case = cases(3, 1)[0][1]
-    result = outcomes.judge(case, lambda recordings: said("effect", ("leak", 1), ("creep", None)), 10.0)
-    outcomes.save(tmp_path, 0, result)
-    assert outcomes.load(tmp_path, 0, case, 10.0) == result
-    assert outcomes.load(tmp_path, 1, case, 10.0) is None
-    assert [path.name for path in tmp_path.iterdir()] == ["case_000.json"]
 
 
 def test_the_file_of_another_battery_is_refused(tmp_path: Path) -> None:
@@ -234,16 +197,6 @@ def test_goes_on_where_it_was_interrupted(tmp_path: Path, oracle, capsys) -> Non
     assert summary["finished"] == 6 and summary["seed"] == 1
 
 
-def test_the_summary_as_json_on_standard_output(tmp_path: Path, oracle, capsys) -> None:
-    out = tmp_path / "result"
-    assert run("--out", out, "--count", 2, "--duration", 10, "--jobs", 1, "--json", "-") == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out) == json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert "2 of 2 cases are finished" in printed.err
-    assert run("--out", out, "--remainders", "--json", "-") == 2
-    assert "--json: expected without --remainders" in capsys.readouterr().err
-
-
 def test_cases_with_nothing_wrong_by_number(tmp_path: Path, oracle, capsys) -> None:
     out = tmp_path / "result"
     assert run("--out", out, "--count", 0, "--nothing", 3, "--duration", 10) == 0
@@ -252,6 +205,18 @@ def test_cases_with_nothing_wrong_by_number(tmp_path: Path, oracle, capsys) -> N
     # None of three: up to 71 % of all joints may give a false alarm.
     assert "0.0 to 70.8 %" in text
     assert sorted(path.name for path in out.glob("case_*")) == [f"case_{NOTHING_FROM + k}.json" for k in range(3)]
+
+
+def test_bags_with_their_truth(tmp_path: Path, capsys) -> None:
+    assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 0
+    assert "2 cases" in capsys.readouterr().out
+    for number, case in cases(1, 2):
+        folder = tmp_path / "bags" / f"{number:03d}"
+        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        assert truth["name"] == case.name and truth["kind"] == case.kind
+        assert [name for name, _ in truth["effects"]] == [name for name, _ in case.effects]
+        assert {path.name for path in folder.iterdir()} == {"free", "locked", "truth.json"}
+    assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 2
 
 
 def test_pages_of_changed_code_say_so(tmp_path: Path, oracle) -> None:
@@ -280,46 +245,3 @@ def test_remainders_are_worked_out_once(tmp_path: Path, capsys, monkeypatch: pyt
     (tmp_path / remainders.FILE).write_text("[]", encoding="utf-8")
     assert run("--out", tmp_path, "--remainders") == 2
     assert "no remainders" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("--shard", "3/2"), "I/K"),
-        (("--shard", "one"), "I/K"),
-        (("--count", 0), "one case or more"),
-        (("--nothing", -1), "whole number from 0"),
-        (("--seed", -1), "whole number from 0"),
-        (("--duration", 1), "10 to 3600"),
-        (("--jobs", 0), "whole number from 1"),
-    ],
-)
-def test_bad_arguments(tmp_path: Path, capsys, arguments, word: str) -> None:
-    assert run("--out", tmp_path / "out", *arguments) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and error.count("\n") == 1 and word in error
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_output_that_is_a_file(tmp_path: Path, capsys) -> None:
-    (tmp_path / "out").write_text("mine", encoding="utf-8")
-    assert run("--out", tmp_path / "out", "--count", 1) == 2
-    assert "cannot be made" in capsys.readouterr().err
-
-
-def test_bags_with_their_truth(tmp_path: Path, capsys) -> None:
-    assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 0
-    assert "2 cases" in capsys.readouterr().out
-    for number, case in cases(1, 2):
-        folder = tmp_path / "bags" / f"{number:03d}"
-        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-        assert truth["name"] == case.name and truth["kind"] == case.kind
-        assert [name for name, _ in truth["effects"]] == [name for name, _ in case.effects]
-        assert {path.name for path in folder.iterdir()} == {"free", "locked", "truth.json"}
-    assert run("--out", tmp_path / "out", "--bags", tmp_path / "bags", "--count", 2, "--duration", 10) == 2
-
-
-def test_help_teaches(capsys) -> None:
-    assert run("--help") == 0
-    text = capsys.readouterr().out
-    assert "examples:" in text and "--shard" in text and "--docs" in text

@@ -9,7 +9,6 @@ from validation.battery import page, scores
 from validation.battery.draw import LEVELS
 from validation.battery.outcomes import Candidate
 from validation.battery.places import Found
-from validation.battery.remainders import Remainder
 
 
 def test_scores() -> None:
@@ -81,23 +80,6 @@ def test_intervals_are_those_of_clopper_and_pearson() -> None:
     run = page.Run(1, 2, 0, 0, 0, 60.0, None, [outcome("single", [LEAK], "effect", [LEAK])], {})
     (first, *_) = page.figures_table(run).rows
     assert first[:4] == ("single effect: the right one first", "100.0 %", "2.5 to 100.0 %", "1")
-
-
-def test_small_effects_and_variations_are_reported_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = {"near the law": Remainder(8.0, 10.0, 5.0, 0.4), "far from it": Remainder(8.0, 10.0, 5.0, 2.0)}
-    monkeypatch.setattr("validation.battery.remainders.known", lambda: known)
-    items = [
-        outcome("single", [LEAK], "effect", [LEAK], form=("far from it",), reached=(7.6,)),
-        outcome("single", [LEAK], "none", form=("far from it",), reached=(0.9,)),
-        outcome("single", [LEAK], "effect", [CREEP], form=("far from it",), reached=(2.1,)),
-        outcome("single", [LEAK], "effect", [DROOP], form=("near the law",), reached=(8.0,)),
-    ]
-    values = {score.what: (score.value, score.count) for score in scores.scores(items)}
-    assert values["single effect: the right one first"] == (1.0, 1)
-    assert values["single effect in a form with a remainder above 10 %: the right one first"] == (1.0, 1)
-    assert values["single effect of a smaller size: the right one first"] == (0.0, 2)
-    assert values["single effect of a smaller size: another one first"] == (0.5, 2)
-    assert values["variation of the catalogue's law, of any size: the right one first"] == (0.0, 1)
 
 
 def test_detection_against_size() -> None:

@@ -51,19 +51,6 @@ def test_drift_is_told_from_delays() -> None:
     assert drift[-1] == pytest.approx(50e-6 * 50e3, rel=0.02)  # 50 ppm over 50 s
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--soak", "3"], "--soak 3: expected seconds from 15 to 86400"),
-        (["--soak", "nan"], "--soak nan: expected seconds"),
-        (["--soak", "60", "--only", "kernels"], "--soak and --only"),
-    ],
-)
-def test_what_it_refuses(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert benchmark.main(arguments) == 2
-    assert words in capsys.readouterr().err
-
-
 @pytest.mark.ros
 @pytest.mark.realtime
 @pytest.mark.skipif(not os.environ.get("PAM_PROOF"), reason="a release measures it: PAM_PROOF=1 ./run test runs it")
@@ -96,9 +83,3 @@ def test_the_figures_as_json_on_standard_output(
     printed = capsys.readouterr()
     assert json.loads(printed.out)["figures"]["step"]["value"] == 2.0
     assert "what a step costs" in printed.err
-
-
-def test_a_file_of_figures_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "figures.json").write_text("{}")
-    assert benchmark.main(["--only", "kernels", "--json", str(tmp_path / "figures.json")]) == 2
-    assert "exists; expected a new file" in capsys.readouterr().err

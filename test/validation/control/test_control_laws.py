@@ -40,9 +40,3 @@ def test_the_command_measures_limits_and_writes_them(tmp_path: Path, capsys: pyt
     (found,) = json.loads(file.read_text())["limits"]
     assert found["with"]["references"] == 60 and found["with"]["beyond"]["pressure"] == 0.0
     assert max(found["without"]["beyond"].values()) > 0.0
-
-
-@pytest.mark.parametrize("option", ["--seeds", "--references", "--jobs"])
-def test_counts_below_one_are_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([option, "0"]) == 2
-    assert f"{option}: '0': expected a whole number from 1 to" in capsys.readouterr().err

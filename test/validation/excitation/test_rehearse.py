@@ -63,11 +63,6 @@ def test_what_is_done_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "| leak.area_1 | 8.0 | yes | leak |" in written
 
 
-def test_an_effect_that_is_not_tried_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert rehearse.main(["--out", str(tmp_path), "--effect", "regulator_lag"]) == 2
-    assert "--effect regulator_lag: expected one of hysteresis" in capsys.readouterr().err
-
-
 def test_a_usual_size_that_nobody_would_find_is_enlarged() -> None:
     sizes = Sizes(RIG, np.random.default_rng(0))
     small = moved(RIG, dict.fromkeys(("effects.creep.share_1", "effects.creep.share_2"), 0.02))

@@ -31,29 +31,3 @@ def test_the_offset_is_every_process_s(tmp_path: Path) -> None:
         here.ns -= 5 * 10**9
         assert other.communicate("\n", timeout=30.0)[0] == "-5000000000\n"
     assert here.ns == 7
-
-
-def test_a_node_s_time_has_the_step_in_it(tmp_path: Path) -> None:
-    from validation.faults.stepped import Step, stepped
-
-    step = Step(tmp_path / "step", new=True)
-    now_ns = stepped(lambda node: 1000, step)
-    assert now_ns(None) == 1000  # type: ignore[arg-type]
-    step.ns = -300
-    assert now_ns(None) == 700  # type: ignore[arg-type]
-
-
-def test_the_node_is_run_as_ever(tmp_path: Path) -> None:
-    from validation.faults.stepped import Step
-
-    Step(tmp_path / "step", new=True)
-    command = [
-        sys.executable,
-        "-m",
-        "validation.faults.stepped",
-        "estimator",
-        str(tmp_path / "step"),
-        "--help",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0 and "estimator [OPTIONS] [--ros-args" in done.stdout, done.stderr

@@ -14,19 +14,10 @@ from pam_antagonist.hardware.line_faults import parse_fault
 from pam_antagonist.strict_json import plain
 from validation.faults import table
 from validation.faults.catalogue import FAULTS, RELAYED
-from validation.faults.causes import AtDevice, Killed, Messages
+from validation.faults.causes import AtDevice, Messages
 from validation.faults.command import chosen
 from validation.faults.command import main as command
-from validation.faults.fault import (
-    Fault,
-    Observed,
-    Outcome,
-    Recovery,
-    Status,
-    Valves,
-    Wanted,
-    judge,
-)
+from validation.faults.fault import Fault, Observed, Outcome, Recovery, Status, Valves, Wanted, judge
 from validation.faults.relay import Line, Order, parse_order
 from validation.faults.valve_log import BRIDGE_SAFE, Row
 
@@ -80,11 +71,6 @@ def test_what_does_not_hold_is_said(observed: Observed, words: str) -> None:
     assert any(words in failure for failure in outcome.failures), outcome.failures
 
 
-def test_a_moment_of_control_within_the_fault_makes_the_stop_a_late_one() -> None:
-    outcome = judge(STOP, seen((110, BRIDGE_SAFE), (130, ON), (140, BRIDGE_SAFE), (310, ON)))
-    assert outcome.safe_ms == pytest.approx(40.0)
-
-
 def test_control_through_a_fault() -> None:
     outcome = judge(GOES_ON, seen((120, BRIDGE_SAFE), (140, ON), cleared_ns=None))
     assert outcome.held
@@ -123,15 +109,6 @@ def test_every_line_of_the_matrix_can_be_made_and_has_expectations() -> None:
     assert sum(a != b for a, b in zip(benches, benches[1:], strict=False)) == len(set(benches)) - 1
 
 
-def test_the_matrix_has_what_was_asked_for() -> None:
-    killed = {fault.cause.node for fault in FAULTS if isinstance(fault.cause, Killed)}
-    assert killed == {"estimator", "controller", "bridge"}
-    device = {fault.cause.order.partition("=")[0] for fault in FAULTS if isinstance(fault.cause, AtDevice)}
-    assert {"unplug", "silent", "flip", "nan", "freeze"} <= device
-    orders = {fault.cause.order.partition("=")[0] for fault in FAULTS if isinstance(fault.cause, Messages)}
-    assert orders == {"drop", "double", "late"}
-
-
 def test_table_page_and_json_tell_what_failed() -> None:
     good = judge(STOP, seen((121, BRIDGE_SAFE), (310, ON)))
     bad = judge(STOP, seen((163, BRIDGE_SAFE), (310, ON)))
@@ -162,24 +139,6 @@ def test_the_list_names_every_fault(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(f"{fault.name}  " in said and fault.what in said for fault in FAULTS)
     assert command(["--only", "nothing"]) == 2
     assert capsys.readouterr().err.startswith("error: --only 'nothing'")
-
-
-@pytest.mark.parametrize(
-    ("text", "order"),
-    [
-        ("+drop=0.2 pressure_1", Order("drop", 0.2, "pressure_1")),
-        ("+double valve_command", Order("double", 0.0, "valve_command")),
-        ("-pressure_1", Order("", 0.0, "pressure_1")),
-    ],
-)
-def test_relay_orders(text: str, order: Order) -> None:
-    assert parse_order(text) == order
-
-
-@pytest.mark.parametrize("text", ["drop=0.2 pressure_1", "+drop=0.2", "+lose pressure_1", "+late=-1 pressure_1", "+"])
-def test_relay_refuses_other_orders(text: str) -> None:
-    with pytest.raises(BadInput, match="expected"):
-        parse_order(text)
 
 
 def test_what_a_relay_does_to_messages() -> None:

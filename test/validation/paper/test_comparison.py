@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from validation.paper.comparison import Model, comparison_table, ranked
-from validation.paper.result import Beside, Context, Result, Spread
+from validation.paper.result import Context
 
 MODELS = (Model("a", "A", (1.0, 1.0, 0.1)), Model("b", "B", (2.0, 2.0, 0.2)), Model("c", "C fitted", None))
 
@@ -41,18 +39,3 @@ def test_the_best_median_is_marked(tmp_path):
     assert [bool(marked) for marked in table.best] == [False, True, False]
     assert table.rows[1][1] == "0.200 (0.100 … 9.00)"
     assert table.rows[2][-1] == "–"
-
-
-def test_a_spread_leaves_out_what_is_not_there():
-    assert Spread.of([3.0, float("nan"), 1.0, 2.0]) == Spread(2.0, 1.0, 3.0, 3)
-    assert Spread.of([]).text() == "–"
-    assert Spread.of([0.05]).text(100.0) == "5.00"
-
-
-def test_a_row_says_whose_number_is_whose():
-    row = Beside("angle", Spread.of([0.05, 0.07]), 0.0887, "%", "why")
-    assert row.cells == ("angle", "6.00 (5.00 … 7.00) %", "8.87 %", "why")
-    entry = Result("x", "X", "?", beside=(row,)).document()["beside_the_paper"][0]
-    assert entry["ours"] == {"median": pytest.approx(0.06), "range": [0.05, 0.07], "n": 2}
-    assert entry["paper"] == 0.0887
-    assert entry["unit"] == "fraction"

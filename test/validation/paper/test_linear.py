@@ -34,18 +34,3 @@ def test_a_linear_joint_is_found_and_estimated_from_pressures_alone():
     assert metrics.rmse(error) < 0.02 * np.ptp(angle)
     assert metrics.coverage(error, np.full(len(error), found.angle_variance)) == pytest.approx(0.95, abs=0.06)
     assert found.nis[150:].mean() == pytest.approx(2.0, rel=0.25)
-
-
-def test_without_the_pressures_it_would_not_be_as_good():
-    # The filter has to use them: the same voltages with pressures of another run give another angle.
-    model = linear.identify(*_linear_joint(60.0, 1))
-    angle, pressure, voltage = _linear_joint(30.0, 2)
-    _, others, _ = _linear_joint(30.0, 3)
-    right = metrics.rmse(linear.estimate(model, pressure, voltage).angle - angle)
-    wrong = metrics.rmse(linear.estimate(model, others, voltage).angle - angle)
-    assert wrong > 5.0 * right
-
-
-def test_averages_keep_their_place():
-    values = np.arange(100.0)
-    assert linear.averaged(values).tolist() == [9.5, 29.5, 49.5, 69.5, 89.5]

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import shutil
 from html import unescape
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from pam_antagonist.errors import BadInput
-from pam_antagonist.report.figure import Axis, Figure, Line, Panel
-from validation.paper import docs, page
+from validation.paper import page
 from validation.paper.command import main
-from validation.paper.experiments import EXPERIMENTS
-from validation.paper.result import Result
-from validation.paper.scenario import Scenario
 
 QUICK = ["static", "influence"]
 
@@ -66,25 +59,6 @@ def test_a_measured_force_map_is_fitted_by_leaving_lengths_out(tmp_path: Path) -
     assert max(ratios) < 0.02
 
 
-def test_the_page_begins_with_a_figure(report: Path) -> None:
-    text = (report / "out/report.html").read_text(encoding="utf-8")
-    assert text.index("<figcaption>Static characteristics of muscle 1") < text.index("<h2>")
-    assert text.count("Static characteristics of muscle 1") == 2  # the caption, and what is read aloud
-
-
-def test_the_report_as_json_on_standard_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--out", str(tmp_path / "out"), "--seeds", "1", "--jobs", "1", "--only", "static", "--no-figures"]
-    assert main([*arguments, "--json", "-"]) == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out) == json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))
-    assert "after " in printed.err
-
-
-def test_every_form_says_that_the_rig_is_virtual(report: Path) -> None:
-    for path in (report / "out/report.html", report / "out/report.json", report / "paper.md"):
-        assert "the simulator of this package with declared mismatches" in path.read_text(encoding="utf-8"), path
-
-
 def test_markdown_has_the_numbers_beside_the_paper_and_the_report_every_table(report: Path) -> None:
     text = (report / "paper.md").read_text(encoding="utf-8")
     assert text.startswith(page.MARK)
@@ -113,54 +87,6 @@ def test_markdown_shows_every_figure_where_the_page_has_it(report: Path) -> None
         assert content.startswith(b"\x89PNG") and 5_000 < len(content) < 120_000, file
 
 
-def _result(title: str, *links: str, color: str = "#000000") -> Result:
-    line = Line("a", np.array([0.0, 1.0]), np.array([1.0, 2.0]), color)
-    panel = Panel(Axis("x [m]"), Axis("y [N]"), (line,))
-    figures = tuple(Figure(title, "About it.", (panel,), link) for link in links)
-    return Result(name="static", title="Static", question="What?", figures=figures)
-
-
-def test_pictures_of_an_earlier_run_are_replaced_and_others_are_left(scenario: Scenario, tmp_path: Path) -> None:
-    path, folder = tmp_path / "my docs.md", tmp_path / "my docs"
-    docs.write(path, [_result("First", "one", "two", "static")], scenario, (0,))
-    assert sorted(file.name for file in folder.iterdir()) == ["static.png", "static_one.png", "static_two.png"]
-    assert "(my%20docs/static_one.png)" in path.read_text(encoding="utf-8"), "a place without a space"
-    before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    photo = b"\x89PNG\r\n\x1a\n of somebody else"
-    (folder / "photo.png").write_bytes(photo)
-    (folder / "notes.txt").write_text("static", encoding="utf-8")
-
-    docs.check(path, ["static"])
-    docs.write(path, [_result("Second [N]", "two")], scenario, (0,))
-    assert sorted(file.name for file in folder.iterdir()) == ["notes.txt", "photo.png", "static_two.png"]
-    assert (folder / "photo.png").read_bytes() == photo
-    assert (folder / "static_two.png").read_bytes() == before["static_two.png"], "equal figures, equal bytes"
-    assert r"![Second \[N\]](my%20docs/static_two.png)" in path.read_text(encoding="utf-8")
-
-    docs.write(path, [_result("Third")], scenario, (0,))
-    assert sorted(file.name for file in folder.iterdir()) == ["notes.txt", "photo.png"]
-    (folder / "photo.png").unlink()
-    (folder / "notes.txt").unlink()
-    docs.write(path, [_result("Third")], scenario, (0,))
-    assert not folder.exists() and "![" not in path.read_text(encoding="utf-8")
-
-
-def test_a_figure_that_cannot_be_drawn_leaves_everything_as_it_was(scenario: Scenario, tmp_path: Path) -> None:
-    path = tmp_path / "paper.md"
-    docs.write(path, [_result("First", "one")], scenario, (0,))
-    before = path.read_text(encoding="utf-8")
-    broken = _result("Second", "two", color="reddish")
-    with pytest.raises(BadInput, match="reddish"):
-        docs.write(path, [broken], scenario, (0,))
-    assert path.read_text(encoding="utf-8") == before
-    assert [file.name for file in (tmp_path / "paper").iterdir()] == ["static_one.png"]
-
-
-def test_figures_of_one_link_are_numbered() -> None:
-    result = _result("Any", "static", "q angle", "static", "ℚ of σ")
-    assert docs.file_names(result) == ["static_1.png", "static_q_angle.png", "static_2.png", "static_q_of.png"]
-
-
 def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
     report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -175,62 +101,3 @@ def test_docs_that_would_write_over_others_are_refused_before_anything_runs(
         assert says in error and error.count("\n") == 1
         assert not (tmp_path / "out").exists()
     assert (tmp_path / "paper/static_9.png").read_bytes() == b"mine"
-
-
-def test_a_missing_matplotlib_is_said_before_anything_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
-    arguments = ["--only", "static", "--seeds", "1", "--docs", str(tmp_path / "paper.md")]
-    assert main(["--out", str(tmp_path / "out"), *arguments]) == 2
-    assert "matplotlib is not installed" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_markdown_of_ones_own_is_replaced_and_others_are_not(
-    report: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["--seeds", "1", "--jobs", "1", "--no-figures", "--only", "static"]
-    mine, other = tmp_path / "mine.md", tmp_path / "other.md"
-    mine.write_text((report / "paper.md").read_text(encoding="utf-8"), encoding="utf-8")
-    assert main(["--out", str(tmp_path / "a"), *arguments, "--docs", str(mine)]) == 0
-    assert "Proposition 1" not in mine.read_text(encoding="utf-8")
-    assert "![" not in mine.read_text(encoding="utf-8") and not (tmp_path / "mine").exists(), (
-        "no figures were asked for"
-    )
-    other.write_text("notes", encoding="utf-8")
-    assert main(["--out", str(tmp_path / "b"), *arguments, "--docs", str(other)]) == 2
-    assert "other.md" in capsys.readouterr().err
-    assert other.read_text(encoding="utf-8") == "notes"
-    assert not (tmp_path / "b").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--only", "offlien"], "offline"),
-        (["--only", "static", "--seeds", "0"], "--seeds: '0': expected"),
-        (["--only", "static", "--seed", "-1"], "--seed: '-1': expected"),
-        (["--only", "static", "--jobs", "0"], "--jobs: '0': expected"),
-        (["--only", "compare_torque", "--force-map", "no_such.csv"], "no_such.csv"),
-    ],
-)
-def test_bad_arguments_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
-) -> None:
-    assert main(["--out", str(tmp_path / "out"), *arguments]) == 2
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_existing_folder_is_not_touched(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--out", str(report / "out"), "--only", "static"]) == 2
-    assert "exists" in capsys.readouterr().err
-
-
-def test_help_names_every_experiment(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    text = capsys.readouterr().out
-    assert all(f"  {name} " in text for name in EXPERIMENTS)

@@ -45,24 +45,6 @@ def test_only_the_plant_has_the_mismatches(scenario):
     assert scattered == ["friction.shaft", "supply.pressure"]
 
 
-def test_sizes_are_those_of_the_file(scenario):
-    rigs = [virtual_rig(scenario, seed) for seed in range(60)]
-    inner = np.array([rig.actual.valve_1.curve.open_rate[1:-1] for rig in rigs])
-    declared = np.array(rigs[0].declared.valve_1.curve.open_rate[1:-1])
-    # The lowest knot moves freely; the others are pushed up where they would fall below their neighbour.
-    assert np.std(inner[:, 0] / declared[0]) == pytest.approx(scenario.mismatch.valve_curve, rel=0.3)
-    amplitude = [rig.actual.effects["hysteresis"]["amplitude_1"] for rig in rigs]
-    assert np.mean(amplitude) == pytest.approx(scenario.mismatch.hysteresis.amplitude, rel=0.15)
-    assert all(np.all(np.diff(rig.actual.valve_2.curve.open_rate) >= 0.0) for rig in rigs)
-
-
-def test_a_seed_is_a_rig(scenario):
-    voltage = drive(scenario, 1.0)
-    one, again, other = (virtual_rig(scenario, seed).record(voltage) for seed in (1, 1, 2))
-    assert np.array_equal(one.pressure, again.pressure)
-    assert not np.array_equal(one.pressure, other.pressure)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

@@ -1,4 +1,4 @@
-"""Equations (4) and (5): valve curve, orifice, mass flow, pressure rate."""
+"""Equations (2) to (10) one by one, where the whole derivative does not show them: flow, muscle, joint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 import transcription as paper
 from states import EDGE_PRESSURES, EDGE_VOLTAGES, random_states
 
-from pam_antagonist.model import flow
+from pam_antagonist.model import flow, joint, muscle
 from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
@@ -51,15 +51,6 @@ def test_mass_flow(p, valve):
     assert ways == {1.0, -1.0}
 
 
-def test_pressure_rate(p):
-    for (angle, velocity, pressure, _), (u, _) in random_states(200, seed=5):
-        l_1 = paper.length(T, 1, angle)
-        v = paper.volume(T, l_1)
-        v_dot = paper.volume_rate(T, l_1, paper.length_rate(T, 1, angle, velocity))
-        rate = flow.pressure_rate(pressure, v, v_dot, paper.mass_flow(T, u, pressure), p)
-        assert rate == pytest.approx(paper.pressure_rate(T, 1, angle, velocity, pressure, u), rel=1e-9)
-
-
 @pytest.mark.parametrize("valve", [0, 1])
 def test_an_open_rate_is_found_again_from_its_flow(p, valve):
     for pressure in (110e3, 230e3, 377e3, 520e3, 700e3):
@@ -87,3 +78,41 @@ def test_a_flow_is_found_again_from_its_pressure_rate(p):
 @pytest.mark.parametrize("pressure", EDGE_PRESSURES)
 def test_flow_regime(p, pressure):
     assert flow.flow_regime(pressure, p) == paper.regime(T, pressure)
+
+
+# ---------------------------------------------------------------- Equations (2), (3), (6), (7)
+
+
+def test_muscle_1_shortens_where_the_angle_grows(p):
+    """Muscle 1 pulls towards positive angles: it is the shorter one there."""
+    assert muscle.length(0, math.sin(0.3), p) < T["L_0"] < muscle.length(1, math.sin(0.3), p)
+
+
+def test_volume_stays_positive_where_the_parabola_does_not(p):
+    """Sigma points may fall far outside the joint's range; a negative volume would turn the flow round."""
+    assert paper.volume(T, 0.30) < 0.0
+    assert muscle.volume(0, 0.30, p)[0] > 0.0
+
+
+@pytest.mark.parametrize("i", [1, 2])
+def test_force_slope_with_length(p, i):
+    """F is linear in l: the slope is a difference quotient over any distance."""
+    for pressure in (150e3, 450e3, 700e3):
+        quotient = (paper.force(T, i, 0.170, pressure) - paper.force(T, i, 0.160, pressure)) / 0.010
+        assert muscle.force_length_slope(i - 1, 0.165, pressure, p) == pytest.approx(quotient, rel=1e-10)
+
+
+# ---------------------------------------------------------------- Equations (8), (9), (10)
+
+
+def test_friction_and_acceleration_sliding_and_sticking(p):
+    seen = {False: 0, True: 0}
+    for x, _ in random_states(400, seed=9):
+        tau, coulomb, t_0 = paper.balance(T, x)
+        expected, slides = paper.friction(T, x[1], t_0, coulomb)
+        value, flag = joint.friction_torque(x[1], t_0, coulomb, p)
+        assert (value, bool(flag)) == (pytest.approx(expected, rel=1e-12, abs=1e-14), slides)
+        value, flag = joint.acceleration(x[0], x[1], tau, coulomb, p)
+        assert (value, bool(flag)) == (pytest.approx((t_0 - expected) / T["J"], rel=1e-9, abs=1e-9), slides)
+        seen[slides] += 1
+    assert min(seen.values()) > 20, f"the states do not cover both cases: {seen}"
