@@ -31,6 +31,8 @@ _UNIT = 5e3
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _FEWEST_ROWS = 2
+_OPENED = 2.0
+"""By so many standard deviations of its prior an overlap is smaller at the beginning of a fit."""
 _LAST_EVALUATIONS = 4
 """The most derivatives of the last fit, which begins near its end."""
 
@@ -146,10 +148,12 @@ def fit_air(
     """
     free, given = unknowns(rig) if free is None else list(free), usable(runs)
     found: Fit | None = None
+    # An orifice that is shut all the time shows nothing: a fit begins with valves that are open, and closes them.
+    begin = np.array([-_OPENED if item.name.endswith(".overlap") else 0.0 for item in free])
     for horizon in HORIZONS if given else ():
         if progress:
             progress(f"{'regulators' if rig.drive == 'regulator' else 'valves'}, horizons of {horizon:g} s")
-        begin = None if found is None else found.amounts
+        begin = begin if found is None else found.amounts
         found = fitted(free, residual_of(rig, given, zero, horizon, free), begin, evaluations, jobs)
     if found is None or not refine:
         return found
