@@ -32,7 +32,7 @@ _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _FEWEST_ROWS = 2
 _OPENED = 2.0
-"""By so many standard deviations of its prior an overlap is smaller at the beginning of a fit."""
+"""By so many standard deviations of its prior an overlap is smaller at the beginning of the second fit."""
 _LAST_EVALUATIONS = 4
 """The most derivatives of the last fit, which begins near its end."""
 
@@ -147,15 +147,22 @@ def fit_air(
         refine: whether errors are weighed by their size at last, and each recording may deviate a little.
     """
     free, given = unknowns(rig) if free is None else list(free), usable(runs)
+    if not given:
+        return None
     found: Fit | None = None
-    # An orifice that is shut all the time shows nothing: a fit begins with valves that are open, and closes them.
-    begin = np.array([-_OPENED if item.name.endswith(".overlap") else 0.0 for item in free])
-    for horizon in HORIZONS if given else ():
-        if progress:
-            progress(f"{'regulators' if rig.drive == 'regulator' else 'valves'}, horizons of {horizon:g} s")
-        begin = begin if found is None else found.amounts
-        found = fitted(free, residual_of(rig, given, zero, horizon, free), begin, evaluations, jobs)
-    if found is None or not refine:
+    for begin in _starts(free):
+        again, amounts = None, begin
+        for horizon in HORIZONS:
+            if progress:
+                progress(f"{'regulators' if rig.drive == 'regulator' else 'valves'}, horizons of {horizon:g} s")
+            again = fitted(free, residual_of(rig, given, zero, horizon, free), amounts, evaluations, jobs)
+            amounts = again.amounts
+        assert again is not None
+        found = again if found is None or again.cost < found.cost else found
+        if found.cost < _cost_of_units(given):
+            break
+    assert found is not None
+    if not refine:
         return found
     names = list(dict.fromkeys(run.name for run in given))
     areas = [f"valve_{i}.{way}flow_area" for i in (1, 2) for way in ("in", "out")]
@@ -166,6 +173,17 @@ def fit_air(
         found, extra, lambda values: {"pressure": left(values)},
         {"pressure": rig.sensors.error("pressure") / math.sqrt(averaged)}, _LAST_EVALUATIONS, jobs,
     )  # fmt: skip
+
+
+def _starts(free: Sequence[Unknown]) -> list[Floats]:
+    """First amounts of the fits: an orifice that the guess keeps shut shows nothing, so a second one opens it."""
+    open_ones = np.array([-_OPENED if item.name.endswith(".overlap") else 0.0 for item in free])
+    return [np.zeros(len(free)), open_ones] if open_ones.any() else [open_ones]
+
+
+def _cost_of_units(runs: Sequence[Run]) -> float:
+    """The cost of errors that are one unit, as RMS, of both pressures."""
+    return sum(min(_INDEPENDENT * run.period, 1.0) * len(run) for run in runs)
 
 
 def with_air_errors(
