@@ -27,11 +27,11 @@ _SAMPLES = 0.4
 """Largest rate at which a pressure's error is corrected, in a sample."""
 _INTEGRALS = (3.0, 1.0, 0.3)
 """[1/s] That are tried."""
-_APPROACHES = (0.01, 0.03, 0.1)
+_APPROACHES = (0.3, 0.1, 0.03)
 """[rad] Distances within which the torque against friction fades, that are tried with each integral."""
 _SEEDS, _MISMATCH = (1, 2), 0.01
 """Of the simulated joints."""
-_GOOD = 0.5
+_GOOD = 0.25
 """Gains with an error below this share of what is allowed are taken at once."""
 _ALLOWED, _ALLOWED_SHARE = math.radians(1.0), 0.03
 """Largest error of the controlled joint at rest [rad], or as a share of its range."""
