@@ -144,3 +144,12 @@ def test_valves_that_were_opened_just_a_little_show_where_they_are_shut() -> Non
     assert found is not None
     for path, value in {**shifted, **lapped}.items():
         assert found.values[path] == pytest.approx(value, abs=0.02), path
+
+
+def test_a_fit_of_valves_stays_inside_the_bounds_of_the_rig_file() -> None:
+    """Otherwise a value that the file forbids makes the whole rig be refused."""
+    for item in air_stage.unknowns(RIG):
+        if item.name in RIG.bounds:
+            low, high = (item.value(amount) for amount in item.bounds)
+            assert RIG.bounds[item.name][0] - 1e-12 <= low < high <= RIG.bounds[item.name][1] + 1e-12
+    assert any(item.name in RIG.bounds for item in air_stage.unknowns(RIG))
