@@ -25,7 +25,7 @@ Lead from a rig file to a controlled joint, with a person at the rig. The steps 
 
 A rig file of new_rig that was never identified is driven by what is measured, in place of a plan: first air, slow turns
 (low pressures and small angles first), quick moves that become faster as long as the joint does not swing, then
-identify and gains. Joints with regulators: so far in a rehearsal only.
+identify and gains. Only such a file may have pressure regulators.
 
 A step that is done is not repeated: after a fault, an interruption or a break, type the same command again. A step
 that found a fault says what to check. DIR holds a folder for each step, rig.yaml, parameters.yaml and report.html.

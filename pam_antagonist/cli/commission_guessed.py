@@ -14,7 +14,8 @@ from typing_extensions import override
 from pam_antagonist.checks.wiring import guessed
 from pam_antagonist.cli.commission_steps import Commission, StepFailed
 from pam_antagonist.cli.driving import SIMULATED, explored
-from pam_antagonist.control.model_law import ModelGains, voltage_towards
+from pam_antagonist.cli.tried_gains import tried_gains
+from pam_antagonist.control.model_law import voltage_towards
 from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
 from pam_antagonist.design.first_fill import pulse_faults
 from pam_antagonist.errors import BadInput
@@ -38,19 +39,6 @@ _TRIES = 200
 def is_for(rig: Rig) -> bool:
     """Whether a rig is commissioned in this way: a file of ``new_rig`` that was never identified."""
     return guessed(rig) and rig.model.force == "braided"
-
-
-def gains_for(rig: Rig) -> ModelGains:
-    """Gains of the law through the model that a rig's sample period and regulators allow."""
-    usual = ModelGains()
-    integral = usual.integral
-    if rig.drive == "regulator":
-        lag = rig.effects.get("regulator_lag", {})
-        slowest = min((value for name, value in lag.items() if name.startswith("frequency")), default=math.inf)
-        integral = min(integral, 0.05 * slowest)
-    # The torque against friction changes its side late behind a regulator: it fades over a wider distance.
-    approach = usual.approach if rig.drive == "valve" else 3.0 * usual.approach
-    return ModelGains(min(usual.bandwidth, _SAMPLES / rig.sample_period), integral, approach)
 
 
 def drawn(rig: Rig, seed: int) -> Rig:
@@ -194,12 +182,13 @@ class GuessedCommission(Commission):
 
     @override
     def _gains(self) -> dict[str, Any]:
-        rig = self.found()
-        gains = gains_for(rig)
+        self._at("gains", "trying gains on simulated joints")
+        gains, held = tried_gains(self.found())
         given = {
             "law": "model", "pressure_bandwidth": gains.bandwidth, "model_integral": gains.integral,
             "approach": gains.approach,
         }  # fmt: skip
         self._write_parameters(given)
-        said = f"law through the model: pressures in {1e3 / gains.bandwidth:.0f} ms, integral {gains.integral:.2g}/s"
+        said = f"law through the model: pressures in {1e3 / gains.bandwidth:.0f} ms, integral {gains.integral:.2g}/s; "
+        said += held.in_words()
         return {"said": said, "gains": given}

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +55,7 @@ class Owner:
     port: str | None = None
     hardware: str | None = None
     parameters: Path | None = None
+    drive: str = "valve"
 
     @classmethod
     def of(cls, arguments: argparse.Namespace, rig: str) -> Owner:
@@ -76,7 +77,7 @@ class Owner:
         given: dict[str, object] = {
             "rig": self.rig,
             "command_timeout": _COMMAND_TIMEOUT,
-            "safe_voltage": list(plan.rest),
+            {"valve": "safe_voltage", "regulator": "safe_pressure"}[self.drive]: list(plan.rest),
             "max_pressure": [high + _STOP_BEYOND * (high - low)] * 2,
         }
         if self.source == "plant":
@@ -205,16 +206,12 @@ def explored(owner: Owner, rig: Rig, program: Program, limits: Limits, out: Path
 
         joint = load_rig(owner.rig, regulators=True)
         return explore(joint, program, limits, owner.seed, owner.mismatch, out / "bag")[1]
-    if rig.drive == "regulator":
-        raise BadInput(
-            f"rig {rig.name} has pressure regulators and was never identified: so far commission drives such a joint "
-            "in a rehearsal only (--source rehearsal); record and identify it by hand, see docs/how-to/your_rig.md"
-        )
     from pam_antagonist.design import Plan
+    from pam_antagonist.rig.limits import vented
 
-    vented, air = (rig.valves.voltage_min,) * 2, rig.atmosphere.pressure
-    plan = Plan(np.array([vented]), rig.sample_period, "free", 0.0, limits, air, vented)
-    return _through_nodes(owner, plan, out, program)[1]
+    least, command = vented(rig)
+    plan = Plan(np.array([command]), rig.sample_period, "free", 0.0, limits, least, command)
+    return _through_nodes(replace(owner, drive=rig.drive), plan, out, program)[1]
 
 
 def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None = None) -> tuple[int, str]:
@@ -229,7 +226,7 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None 
         stay_apart()
     rest, ready = np.array(plan.rest), 0.5 * (plan.pressure + plan.limits.pressure[1])
     (out / "logs").mkdir(exist_ok=True)
-    with Processes(out / "logs") as processes, DriveClient() as client:
+    with Processes(out / "logs") as processes, DriveClient(drive=owner.drive) as client:
         processes.start("record", ["--out", str(out / "bag")])
         if owner.source != "none":
             processes.start(owner.source, owner.command_line(plan))

@@ -15,6 +15,7 @@ from pam_antagonist.design import Limits, Plan
 from pam_antagonist.design.exploration import Program
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import vented
 from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
 from pam_antagonist.simulation.plant import Plant, PlantSample
 
@@ -56,12 +57,11 @@ def explore(
     Args:
         mismatch: standard deviation of the parameters from the rig's [-].
     """
-    least = max(rig.atmosphere.pressure, rig.command_limits[0] if rig.drive == "regulator" else 0.0)
+    least, command = vented(rig)
     plant = Plant(rig, seed=seed, mismatch=mismatch, initial_pressure=(least, least))
     samples: list[PlantSample] = []
     period, ended = rig.sample_period, ""
     lookout, every = Lookout(), max(1, round(TICK / period))
-    command = (least, least) if rig.drive == "regulator" else (rig.valves.voltage_min,) * 2
     while len(samples) * period < program.seconds:
         samples.append(plant.step(command))
         seen, k = samples[-1], len(samples) - 1

@@ -32,6 +32,7 @@ _SUBSCRIBERS = 2
 _TICK = 0.004  # between two commands [s]; the valves take the last one until then
 _PROGRESS_PERIOD = 0.2  # between two reports of progress [s]
 _ESTIMATE: Mapping[str, type] = {"joint_estimate": JointEstimate}
+_COMMANDS: Mapping[str, type] = {"valve": ValveCommand, "regulator": PressureCommand}
 _Self = TypeVar("_Self", bound="PipelineClient")
 
 
@@ -111,16 +112,23 @@ class PipelineClient:
 
 
 class VoltageClient(PipelineClient):
-    """Commands valve voltages in a pipeline that has no controller."""
+    """Commands valve voltages, or pressures of regulators, in a pipeline that has no controller.
+
+    Args:
+        drive: of the joint's rig: ``valve`` or ``regulator``.
+    """
 
     def __init__(
-        self, namespace: str = DEFAULT_NAMESPACE, name: str = "drive", subscribed: Mapping[str, type] = _ESTIMATE
-    ) -> None:
-        super().__init__(name, namespace, subscribed, ("valve_command", ValveCommand, qos.COMMAND))
+        self, namespace: str = DEFAULT_NAMESPACE, name: str = "drive", subscribed: Mapping[str, type] = _ESTIMATE,
+        drive: str = "valve",
+    ) -> None:  # fmt: skip
+        self._field = {"valve": "voltage", "regulator": "pressure"}[drive]
+        super().__init__(name, namespace, subscribed, (COMMAND_TOPICS[drive], _COMMANDS[drive], qos.COMMAND))
+        self._message = _COMMANDS[drive]
 
     def send(self, voltage: NDArray[np.float64]) -> None:
-        """Command two voltages [V] now."""
-        self._publish(ValveCommand(voltage=[float(value) for value in voltage]))
+        """Command two voltages [V], or pressures [Pa], now."""
+        self._publish(self._message(**{self._field: [float(value) for value in voltage]}))
 
     def follow(
         self, voltage: NDArray[np.float64], period: float, check: Callable[[], None], progress: Callable[[float], None]
@@ -151,11 +159,10 @@ class ReferenceClient(PipelineClient):
     """
 
     def __init__(self, namespace: str = DEFAULT_NAMESPACE, listening: bool = True, drive: str = "valve") -> None:
-        command = {"valve": ValveCommand, "regulator": PressureCommand}[drive]
         subscribed = {
             "joint_estimate": JointEstimate,
             "measured_joint_states": JointState,
-            COMMAND_TOPICS[drive]: command,
+            COMMAND_TOPICS[drive]: _COMMANDS[drive],
         }
         subscribed = subscribed if listening else {}
         super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))
@@ -256,11 +263,15 @@ _PRESSURES = ("pressure_1", "pressure_2")
 
 
 class DriveClient(VoltageClient):
-    """Commands valve voltages in a pipeline without a controller, and watches the sensors."""
+    """Commands valves or regulators in a pipeline without a controller, and watches the sensors.
 
-    def __init__(self, namespace: str = DEFAULT_NAMESPACE) -> None:
+    Args:
+        drive: as of :class:`VoltageClient`.
+    """
+
+    def __init__(self, namespace: str = DEFAULT_NAMESPACE, drive: str = "valve") -> None:
         subscribed = {**dict.fromkeys(_PRESSURES, FluidPressure), "measured_joint_states": JointState}
-        super().__init__(namespace, "excite", subscribed)
+        super().__init__(namespace, "excite", subscribed, drive)
 
     def now_ns(self) -> int:
         """Time of the clock that stamps samples [ns]."""

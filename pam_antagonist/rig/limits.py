@@ -41,6 +41,12 @@ def rest_pressure(rig: Rig) -> float:
     return float(round(low + _REST_SHARE * (high - low))) if rig.drive == "valve" else 0.5 * (low + high)
 
 
+def vented(rig: Rig) -> tuple[float, tuple[float, float]]:
+    """Least pressure that the muscles can have [Pa], and the commands (2,) that let the air out."""
+    low = rig.command_limits[0]
+    return _pressures(rig)[0], (low, low)
+
+
 def rest_voltage(rig: Rig) -> tuple[float, float]:
     """Voltages (2,) at which the valves keep the pressure at rest [V], to a hundredth of a volt."""
     low, high = rig.valves.voltage_min, rig.valves.voltage_max

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from pam_antagonist.cli import commission, new_rig
-from pam_antagonist.cli.commission_guessed import gains_for
 from pam_antagonist.cli.demo_steps import found_gains
 from pam_antagonist.cli.rehearsal import explore
+from pam_antagonist.cli.tried_gains import held_angles, tried_gains
+from pam_antagonist.control.model_law import ModelGains
 from pam_antagonist.design import Limits
 from pam_antagonist.design.exploration import FirstAir
 from pam_antagonist.design.first_fill import pulse_faults
@@ -22,6 +23,7 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.simulation.plant import Plant
 
 COMMON = (
     "--kind pulley --muscle DMSP-20 --radius 25mm --nominal-length 300mm --length 272mm --inertia 0.02 --mass 1.5kg "
@@ -93,10 +95,18 @@ def test_first_air_says_what_is_exchanged(drive: str, tmp_path: Path) -> None:
     assert "its zero is wrong" in pulse_faults(rig, off, program.pulses)[0].sentence
 
 
-def test_gains_go_by_the_sample_period_and_the_regulators(tmp_path: Path) -> None:
-    found = {}
-    for drive, period in (("valves", 1e-3), ("regulators", 0.05)):
-        (tmp_path / drive).mkdir()
-        found[drive] = gains_for(guess(tmp_path / drive, drive).replaced(sample_period=period))
-    assert found["regulators"].bandwidth < found["valves"].bandwidth
-    assert found["regulators"].integral <= found["valves"].integral
+HEAVY = (
+    "--kind lever --muscle MAS-40 --radius 45mm --nominal-length 600mm --length 545mm --inertia 0.25 --mass 5kg "
+    "--supply 6bar --stop none --rate 100 --drive valve --valve MPYE-5-3/8"
+)
+
+
+@pytest.mark.slow(5)
+def test_gains_with_which_a_heavy_joint_swings_are_not_taken(tmp_path: Path) -> None:
+    assert new_rig.main(["--out", str(tmp_path / "rig.yaml"), *HEAVY.split()]) == 0
+    rig = load_rig(tmp_path / "rig.yaml").replaced(uncertainty={}, directions={})  # as if it were identified
+    rig = moved(rig, {"joint.viscous_friction": 0.18})
+    gains, held = tried_gains(rig)
+    swinging = held_angles(rig, Plant(rig, seed=1), ModelGains())
+    assert swinging.error > max(2.0 * held.error, held.allowed) and "run away" in swinging.in_words()
+    assert gains.integral < ModelGains().integral

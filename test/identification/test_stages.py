@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from other_rigs import described, drawn, recorded
 
+from pam_antagonist.control.model_law import voltage_towards
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.joint_stage import ZERO
 from pam_antagonist.identification.parts import with_joint
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.identification.unknowns import Fit, Unknown, refined
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.simulation.plant import Plant
 
 RIG = described(0.01)
 TRUE = drawn(RIG, 3)
@@ -114,3 +118,38 @@ def test_a_fit_that_stays_far_from_the_data_has_determined_nothing(trial: Record
     )
     assert near == ""
     assert far == "the fit does not explain the data"
+
+
+def test_valves_that_were_opened_just_a_little_show_where_they_are_shut() -> None:
+    """As a loop of pressures opens them, by a guessed curve that is off by a few tenths of a volt."""
+    shifted = {"effects.valve_offset.voltage_1": -0.2, "effects.valve_offset.voltage_2": -0.45}
+    lapped = {"valve_1.overlap": 0.467, "valve_2.overlap": 0.574}
+    areas = {"valve_1.inflow_area": 0.9, "valve_1.outflow_area": 0.75, "valve_2.inflow_area": 1.15}
+    true = moved(RIG, {**shifted, **lapped, **{path: RIG.value(path) * share for path, share in areas.items()}})
+    rng, p, samples = np.random.default_rng(0), RIG.parameters(), []
+    plant = Plant(true, initial_pressure=(250e3, 250e3))
+    command, wanted, goal = (5.0, 5.0), np.full(2, 250e3), np.full(2, 250e3)
+    for k in range(1500):
+        if k % 100 == 0:
+            goal = np.clip(goal + rng.uniform(-50e3, 50e3, 2), 150e3, 520e3)
+        wanted += np.clip(goal - wanted, -200.0, 200.0)
+        samples.append(plant.step(command))
+        first, second = (voltage_towards(i, samples[-1].pressure[i], wanted[i], 0.0, 0.0, 20.0, p) for i in (0, 1))
+        command = min(max(first, 0.0), 10.0), min(max(second, 0.0), 10.0)
+    recording = Recording(
+        Path("loop"), 1_000_000_000 + 10_000_000 * np.arange(1, 1501), np.array([one.pressure for one in samples]),
+        np.array([one.voltage for one in samples]), np.array([one.angle for one in samples]), None,
+    )  # fmt: skip
+    found = air_stage.fit_air(RIG, runs_of(recording, joint_condition(recording, "free", None), "loop"), 0.0)
+    assert found is not None
+    for path, value in {**shifted, **lapped}.items():
+        assert found.values[path] == pytest.approx(value, abs=0.02), path
+
+
+def test_a_fit_of_valves_stays_inside_the_bounds_of_the_rig_file() -> None:
+    """Otherwise a value that the file forbids makes the whole rig be refused."""
+    for item in air_stage.unknowns(RIG):
+        if item.name in RIG.bounds:
+            low, high = (item.value(amount) for amount in item.bounds)
+            assert RIG.bounds[item.name][0] - 1e-12 <= low < high <= RIG.bounds[item.name][1] + 1e-12
+    assert any(item.name in RIG.bounds for item in air_stage.unknowns(RIG))

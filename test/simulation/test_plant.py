@@ -139,6 +139,14 @@ def test_no_mismatch_is_the_declared_rig(rig):
     assert plant.parameters[par.RADIUS] == rig.geometry.radius
 
 
+def test_a_regulator_that_swings_makes_no_vacuum():
+    rig = load_rig("shin2022_regulators", regulators=True).with_value("effects.regulator_lag.damping", 0.1)
+    plant, air = Plant(rig, noise=False), rig.atmosphere.pressure
+    for pressure in (400e3, rig.command_limits[0]):
+        _, truth = record(plant, np.full((300, 2), pressure))
+    assert air == pytest.approx(truth[:, 2:4].min(), rel=1e-12)
+
+
 def test_it_starts_at_rest(rig):
     """At the balance of its own, scattered, parameters: the joint does not jump at the first step."""
     plant = Plant(rig, seed=7, mismatch=0.03, noise=False, initial_pressure=(500e3, 300e3))

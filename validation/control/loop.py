@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.cli.tried_gains import seen
 from pam_antagonist.control import (
     Box,
     Governor,
@@ -18,7 +19,6 @@ from pam_antagonist.control import (
     ModelController,
     PiController,
     Reachable,
-    Seen,
     VoltageLimits,
     Wanted,
 )
@@ -88,18 +88,6 @@ def make_laws(rig: Rig, name: str, limits: Limits | None = None, level: float = 
     pi = PiController(sample_period=period, limits=valves)
     model = ModelController(p, box, sample_period=period, limits=valves)
     return Laws(pi, model, Reachable(p, box), name, governor)
-
-
-def seen(row: np.void) -> Seen:
-    """What a law goes by, of an estimate (an ``ESTIMATE_DTYPE``)."""
-    covariance, innovation = row["covariance"], row["innovation_covariance"]
-    first, second = row["pressure"].tolist()
-    return Seen(
-        float(row["angle"]), float(row["velocity"]), float(row["torque"]), first, second,
-        float(row["external_torque"]), float(row["external_torque_covariance"][3]),
-        float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[2, 2]),
-        float(innovation[0, 0]), float(innovation[1, 1]),
-    )  # fmt: skip
 
 
 def run(

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from pam_antagonist.cli.tried_gains import seen
 from pam_antagonist.control import Box, Limits, Mode, Reachable, Wanted
 from pam_antagonist.control.tracking import SETTLED
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation.plant import Plant
-from validation.control.loop import MISMATCH, Course, Floats, held, make_laws, run, seen
+from validation.control.loop import MISMATCH, Course, Floats, held, make_laws, run
 
 STEP = {Mode.ANGLE: math.radians(20.0), Mode.TORQUE: 2.0}
 """Height of the steps, from minus to plus half of it and back [rad] or [N m]."""

@@ -13,20 +13,19 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli import commission, common, new_rig
-from pam_antagonist.cli.commission_guessed import drawn, gains_for
-from pam_antagonist.cli.demo_steps import MODEL, task
-from pam_antagonist.control import Box, Laws, Mode, ModelController, Reachable, VoltageLimits
+from pam_antagonist.cli.commission_guessed import drawn
+from pam_antagonist.cli.demo_steps import found_gains
+from pam_antagonist.cli.tried_gains import held_angles
+from pam_antagonist.control.model_law import ModelGains
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, markdown
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import angle_range, rest_pressure, rest_voltage
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.plant import Plant
 from pam_antagonist.strict_json import write_json
-from validation.control.loop import held, seen
+from validation.rigs.judge import interval
 
 _DESCRIPTION = """\
 Commission twelve rigs of new_rig, unattended, each on a joint that is drawn from the priors of its file.
@@ -39,9 +38,8 @@ examples:
 """
 _MOVES_S = 40.0
 """[s] Of the quick moves, at the end of their recording."""
-_SEED, _HOLD_S, _LAST_S = 1, 5.0, 1.0
-_ALLOWED_DEG, _ALLOWED_SHARE = 1.0, 0.03
-"""Largest error of the controlled joint at rest [deg], or as a share of its range."""
+_SEED = 1
+"""Of the sensors' noise."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +105,8 @@ def parser() -> common.Parser:
     out = common.Parser("rehearse_new_rigs", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the results; may exist")
     out.add_argument("--rig", action="append", metavar="NAME", help="this rig only; may be given several times")
+    draw = "draw of the joints, from 0 (default: 0); may be given several times"
+    out.add_argument("--seed", action="append", type=int, metavar="N", help=draw)
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the table as Markdown; FILE is replaced")
     return out
 
@@ -118,16 +118,18 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> int:
     found = []
-    for number, described in enumerate(DESCRIBED):
-        if arguments.rig and described.name not in arguments.rig:
-            continue
-        folder = arguments.out / described.name
-        if not (folder / "outcome.json").exists():
-            write_json(folder / "outcome.json", rehearsed(described, number, folder))
-        found.append(json.loads((folder / "outcome.json").read_text(encoding="utf-8")))
+    for draw in arguments.seed or [0]:
+        for number, described in enumerate(DESCRIBED):
+            if arguments.rig and described.name not in arguments.rig:
+                continue
+            folder = arguments.out / f"{described.name}_{draw}"
+            if not (folder / "outcome.json").exists():
+                outcome = {"draw": draw, **rehearsed(described, len(DESCRIBED) * draw + number, folder)}
+                write_json(folder / "outcome.json", outcome)
+            found.append(json.loads((folder / "outcome.json").read_text(encoding="utf-8")))
     if arguments.docs is not None:
-        common.write_text(arguments.docs, "\n".join(markdown(table(found))) + "\n")
-    print(terminal.table(table(found), indent=""))
+        common.write_text(arguments.docs, "\n".join([*markdown(table(found)), "", summary(found)]) + "\n")
+    print(terminal.table(table(found), indent=""), summary(found), sep="\n\n")
     return common.DONE
 
 
@@ -178,48 +180,44 @@ def controlled(folder: Path) -> dict[str, Any]:
     rig, joint = (
         load_rig(folder / name, regulators=True) for name in (Path("commissioned", "rig.yaml"), Path("truth.yaml"))
     )
-    p, period = rig.parameters(), rig.sample_period
-    box = Box.of(p)
-    command = (rest_pressure(rig),) * 2 if rig.drive == "regulator" else rest_voltage(rig)
-    law = ModelController(
-        p, box, gains_for(rig), sample_period=period, limits=VoltageLimits(*rig.command_limits), safe_voltage=command
-    )
-    laws = Laws(None, law, Reachable(p, box), MODEL, None)
-    largest = max(value for _, value, _ in task(rig, Mode.ANGLE, MODEL, 20.0).references)
-    values = [0.0, largest, -largest, 0.5 * largest]
-    wanted = held(Mode.ANGLE, [(_HOLD_S, value, math.nan) for value in values], period)
-    plant, estimator, angles = Plant(joint, seed=_SEED), Estimator(rig, "default", "free"), []
-    for k, reference in enumerate(wanted):
-        sample = plant.step(command)
-        row = estimator.step((k + 1) * round(period * 1e9), *sample.pressure, *sample.voltage)
-        assert row is not None
-        command = laws.step(reference, seen(row)).voltage
-        # The rig's angle is what the encoder shows, less its zero.
-        angles.append(float(sample.truth[0]) - rig.calibration.encoder_zero)
-    size, last = len(wanted) // len(values), round(_LAST_S / period)
-    ends = [np.array(angles[(k + 1) * size - last : (k + 1) * size]) - value for k, value in enumerate(values)]
-    span = 2.0 * math.degrees(angle_range(rig))
+    given = found_gains(str(folder / "commissioned" / "parameters.yaml"))
+    gains = ModelGains(given["pressure_bandwidth"], given["model_integral"], given["approach"])
+    # The rig's angle is what the encoder shows, less its zero.
+    held = held_angles(rig, Plant(joint, seed=_SEED), gains, rig.calibration.encoder_zero)
     return {
-        "angle_error_deg": math.degrees(max(float(np.sqrt(np.mean(end**2))) for end in ends)),
-        "allowed_deg": max(_ALLOWED_DEG, _ALLOWED_SHARE * span),
-        "step_deg": math.degrees(largest),
+        "angle_error_deg": math.degrees(held.error),
+        "allowed_deg": math.degrees(held.allowed),
+        "step_deg": math.degrees(held.largest),
     }
 
 
 def table(found: Sequence[dict[str, Any]]) -> Table:
-    """A row a rig.
+    """A row a rig and draw.
 
     Args:
         found: outcomes.
     """
     rows = []
     for one in found:
-        error = one.get("angle_error_deg")
-        said = "-" if error is None else f"{error:.2f} of {one['allowed_deg']:.2f}"
+        error, allowed = (f"{one[name]:.2f}" if name in one else "-" for name in ("angle_error_deg", "allowed_deg"))
         beyond = one["beyond_deg"]
         kept = "-" if beyond is None else "yes" if beyond <= 0.0 else f"by {beyond:.1f}°"
         done = "yes" if one["status"] == common.DONE else "no"
-        step = f"±{one['step_deg']:.0f}" if "step_deg" in one else "-"
-        rows.append((one["rig"], done, f"{one['rig_s']:.0f}", kept, step, said, one["said"]))
-    header = ("rig", "to the end", "rig time [s]", "limits kept", "steps [°]", "joint's error [°]", "said")
+        rows.append((one["rig"], str(one["draw"]), done, f"{one['rig_s']:.0f}", kept, error, allowed))
+    header = ("rig", "draw", "to the end", "rig time [s]", "limits kept", "joint's error [°]", "allowed [°]")
     return Table(header, tuple(rows))
+
+
+def summary(found: Sequence[dict[str, Any]]) -> str:
+    """How many came to the end and held their angles, and why the others did not.
+
+    Args:
+        found: outcomes.
+    """
+    ended = [one for one in found if one["status"] == common.DONE]
+    held = [one for one in ended if one["angle_error_deg"] <= one["allowed_deg"]]
+    low, high = interval(len(held), len(found))
+    said = [f"{len(ended)} of {len(found)} come to the end, {len(held)} hold their angles within what is allowed: "
+            f"{len(held) / len(found):.0%}, by Clopper and Pearson {low:.0%} to {high:.0%} (95 %)."]  # fmt: skip
+    said += [f"{one['rig']}, draw {one['draw']}: {one['said']}" for one in found if one not in ended]
+    return "\n".join(said)
