@@ -9,9 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import arguments, law_simulation, place_search, residual_equations
-from pam_antagonist.diagnosis.arguments import Group, Regression, Whitened
-from pam_antagonist.diagnosis.law_simulation import CHANNELS, Course
+from pam_antagonist.diagnosis import arguments, law_regression, law_simulation, place_search, residual_equations
+from pam_antagonist.diagnosis.arguments import Group
+from pam_antagonist.diagnosis.law_regression import Regression, Whitened
+from pam_antagonist.diagnosis.law_simulation import Course
 from pam_antagonist.diagnosis.place_search import Place
 from pam_antagonist.diagnosis.residual_equations import Equations
 from pam_antagonist.model import parameters as par
@@ -27,6 +28,8 @@ LEAST_SHARE = 0.08
 """Least share of what the base leaves that a law removes in a simulation."""
 _CANDIDATES, _PLACES, _FINALISTS, _ROUNDS = 8, 4, 3, 4
 _STEP = 0.05
+_FARTHEST = 6.0
+"""Standard deviations by which a step moves a base direction at most."""
 _PARTS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("flow", "leak", "valve", "supply", "exchange"), ("air",)),
     **dict.fromkeys(("force", "strength"), ("torque", "angle")),
@@ -34,6 +37,8 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
     "sensor": law_simulation.PARTS,
 }
 """Parts of the model in which a law at a place shows."""
+_AS_GOOD = 0.1
+"""A law without memory may leave so much more, on the logarithmic scale."""
 _TIE = 0.03
 """Laws that remove so nearly as much cannot be told apart."""
 
@@ -45,7 +50,6 @@ class Subject:
     Attributes:
         name: of the recording.
         stretches: without holes, of the part that may be fitted.
-        held_out: likewise, of the other part.
         period: of its samples [s].
         locked: whether the joint was held.
         p: parameter vector of the identified base (m,), free.
@@ -53,7 +57,6 @@ class Subject:
 
     name: str
     stretches: Sequence[Mapping[str, Floats]]
-    held_out: Sequence[Mapping[str, Floats]]
     period: float
     locked: bool
     p: Floats
@@ -184,7 +187,7 @@ class _Problem:
         for _ in range(rounds):
             steps, covariance = self._step(law, amounts, excess)
             better = False
-            for share in (1.0, 0.4, 0.15):
+            for share in (1.0, 0.4, 0.15, 0.05):
                 moved = [a + share * s for a, s in zip(amounts, steps[1], strict=True)]
                 changed = None if law is None else _moved_law(law, share * steps[0])
                 after, rest = self.evaluated(changed, moved)
@@ -195,12 +198,15 @@ class _Problem:
             if not better:
                 break
         points = tuple(
-            written(with_base(p, groups, a), law) for p, groups, a in zip(self.points, self.groups, amounts, strict=True)
+            written(with_base(p, groups, a), law)
+            for p, groups, a in zip(self.points, self.groups, amounts, strict=True)
         )
         return Simulated(law, points, excess, left, covariance, tuple(amounts))
 
-    def _step(self, law: Law | None, amounts: Sequence[Floats], excess: Floats) -> tuple[tuple[Floats, list[Floats]], Floats]:
-        values = 0 if law is None else len(law.values)
+    def _step(
+        self, law: Law | None, amounts: Sequence[Floats], excess: Floats
+    ) -> tuple[tuple[Floats, list[Floats]], Floats]:
+        values, acts_in = (0, ()) if law is None else (len(law.values), _PARTS[law.place])
         unit = 1.0 if law is None else max(np.max(np.abs(law.values)), 1e-30)
         memory = int(law is not None and law.operator != "none")
         extra = values + memory
@@ -218,7 +224,7 @@ class _Problem:
             for k in range(extra):
                 step = np.zeros(extra)
                 step[k] = _STEP * (unit if k < values else 1.0)
-                columns.append((self.errors(r, _moved_law(law, step), own, _PARTS[law.place]) - now) / _STEP)
+                columns.append((self.errors(r, _moved_law(law, step), own, acts_in) - now) / _STEP)
             jacobian = np.nan_to_num(np.array(columns) * weight, nan=0.0, posinf=0.0, neginf=0.0)
             jacobian = np.clip(jacobian, -1e6, 1e6).reshape(len(columns), -1)
             residual = np.clip(np.nan_to_num(now * weight, nan=0.0, posinf=0.0, neginf=0.0), -1e3, 1e3).ravel()
@@ -240,10 +246,11 @@ class _Problem:
             prior[-1, -1] = 1.0
         inverse = np.linalg.inv(matrix + prior)
         step = inverse @ right
+        step *= min(1.0, _FARTHEST / max(float(np.max(np.abs(step[: len(flat)]))), 1e-9))
         covariance = inverse[total - extra : total - memory, total - extra : total - memory] * unit**2
         parts, at = [], 0
         for size in sizes:
-            parts.append(np.clip(step[at : at + size], -3.0, 3.0))
+            parts.append(step[at : at + size])
             at += size
         law_step = step[total - extra :].copy()
         law_step[:values] *= unit
@@ -261,9 +268,7 @@ def _moved_law(law: Law | None, step: Floats) -> Law:
     return moved
 
 
-def law_search(
-    subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None] = lambda text: None
-) -> LawSearch:
+def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None] = lambda text: None) -> LawSearch:
     """Look for one law that the model lacks.
 
     Args:
@@ -282,10 +287,10 @@ def law_search(
         for s, p, amounts in zip(subjects, without.points, without.amounts, strict=True)
     ]
     whitened = [Whitened.of(one) for one in equations]
-    products = arguments.grams(whitened, None)
+    products = law_regression.grams(whitened, None)
     assert products is not None
-    null = arguments.regression(products, None)
-    level = arguments.regression(products, None, level=True)
+    null = law_regression.regression(products, None)
+    level = law_regression.regression(products, None, level=True)
     progress("place")
     places = place_search.search(equations)
     progress("what it depends on")
@@ -301,16 +306,19 @@ def law_search(
 
 
 def _regressions(
-    whitened: Sequence[Whitened], equations: Sequence[Equations], places: Sequence[Place], without: tuple[Regression, Regression]
+    whitened: Sequence[Whitened],
+    equations: Sequence[Equations],
+    places: Sequence[Place],
+    without: tuple[Regression, Regression],
 ) -> list[tuple[float, Regression]]:
     """Laws by their gain on held-out blocks, each with and without a random walk beside it."""
     found: list[tuple[float, Regression]] = []
 
     def tried(group: Group) -> None:
-        products = arguments.grams(whitened, group)
+        products = law_regression.grams(whitened, group)
         if products is not None:
             for flat in (False, True):
-                one = arguments.regression(products, group, level=flat)
+                one = law_regression.regression(products, group, level=flat)
                 found.append((one.gain(without[int(flat)]), one))
 
     names = [place.name for place in places if place.gain > 0.0]
@@ -359,4 +367,26 @@ def _simulated(
         ]
         standing = sorted([*fitted, *standing[most:]], key=lambda item: item.left)
         done = standing
-    return [item for item in done if item.points]
+    done = [item for item in done if item.points]
+    return _simplest(problem, done, ranked) if done else done
+
+
+def _simplest(problem: _Problem, done: list[Simulated], ranked: Sequence[tuple[float, Regression]]) -> list[Simulated]:
+    """The same, and the best law without its memory where that simulates as well."""
+    best = done[0]
+    assert best.regression is not None and best.regression.group is not None and best.law is not None
+    if best.law.operator == "none":
+        return done
+    bare = replace(best.regression.group, operator="none", amount=0.0)
+    starts = [best.law] if best.law.operator in ("lag", "play") else []
+    starts += [law for _, one in ranked if one.group == bare and (law := law_of(one)) is not None and any(law.values)]
+    plain = [
+        problem.fitted(replace(law, operator="none", time=0.0, width=0.0), amounts, _ROUNDS)
+        for law in starts[:2]
+        for amounts in (best.amounts,)
+        if law.argument != "draw"
+    ]
+    plain.sort(key=lambda item: item.left)
+    if plain and plain[0].left <= best.left + _AS_GOOD:
+        return [replace(plain[0], regression=replace(best.regression, group=bare)), *done[1:]]
+    return done

@@ -1,5 +1,6 @@
-"""What a law does to the recordings when the model runs with it: the chambers along the measured motion, the joint
-along the measured pressures, and the torque along both.
+"""What a law does to the recordings when the model runs with it.
+
+The chambers run along the measured motion, the joint along the measured pressures, and the torque along both.
 
 A regression may be misled by a disturbance that moves the very state that seems to explain it; a simulation is not.
 Each part of the model runs by itself, so every drive can be judged, and errors of one do not hide those of the other.
@@ -13,46 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist._jit import kernel
-from pam_antagonist.model import command_driven, dynamics, equilibrium, integration, pressure_driven, sensor
+from pam_antagonist.diagnosis.law_kernels import imposed_torque
+from pam_antagonist.model import command_driven, pressure_driven, sensor
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
-from pam_antagonist.model.integration import STAGES
-from pam_antagonist.model.parameters import FRICTION_STEP, LONGEST_STEP
+from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
-_rk4_step, _initial_state, _torque = integration.rk4_step_within, equilibrium.initial_state, dynamics.torque
 _SMOOTH_S = 0.010
 _BLOCK_S = 0.010
 _FINEST_S = 0.002
 _LONGEST = 2.0 * LONGEST_STEP
 CHANNELS = ("pressure 1", "pressure 2", "torque", "angle")
 PARTS = ("air", "torque", "angle")
-
-
-@kernel
-def _imposed(time, pressure, angle, command, p, longest):
-    """Torque of the muscles along measured pressures and angle, with all states that effects add (N,) [N m]."""
-    p = p.copy()
-    x = _initial_state(angle[0], pressure[0, 0], pressure[0, 1], command[0], p)
-    scratch, out = np.empty((STAGES + 1, x.shape[0])), np.empty(time.shape[0])
-    for k in range(time.shape[0]):
-        if k > 0:
-            dt = time[k] - time[k - 1]
-            steps = max(1, int(np.ceil(dt / longest - 0.1)))
-            p[FRICTION_STEP] = dt / steps
-            for s in range(steps):
-                share = (s + 0.5) / steps
-                x[ANGLE] = angle[k - 1] + share * (angle[k] - angle[k - 1])
-                x[VELOCITY] = (angle[k] - angle[k - 1]) / dt
-                for i in range(2):
-                    x[PRESSURE_1 + i] = pressure[k - 1, i] + share * (pressure[k, i] - pressure[k - 1, i])
-                _rk4_step(x, command[k], p, dt / steps, x, scratch)
-        x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle[k], pressure[k, 0], pressure[k, 1]
-        out[k] = _torque(x, p)
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +56,13 @@ class Course:
 
 
 def courses(stretches: Sequence[Mapping[str, Floats]], period: float, locked: bool) -> list[Course]:
-    """The stretches of a recording, ready to be simulated; arguments as of
-    :func:`~pam_antagonist.diagnosis.residual_equations.equations`. Rows closer than about 2 ms become one."""
+    """The stretches of a recording, ready to be simulated. Rows closer than about 2 ms become one.
+
+    Args:
+        stretches: as of :func:`~pam_antagonist.diagnosis.residual_equations.equations`.
+        period: of the samples [s].
+        locked: whether the joint was held.
+    """
     width = 2 * int(0.5 * _SMOOTH_S / period) + 1
     merged = max(int(_FINEST_S / period + 1e-6), 1)
     size = max(round(_BLOCK_S / (period * merged)), 1)
@@ -98,7 +78,16 @@ def courses(stretches: Sequence[Mapping[str, Floats]], period: float, locked: bo
         columns = np.column_stack([rows["pressure"], rows["torque"], rows["angle"]])
         measured = columns.reshape(-1, size, 4).mean(axis=1)
         out.append(
-            Course(rows["time"], rows["smooth"], rows["command"], rows["angle_smooth"], measured, size, size * merged, locked)
+            Course(
+                rows["time"],
+                rows["smooth"],
+                rows["command"],
+                rows["angle_smooth"],
+                measured,
+                size,
+                size * merged,
+                locked,
+            )
         )
     return out
 
@@ -130,7 +119,7 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = PARTS) -> Floats
         shown = command_driven.pressures(whole, start, course.time, course.command, course.angle, held, _LONGEST, anew)
         out[:, :2] = _blocks(sensor.readings(shown, p), course.size)
     if "torque" in parts and np.isfinite(course.measured[:, 2]).any():
-        torque = _imposed(course.time, behind, course.angle, course.command, held, _LONGEST)
+        torque = imposed_torque(course.time, behind, course.angle, course.command, held, _LONGEST)
         out[:, 2] = _blocks(torque, course.size)
     if "angle" in parts and not course.locked:
         free = p.copy()
