@@ -327,3 +327,42 @@ def imposed_torque(time, pressure, angle, command, p, longest):
         x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle[k], pressure[k, 0], pressure[k, 1]
         out[k] = _torque(x, p)
     return out
+
+
+@kernel
+def driven_angles(time, pressure, measured, velocity, anew, p, longest):
+    """The joint along measured pressures; at some rows its motion is set anew, what effects remember goes on.
+
+    Args:
+        time: of the rows (N,) [s].
+        pressure: (N, 2) [Pa], linear between rows.
+        measured: angle (N,) [rad].
+        velocity: of the measured angle (N,) [rad/s].
+        anew: whether the motion is set to the measured one at a row (N,).
+        p: parameter vector of a free joint.
+        longest: longest step of the integration [s].
+
+    Returns:
+        Angle (N,) [rad].
+    """
+    p = p.copy()
+    # With these zeros, equation (4) keeps the pressures: no flow, and no effect of the volume.
+    p[par.VALVE : par.VALVE + 2 * par.VALVE_SIZE] = 0.0
+    p[par.POLYTROPIC_VOLUME] = 0.0
+    u, out = np.zeros(2), np.empty(time.shape[0])
+    x = _initial_state(measured[0], pressure[0, 0], pressure[0, 1], u, p)
+    scratch = np.empty((STAGES + 1, x.shape[0]))
+    for k in range(time.shape[0]):
+        if k > 0:
+            dt = time[k] - time[k - 1]
+            steps = max(1, int(np.ceil(dt / longest - 0.1)))
+            p[FRICTION_STEP] = dt / steps
+            for s in range(steps):
+                share = (s + 0.5) / steps
+                for i in range(2):
+                    x[PRESSURE_1 + i] = pressure[k - 1, i] + share * (pressure[k, i] - pressure[k - 1, i])
+                _rk4_step(x, u, p, dt / steps, x, scratch)
+        out[k] = x[ANGLE]
+        if anew[k]:
+            x[ANGLE], x[VELOCITY] = measured[k], velocity[k]
+    return out

@@ -28,6 +28,8 @@ LEAST_SHARE = 0.08
 """Least share of what the base leaves that a law removes in a simulation."""
 _CANDIDATES, _PLACES, _FINALISTS, _ROUNDS = 8, 4, 3, 4
 _STEP = 0.05
+_TOGETHER = 30.0
+"""Blocks that a systematic error of the model makes worth one."""
 _FARTHEST = 6.0
 """Standard deviations by which a step moves a base direction at most."""
 _PARTS: Mapping[str, tuple[str, ...]] = {
@@ -215,7 +217,9 @@ class _Problem:
         matrix, right, at = np.zeros((total, total)), np.zeros(total), 0
         for r, own in enumerate(amounts):
             now = self.errors(r, law, own)
-            weight = 1.0 / np.sqrt(np.maximum(np.nan_to_num(excess[r], nan=1.0), 1.0))
+            # What lies above the noise hangs together: it is worth fewer values.
+            above = np.maximum(np.nan_to_num(excess[r], nan=1.0), 1.0)
+            weight = 1.0 / np.sqrt(above * np.minimum(above, _TOGETHER))
             columns = []
             for k in range(sizes[r]):
                 moved = own.copy()
@@ -354,10 +358,11 @@ def _simulated(
                 continue
             assert one.group is not None
             chosen[one.group] = None
-            amounts = tuple(a + b for a, b in zip(begin, one.base, strict=True))
-            excess, left = problem.evaluated(law, amounts)
-            if one.group not in starts or left < starts[one.group].left:
-                starts[one.group] = Simulated(law, (), excess, left, np.zeros((0, 0)), amounts, one)
+            near = tuple(a + b for a, b in zip(begin, one.base, strict=True))
+            for amounts in (near, tuple(np.zeros(len(a)) for a in begin)):
+                excess, left = problem.evaluated(law, amounts)
+                if one.group not in starts or left < starts[one.group].left:
+                    starts[one.group] = Simulated(law, (), excess, left, np.zeros((0, 0)), amounts, one)
     standing = sorted(starts.values(), key=lambda item: item.left)
     done: list[Simulated] = []
     for most, rounds in ((_CANDIDATES, 1), (_FINALISTS, 2), (1, _ROUNDS)):

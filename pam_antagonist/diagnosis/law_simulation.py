@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.law_kernels import imposed_torque
-from pam_antagonist.model import command_driven, pressure_driven, sensor
+from pam_antagonist.diagnosis.law_kernels import driven_angles, imposed_torque
+from pam_antagonist.model import command_driven, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.rig import Rig
@@ -25,6 +25,9 @@ Floats = NDArray[np.float64]
 _SMOOTH_S = 0.010
 _BLOCK_S = 0.010
 _FINEST_S = 0.002
+_SLOPE_S = 0.015
+_ANEW_S = 1.0
+"""[s] The joint's motion starts anew so often: a joint that sticks goes elsewhere after the least error."""
 _LONGEST = 2.0 * LONGEST_STEP
 CHANNELS = ("pressure 1", "pressure 2", "torque", "angle")
 PARTS = ("air", "torque", "angle")
@@ -110,13 +113,13 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = PARTS) -> Floats
         parts: what is simulated.
     """
     out = np.full(course.measured.shape, np.nan)
-    whole, anew = np.array([0, len(course.time)]), np.array([True])
+    whole, begun = np.array([0, len(course.time)]), np.array([True])
     held = p.copy()
     held[par.LOCKED] = 1.0
     behind = sensor.pressures_behind(course.pressure, p) if set(parts) != {"air"} else course.pressure
     if "air" in parts:
         start = sensor.pressures_behind(course.measured[:1, :2], p)
-        shown = command_driven.pressures(whole, start, course.time, course.command, course.angle, held, _LONGEST, anew)
+        shown = command_driven.pressures(whole, start, course.time, course.command, course.angle, held, _LONGEST, begun)
         out[:, :2] = _blocks(sensor.readings(shown, p), course.size)
     if "torque" in parts and np.isfinite(course.measured[:, 2]).any():
         torque = imposed_torque(course.time, behind, course.angle, course.command, held, _LONGEST)
@@ -124,9 +127,12 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = PARTS) -> Floats
     if "angle" in parts and not course.locked:
         free = p.copy()
         free[par.LOCKED] = 0.0
-        start = np.array([[course.measured[0, 3], 0.0]])
-        signals = np.zeros((len(course.time), 0))
-        angle = pressure_driven.angles(whole, start, course.time, behind, signals, free, _LONGEST)
+        period = float(np.median(np.diff(course.time)))
+        reach = max(round(_SLOPE_S / period), 1)
+        velocity = np.zeros(len(course.time))
+        velocity[reach:-reach] = (course.angle[2 * reach :] - course.angle[: -2 * reach]) / (2.0 * reach * period)
+        anew = np.arange(len(course.time)) % max(round(_ANEW_S / period), 2 * reach) == 0
+        angle = driven_angles(course.time, behind, course.angle, velocity, anew, free, _LONGEST)
         out[:, 3] = _blocks(angle, course.size)
     return out
 

@@ -26,6 +26,8 @@ from pam_antagonist.rig.learned import Law, laws_of, with_law
 Floats = NDArray[np.float64]
 
 _SHORTEST_S = 10.0
+_SLOWEST_S = 5e-3
+"""[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
 LIKE: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("flow", "pressure"): ("leak", "pressure_sensor"),
     ("flow", "length"): ("leak",),
@@ -78,8 +80,10 @@ def where(name: str) -> str:
 
 def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
     """Why no law can be looked for; empty if one can."""
-    if rig.valves.sealed:
-        return "a law is looked for in joints with valves or regulators only; this one is sealed"
+    if rig.valves.sealed or rig.drive != "valve":
+        return "a law is looked for in joints with moving valves only"
+    if any(one.sample_period_s > _SLOWEST_S for one in recordings):
+        return f"a law is looked for in recordings with {1.0 / _SLOWEST_S:g} samples a second at least"
     if rig.units.pressure != "pascal":
         return "a law is looked for where pressures are known in pascals only"
     if any(one.angle is None or not np.isfinite(one.angle).any() for one in recordings):
