@@ -176,7 +176,7 @@ def whitened_at_place(fresh, slope, noise, walk, at, quiet, columns_in, columns_
         walk: variance of the walk's step [unit²], and at the begin.
         at: what a unit of the walk does over a block and to the channels (K, 2 + C).
         quiet: variance of the errors' steps [Pa²].
-        columns_in: of data and regressors, over a block (N, K, 2).
+        columns_in: what regressors add to the errors over a block, and what is taken from the data (N, K, 2).
         columns_out: likewise, to the channels (N, K, C).
 
     Returns:
@@ -218,8 +218,8 @@ def whitened_at_place(fresh, slope, noise, walk, at, quiet, columns_in, columns_
         a0, a1, b0, b1 = slope[k, 0], slope[k, 1], at[k, 0], at[k, 1]
         for n in range(state.shape[0]):
             walked = state[n, 2]
-            state[n, 0] = a0 * state[n, 0] + b0 * walked + columns_in[n, k, 0]
-            state[n, 1] = a1 * state[n, 1] + b1 * walked + columns_in[n, k, 1]
+            state[n, 0] = a0 * state[n, 0] + b0 * walked - columns_in[n, k, 0]
+            state[n, 1] = a1 * state[n, 1] + b1 * walked - columns_in[n, k, 1]
         p00, p01, p11, p02, p12, p22 = cov[0, 0], cov[0, 1], cov[1, 1], cov[0, 2], cov[1, 2], cov[2, 2]
         cov[0, 0] = a0 * a0 * p00 + 2.0 * a0 * b0 * p02 + b0 * b0 * p22 + quiet
         cov[1, 1] = a1 * a1 * p11 + 2.0 * a1 * b1 * p12 + b1 * b1 * p22 + quiet
@@ -243,7 +243,7 @@ def whitened_channel(fresh, slope, noise, walk, inside, outside, state_seen, qui
         outside: likewise, to the channel at once (K,).
         state_seen: 1 where the channel shows the error, else 0.
         quiet: variance of the error's step.
-        columns_in: over a block (N, K).
+        columns_in: what regressors add to the error over a block, and what is taken from the data (N, K).
         columns_out: to the channel (N, K).
 
     Returns:
@@ -272,7 +272,7 @@ def whitened_channel(fresh, slope, noise, walk, inside, outside, state_seen, qui
                 state[n, 1] += g1 * left
         a, b = slope[k], inside[k]
         for n in range(number):
-            state[n, 0] = a * state[n, 0] + b * state[n, 1] + columns_in[n, k]
+            state[n, 0] = a * state[n, 0] + b * state[n, 1] - columns_in[n, k]
         p00 = a * a * p00 + 2.0 * a * b * p01 + b * b * p11 + quiet * state_seen
         p01 = a * p01 + b * p11
         p11 += walk[0]

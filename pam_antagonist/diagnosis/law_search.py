@@ -26,7 +26,7 @@ LEAST_GAIN = 40.0
 """Least gain of a law on held-out blocks [nats]."""
 LEAST_SHARE = 0.08
 """Least share of what the base leaves that a law removes in a simulation."""
-_CANDIDATES, _PLACES, _FINALISTS, _ROUNDS = 8, 4, 3, 4
+_CANDIDATES, _PLACES, _FINALISTS, _ROUNDS = 8, 4, 2, 4
 _STEP = 0.05
 _TOGETHER = 30.0
 """Blocks that a systematic error of the model makes worth one."""
@@ -365,7 +365,7 @@ def _simulated(
                     starts[one.group] = Simulated(law, (), excess, left, np.zeros((0, 0)), amounts, one)
     standing = sorted(starts.values(), key=lambda item: item.left)
     done: list[Simulated] = []
-    for most, rounds in ((_CANDIDATES, 1), (_FINALISTS, 2), (1, _ROUNDS)):
+    for most, rounds in ((2 * _FINALISTS, 1), (_FINALISTS, 1), (1, _ROUNDS)):
         fitted = [
             replace(problem.fitted(item.law, item.amounts, rounds), regression=item.regression)
             for item in standing[:most]

@@ -27,7 +27,7 @@ _START = 2e4
 def data_columns(one: Equations) -> tuple[Floats, Floats]:
     """Columns of data and base directions: over a block (1 + D, K, 2), and to the channels (1 + D, K, 4)."""
     moved, static = one.base
-    inside = np.concatenate([-one.jumps[None], moved])
+    inside = np.concatenate([one.jumps[None], moved])
     outside = np.zeros((len(inside), len(one.time), len(CHANNELS)))
     outside[0] = np.nan_to_num(one.residual)
     outside[1:, :, 2:] = static
