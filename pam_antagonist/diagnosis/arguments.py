@@ -68,7 +68,15 @@ class Group:
 
 
 def operated(values: Floats, operator: str, amount: float, step: float, fresh: NDArray[np.bool_]) -> Floats:
-    """What an operator with memory makes of an argument; it starts at rest."""
+    """What an operator with memory makes of an argument; it starts at rest.
+
+    Args:
+        values: the argument (K,).
+        operator: its name.
+        amount: time [s], or width in the unit of the argument.
+        step: length of a block [s].
+        fresh: whether a block begins anew (K,).
+    """
     if operator == "none":
         return values
     held = lagged(values, step / amount, fresh) if operator in ("lag", "high_pass") else played(values, amount, fresh)
@@ -103,14 +111,26 @@ def sides(group: Group) -> list[tuple[str, int]]:
 
 
 def argument_of(one: Equations, group: Group, muscle: int) -> Floats:
-    """What a law depends on in a recording (K,)."""
+    """What a law depends on in a recording (K,).
+
+    Args:
+        one: the equations of the recording.
+        group: the law.
+        muscle: 1 or 2.
+    """
     name = of_muscle(group.argument, muscle)
     values = np.zeros(len(one.time)) if name == "none" else one.arguments[name]
     return operated(values, group.operator, group.amount, one.step, one.fresh)
 
 
 def nodes_of(group: Group, recordings: Sequence[Equations], number: int = NODES) -> Floats:
-    """Nodes of a table: between even ones and such with as many values each; one for a constant."""
+    """Nodes of a table: between even ones and such with as many values each; one for a constant.
+
+    Args:
+        group: the law.
+        recordings: their equations.
+        number: of nodes.
+    """
     if group.argument == "none":
         return np.zeros(1)
     seen = [
@@ -126,7 +146,13 @@ def nodes_of(group: Group, recordings: Sequence[Equations], number: int = NODES)
 
 
 def law_columns(one: Equations, group: Group, nodes: Floats) -> tuple[Floats, Floats]:
-    """Columns of the values of a law, over a block (N, K, 2) and to the channels (N, K, 4)."""
+    """Columns of the values of a law, over a block (N, K, 2) and to the channels (N, K, 4).
+
+    Args:
+        one: the equations of the recording.
+        group: the law.
+        nodes: of its table (N,).
+    """
     count = len(one.time)
     inside, outside = np.zeros((len(nodes), count, 2)), np.zeros((len(nodes), count, len(CHANNELS)))
     for place, muscle in sides(group):

@@ -114,7 +114,12 @@ def observed(begin, fresh, command, angle, reading, size, period, substeps, old,
 
 @kernel
 def torques(states, p):
-    """Torque of the muscles in each state (K,) [N m]."""
+    """Torque of the muscles in each state (K,) [N m].
+
+    Args:
+        states: of the blocks (K, n).
+        p: parameter vector (m,).
+    """
     out = np.empty(states.shape[0])
     for k in range(states.shape[0]):
         out[k] = _torque(states[k], p)
@@ -123,7 +128,14 @@ def torques(states, p):
 
 @kernel
 def motions(states, acceleration, direction, p):
-    """Torque of the muscles that the motion needs, by equation (8) (K,) [N m]."""
+    """Torque of the muscles that the motion needs, by equation (8) (K,) [N m].
+
+    Args:
+        states: of the blocks (K, n).
+        acceleration: (K,) [rad/s²].
+        direction: of the motion (K,).
+        p: parameter vector (m,).
+    """
     out = np.empty(states.shape[0])
     for k in range(states.shape[0]):
         out[k] = _needed(states[k], acceleration[k], direction[k], p) + _torque(states[k], p)
@@ -133,6 +145,11 @@ def motions(states, acceleration, direction, p):
 @kernel
 def air_columns(states, voltage, p):
     """What the places of the air act with.
+
+    Args:
+        states: of the blocks (K, n).
+        voltage: (K, 2) [V].
+        p: parameter vector (m,).
 
     Returns:
         For each block and muscle: dP/dt per kg/s, flow per open rate, flow per share of the supply, flow, drawn flow,
@@ -281,7 +298,13 @@ def whitened_channel(fresh, slope, noise, walk, inside, outside, state_seen, qui
 
 @kernel
 def lagged(values, share, fresh):
-    """First-order lag of an argument, its step ``share`` time constants long, at rest where a stretch begins."""
+    """First-order lag of an argument, its step ``share`` time constants long, at rest where a stretch begins.
+
+    Args:
+        values: the argument (K,).
+        share: of a time constant that a block lasts.
+        fresh: whether a block begins anew (K,).
+    """
     out = np.empty(values.shape[0])
     held = 0.0
     for k in range(values.shape[0]):
@@ -295,7 +318,13 @@ def lagged(values, share, fresh):
 
 @kernel
 def played(values, width, fresh):
-    """Play of a width on an argument, in its middle where a stretch begins."""
+    """Play of a width on an argument, in its middle where a stretch begins.
+
+    Args:
+        values: the argument (K,).
+        width: of the play, in the unit of the argument.
+        fresh: whether a block begins anew (K,).
+    """
     out = np.empty(values.shape[0])
     held = 0.0
     for k in range(values.shape[0]):
@@ -308,7 +337,16 @@ def played(values, width, fresh):
 
 @kernel
 def imposed_torque(time, pressure, angle, command, p, longest):
-    """Torque of the muscles along measured pressures and angle, with all states that effects add (N,) [N m]."""
+    """Torque of the muscles along measured pressures and angle, with all states that effects add (N,) [N m].
+
+    Args:
+        time: of the rows (N,) [s].
+        pressure: (N, 2) [Pa].
+        angle: (N,) [rad].
+        command: (N, 2) [V] or [Pa].
+        p: parameter vector (m,).
+        longest: longest step of the integration [s].
+    """
     p = p.copy()
     x = _initial_state(angle[0], pressure[0, 0], pressure[0, 1], command[0], p)
     scratch, out = np.empty((STAGES + 1, x.shape[0])), np.empty(time.shape[0])

@@ -35,6 +35,7 @@ class Whitened:
         folds: fold of each block (K,).
         data: data and base directions by channel and walk (C, L, 1 + D, K).
         logs: logarithm of the variances by channel, walk and fold (C, L, F).
+        edges: first block of each fold, then the number of blocks (F + 1,).
     """
 
     one: Equations
@@ -61,7 +62,14 @@ class Whitened:
         return made
 
     def columns(self, c: int, level: int, inside: Floats, outside: Floats) -> tuple[Floats, Floats]:
-        """Whitened columns of a channel, and the logarithms of its variances."""
+        """Whitened columns of a channel, and the logarithms of its variances.
+
+        Args:
+            c: the channel.
+            level: index of the walk.
+            inside: what the columns add over a block (N, K, 2).
+            outside: what they add to the channels (N, K, 4).
+        """
         one = self.one
         air = c < 2
         noise = noise_of(one)[:, c]
@@ -108,7 +116,7 @@ def grams(recordings: Sequence[Whitened], group: Group | None, nodes: Floats | N
     Args:
         recordings: whitened.
         group: the law; None for none.
-        nodes: of its table; None: found here.
+        nodes: of its table (N,); None: found here.
 
     Returns:
         None if the argument does not move.

@@ -126,14 +126,26 @@ def law_of(regression: Regression, number: int = 1) -> Law | None:
 
 
 def written(p: Floats, law: Law | None, number: int = 1) -> Floats:
-    """A parameter vector with a law in it."""
+    """A parameter vector with a law in it.
+
+    Args:
+        p: the vector (m,).
+        law: the law; None for none.
+        number: of the law in the rig.
+    """
     if law is None:
         return p
     return par.changed(p, {parameter_path("learned", name): value for name, value in numbers_of(law, number).items()})
 
 
 def with_base(p: Floats, groups: Sequence[tuple[tuple[str, ...], float]], amounts: Floats) -> Floats:
-    """A parameter vector whose base directions are moved by amounts in standard deviations."""
+    """A parameter vector whose base directions are moved by amounts in standard deviations.
+
+    Args:
+        p: the vector (m,).
+        groups: of parameters that scale together, with their standard deviations.
+        amounts: of each group (D,), in standard deviations.
+    """
     factors: dict[str, float] = {}
     for (names, std), amount in zip(groups, amounts, strict=True):
         for name in names:

@@ -62,7 +62,8 @@ def courses(stretches: Sequence[Mapping[str, Floats]], period: float, locked: bo
     """The stretches of a recording, ready to be simulated. Rows closer than about 2 ms become one.
 
     Args:
-        stretches: as of :func:`~pam_antagonist.diagnosis.residual_equations.equations`.
+        stretches: arrays (N,) or (N, 2) by name, as of
+            :func:`~pam_antagonist.diagnosis.residual_equations.equations`.
         period: of the samples [s].
         locked: whether the joint was held.
     """
@@ -109,7 +110,7 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = PARTS) -> Floats
 
     Args:
         course: the stretch.
-        p: parameter vector of a free joint, with all effects and laws.
+        p: parameter vector of a free joint (m,), with all effects and laws.
         parts: what is simulated.
     """
     out = np.full(course.measured.shape, np.nan)
@@ -142,7 +143,14 @@ def _blocks(values: Floats, size: int) -> Floats:
 
 
 def errors(all_courses: Sequence[Course], p: Floats, rig: Rig, parts: Sequence[str] = PARTS) -> Floats:
-    """Simulated less measured, in noises of a block mean, joined over stretches (B, 4)."""
+    """Simulated less measured, in noises of a block mean, joined over stretches (B, 4).
+
+    Args:
+        all_courses: the stretches.
+        p: parameter vector (m,).
+        rig: for its sensors.
+        parts: what is simulated.
+    """
     error = rig.sensors.error
     noise = np.array([error("pressure"), error("pressure"), error("torque"), max(error("angle"), 1e-5)])
     return np.concatenate(

@@ -71,7 +71,11 @@ class Learned:
 
 
 def where(name: str) -> str:
-    """A place in words, such as ``flow_2``."""
+    """A place in words, such as ``flow_2``.
+
+    Args:
+        name: of the place.
+    """
     kind, _, end = name.rpartition("_")
     if end in ("1", "2", "both") and kind:
         return _WHERE[kind].format("1 and 2" if end == "both" else end)
@@ -170,7 +174,13 @@ def learn(
 
 
 def effect_of(law: Law, found: LawSearch, recordings: Sequence[str]) -> FoundEffect:
-    """A learned law as an effect of a diagnosis."""
+    """A learned law as an effect of a diagnosis.
+
+    Args:
+        law: the law.
+        found: how it was found.
+        recordings: names of those that show it.
+    """
     sizes = {
         ("everywhere" if len(law.nodes) == 1 else f"at {node:.4g} {law.argument_unit}"): Size(value, std, law.unit)
         for node, value, std in zip(law.nodes, law.values, law.std or (0.0,) * len(law.nodes), strict=True)
@@ -182,7 +192,14 @@ def effect_of(law: Law, found: LawSearch, recordings: Sequence[str]) -> FoundEff
 
 
 def sentence(law: Law, before: Diagnosis, after: Diagnosis, others: Sequence[Simulated]) -> str:
-    """The verdict by a learned law, in words."""
+    """The verdict by a learned law, in words.
+
+    Args:
+        law: the law.
+        before: the diagnosis without it.
+        after: the diagnosis with it.
+        others: laws that simulate as well.
+    """
     errors = [
         f"the {name}'s held-out error falls from {a.rmse:.3g} to {b.rmse:.3g} {unit}"
         for name, unit in (("angle", "deg"), ("torque", "N m"))
@@ -201,7 +218,12 @@ def sentence(law: Law, before: Diagnosis, after: Diagnosis, others: Sequence[Sim
 
 
 def falls(before: ModelErrors, after: ModelErrors) -> bool:
-    """Whether the held-out errors of recalibrated models are less with a law than without it, all channels together."""
+    """Whether the held-out errors of recalibrated models are less with a law than without it, all channels together.
+
+    Args:
+        before: errors without the law.
+        after: errors with it.
+    """
     pairs = [(a, b) for a, b in zip(before.recalibrated.rmse_pa, after.recalibrated.rmse_pa, strict=True)]
     for name in ("angle", "torque"):
         first, second = getattr(before.recalibrated, name), getattr(after.recalibrated, name)

@@ -46,7 +46,7 @@ def places_of(
     """What one unit at each place does: over a block (K, 2), and to the residuals (K, 4).
 
     Args:
-        columns: of :func:`air_columns`.
+        columns: of :func:`~pam_antagonist.diagnosis.law_kernels.air_columns` (K, 2, 8).
         slope: of the errors of the pressures over a block (K, 2).
         step: length of a block [s].
         by_pressure: slopes of the torque by the pressures (K, 2) [N m/Pa].
@@ -54,7 +54,7 @@ def places_of(
         shown: states with measured pressures and motion (K, n).
         p: parameter vector (m,).
         direction: of the motion (K,).
-        has_torque: whether the torque was measured (K,).
+        has_torque: whether the torque was measured (K,) [-].
         valve: whether valves drive the joint.
     """
     count = len(shown)
@@ -122,8 +122,8 @@ def arguments_of(
 
     Args:
         reference: states of the observer, which hold no noise of what they explain (K, n).
-        blocks: means of what was measured.
-        columns: of :func:`air_columns`.
+        blocks: means of what was measured (K,) or (K, 2), by name.
+        columns: of :func:`~pam_antagonist.diagnosis.law_kernels.air_columns` (K, 2, 8).
         p: parameter vector (m,).
         rig: for its drive.
         velocity: of the joint (K,) [rad/s].
