@@ -49,7 +49,6 @@ LAW_SCHEMA = {
     "type": "object",
     "description": "a learned law: docs/effects.md",
     "additionalProperties": False,
-    "required": ["place", "nodes", "values"],
     "properties": {
         "place": {"enum": list(learned.PLACES), "description": "where it acts"},
         "muscle": {"enum": [1, 2, "both"], "description": "at a place of a muscle"},

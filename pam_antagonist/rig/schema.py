@@ -393,7 +393,10 @@ class Rig(Strict):
         p[_EFFECTS] = list(_NEUTRAL.values())
         for effect, values in self.effects.items():
             for item, value in values.items():
-                p[par.INDEX[parameter_path(effect, item)]] = value
+                path = parameter_path(effect, item)
+                if path not in _NEUTRAL:
+                    raise BadInput(f"rig {self.name}: {unknown(path, _NEUTRAL)}; expected the parameter of an effect")
+                p[par.INDEX[path]] = value
         for name, index in _BASE.items():
             p[index] = min(self.sample_period, par.LONGEST_STEP) if name == "friction.time_step" else self.value(name)
         p[par.LOCKED] = float(joint == "locked")

@@ -47,6 +47,16 @@ def test_sample_by_sample_it_gives_the_bits_of_the_whole(whole: np.ndarray) -> N
         assert row is None or row.tobytes() == whole[k].tobytes()
 
 
+@pytest.mark.parametrize("joint", ["free", "locked"])
+def test_it_stays_definite_with_its_states(joint: str) -> None:
+    recording = trial(4.0, seed=7, joint=joint)
+    run = Estimator(lawful(std=1e-2), joint=joint).run(recording.stamp_ns, recording.pressure, recording.voltage)
+    assert run.counts.processed == len(recording.stamp_ns)
+    assert run.counts.repaired == run.counts.restarts == 0
+    assert list(run.added) == ["law2_memory_1", "law2_memory_2"]
+    assert all(np.isfinite(values).all() for values in run.added.values())
+
+
 def test_it_goes_on_from_a_checkpoint_and_another_law_refuses_it(whole: np.ndarray) -> None:
     first, second = Estimator(lawful(std=1e-2)), Estimator(lawful(std=1e-2))
     first.run(*samples(0, HALF))

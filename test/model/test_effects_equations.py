@@ -116,9 +116,9 @@ def draw(names, rng):
 
 
 def test_every_effect_has_a_case():
-    assert set(SINGLE) == set(CATALOGUE)
+    assert set(SINGLE) == {name for name, effect in CATALOGUE.items() if not effect.of_tables}, "see test_learned.py"
     assert all(set(values) <= {item.name for item in CATALOGUE[name].parameters} for name, values in SINGLE.items())
-    several = {n for n, e in CATALOGUE.items() if any(item.muscle for item in e.parameters)}
+    several = {n for n in SINGLE if any(item.muscle for item in CATALOGUE[n].parameters)}
     assert set(ONE_MUSCLE) == several
 
 

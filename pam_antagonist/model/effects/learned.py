@@ -277,7 +277,7 @@ def lost_air(
 
 
 @inlined
-def moved_valve(opening, muscle_length, length_rate, wanted_open_rate, now, muscle, law, rows, x, p):
+def _moved_valve(opening, muscle_length, length_rate, wanted_open_rate, now, muscle, law, rows, x, p):
     """Open rate at which a valve stands [-]: place ``valve``; arguments as for :func:`lost_air`."""
     if p[law + USED + VALVE] == 0.0:
         return opening
@@ -294,7 +294,7 @@ def _further(place, now, law, rows, x, p):
 
 
 @inlined
-def supply_shift(supply_pressure, now, law, rows, x, p):
+def _supply_shift(supply_pressure, now, law, rows, x, p):
     """Change of the supply's pressure [Pa]: place ``supply``; arguments as for :func:`lost_air`."""
     if p[law + USED + SUPPLY] == 0.0:
         return 0.0
@@ -302,7 +302,7 @@ def supply_shift(supply_pressure, now, law, rows, x, p):
 
 
 @inlined
-def further_force(static_force, passive_force, muscle_length, length_rate, now, muscle, law, rows, x, p):
+def _further_force(static_force, passive_force, muscle_length, length_rate, now, muscle, law, rows, x, p):
     """Further contraction force [N]: places ``force`` and ``strength``; arguments as for :func:`lost_air`."""
     force = 0.0
     own = (muscle_length, length_rate, 0.0 * length_rate, 0.0 * length_rate)
@@ -314,7 +314,7 @@ def further_force(static_force, passive_force, muscle_length, length_rate, now, 
 
 
 @inlined
-def further_torque(now, law, rows, x, p):
+def _further_torque(now, law, rows, x, p):
     """Further torque on the joint [N m]: place ``torque``; arguments as for :func:`lost_air`."""
     if p[law + USED + TORQUE] == 0.0:
         return 0.0
@@ -322,7 +322,7 @@ def further_torque(now, law, rows, x, p):
 
 
 @inlined
-def further_friction(now, law, rows, x, p):
+def _further_friction(now, law, rows, x, p):
     """Change of the Coulomb torque [N m]: place ``friction``; arguments as for :func:`lost_air`."""
     if p[law + USED + FRICTION] == 0.0:
         return 0.0
@@ -330,8 +330,8 @@ def further_friction(now, law, rows, x, p):
 
 
 @inlined
-def shown(pressure, muscle, law, rows, p):
-    """Reading of a pressure sensor [Pa]; the inverse of :func:`pressure_behind`, which is straight between nodes."""
+def _shown(pressure, muscle, law, rows, p):
+    """Reading of a pressure sensor [Pa]; the inverse of :func:`_pressure_behind`, which is straight between nodes."""
     reading = pressure
     for k in range(LAWS):
         codes, numbers = law + k * SIZE, rows + k * NUMBERS
@@ -347,7 +347,7 @@ def shown(pressure, muscle, law, rows, p):
 
 
 @inlined
-def pressure_behind(reading, muscle, law, rows, p):
+def _pressure_behind(reading, muscle, law, rows, p):
     """The pressure behind a reading [Pa]: place ``sensor``."""
     pressure = reading
     for k in range(LAWS):
@@ -370,7 +370,7 @@ def _followed(law, rows, held, argument, quickest_lag, p):
 
 
 @in_place
-def muscle_rate(
+def _muscle_rate(
     held, now, muscle_length, length_rate, wanted_open_rate, valve_flow, quickest_lag, muscle, law, rows, p
 ):
     """Derivative [1/s] of the state ``held`` of a law at a muscle."""
@@ -379,21 +379,21 @@ def muscle_rate(
 
 
 @in_place
-def muscle_start(now, muscle_length, length_rate, wanted_open_rate, valve_flow, muscle, law, rows, p):
+def _muscle_start(now, muscle_length, length_rate, wanted_open_rate, valve_flow, muscle, law, rows, p):
     """State of a law at a muscle after a long rest."""
     own = (muscle_length, length_rate, wanted_open_rate, valve_flow)
     return _argued(law, muscle, now, own, p) / _span(law, rows, p)
 
 
 @in_place
-def joint_rate(held, now, drawn_flow, quickest_lag, law, rows, p):
+def _joint_rate(held, now, drawn_flow, quickest_lag, law, rows, p):
     """Derivative [1/s] of the state ``held`` of a law of the joint."""
     own = (drawn_flow, drawn_flow, drawn_flow, drawn_flow)
     return _followed(law, rows, held, _argued(law, JOINT, now, own, p), quickest_lag, p)
 
 
 @in_place
-def joint_start(now, drawn_flow, law, rows, p):
+def _joint_start(now, drawn_flow, law, rows, p):
     """State of a law of the joint after a long rest."""
     own = (drawn_flow, drawn_flow, drawn_flow, drawn_flow)
     return _argued(law, JOINT, now, own, p) / _span(law, rows, p)
@@ -415,7 +415,7 @@ def _states(number: int) -> Iterator[AddedState]:
     for name, end in (("memory_1", "_1"), ("memory_2", "_2"), ("held", "")):
         yield AddedState(
             f"law{number}_{name}", "-", f"law{number}_keeps{end}", 0.02, 1e-4, law=number,
-            rate=muscle_rate if end else joint_rate, steady_value=muscle_start if end else joint_start,
+            rate=_muscle_rate if end else _joint_rate, steady_value=_muscle_start if end else _joint_start,
         )  # fmt: skip
 
 
@@ -428,14 +428,14 @@ EFFECT = Effect(
     parameters=tuple(item for number in range(1, LAWS + 1) for item in _parameters(number)),
     states=tuple(state for number in range(1, LAWS + 1) for state in _states(number)),
     hooks={
-        "opening": moved_valve,
-        "supply_change": supply_shift,
+        "opening": _moved_valve,
+        "supply_change": _supply_shift,
         "mass_loss": lost_air,
-        "contraction_force": further_force,
-        "coulomb_torque": further_friction,
-        "joint_torque": further_torque,
-        "sensor_reading": shown,
-        "sensor_inverse": pressure_behind,
+        "contraction_force": _further_force,
+        "coulomb_torque": _further_friction,
+        "joint_torque": _further_torque,
+        "sensor_reading": _shown,
+        "sensor_inverse": _pressure_behind,
     },
     of_tables=True,
     sentence="a law that was learned from the recordings acts on the joint (learned)",
