@@ -376,8 +376,15 @@ def _simulated(
                 if one.group not in starts or left < starts[one.group].left:
                     starts[one.group] = Simulated(law, (), excess, left, np.zeros((0, 0)), amounts, one)
     standing = sorted(starts.values(), key=lambda item: item.left)
+    # A base that was fitted without a law hides the right place: the best law of each place gets its turn.
+    by_place: dict[str, Simulated] = {}
+    for item in standing:
+        if item.law is not None:
+            by_place.setdefault(item.law.at, item)
+    first = list(by_place.values())[:_PLACES]
+    standing = [*first, *(item for item in standing if item not in first)]
     done: list[Simulated] = []
-    for most, rounds in ((2 * _FINALISTS, 1), (_FINALISTS, 1), (1, _ROUNDS)):
+    for most, rounds in ((_PLACES + _FINALISTS, 1), (_FINALISTS, 1), (1, _ROUNDS)):
         fitted = [
             replace(problem.fitted(item.law, item.amounts, rounds), regression=item.regression)
             for item in standing[:most]
