@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from pam_antagonist.api import episodes, from_pressures
 from pam_antagonist.api.episodes import EpisodesDiagnoseResult
 from pam_antagonist.api.from_pressures import PressuresDiagnoseResult
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections
-from pam_antagonist.diagnosis import Diagnosis, found_calibrations
+from pam_antagonist.diagnosis import Diagnosis, found_calibrations, learned_law
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
@@ -214,10 +214,18 @@ def diagnose(
         raise BadInput("also: expected a recording of many episodes of a joint with pressure regulators")
     for recording in (*fitted, *kept):
         recording.driven_by(chosen.drive).in_one_piece()
-    found = _diagnose(
-        fitted, chosen, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
+    by_rig = partial(
+        _diagnose, fitted, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
         progress=progress, profiles=profiles, estimator=estimator, store=store,
     )  # fmt: skip
+    found = by_rig(chosen)
+    if found.verdict == "unexplained" and not learned_law.refusal((*fitted, *kept), chosen):
+        states = [(one, joint_condition(one, joint, lock_angle)) for one in (*fitted, *kept)]
+        learned = learned_law.learn(states, chosen, holdout, progress or (lambda text: None), len(kept))
+        if learned.rig is not None:
+            found = learned_law.joined(found, by_rig(learned.rig), learned)
+        elif learned.sentence:
+            found = replace(found, sentence=f"{found.sentence} {learned.sentence}")
     return DiagnoseResult(
         **{item.name: getattr(found, item.name) for item in fields(Diagnosis)},
         start=chosen,
