@@ -74,6 +74,7 @@ def as_rig(rig: Rig | str | Path, regulators: bool = False) -> Rig:
 
 
 def checked(content: dict[str, Any], where: str) -> Rig:
+    """The rig with a content, which is checked."""
     rig = validated(Rig, _with_numbers(content, where), where, _SWITCHES)
     complaint = _half_linear(content, rig) or unphysical(rig)
     if complaint:
