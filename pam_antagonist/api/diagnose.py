@@ -214,16 +214,17 @@ def diagnose(
         raise BadInput("also: expected a recording of many episodes of a joint with pressure regulators")
     for recording in (*fitted, *kept):
         recording.driven_by(chosen.drive).in_one_piece()
-    by_rig = partial(
-        _diagnose, fitted, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
-        progress=progress, profiles=profiles, estimator=estimator, store=store,
+    run = partial(
+        _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed, progress=progress,
+        profiles=profiles, estimator=estimator, store=store,
     )  # fmt: skip
-    found = by_rig(chosen)
+    found = run(fitted, chosen, held_out=kept)
     if found.verdict == "unexplained" and not learned_law.refusal((*fitted, *kept), chosen):
         states = [(one, joint_condition(one, joint, lock_angle)) for one in (*fitted, *kept)]
         learned = learned_law.learn(states, chosen, holdout, progress or (lambda text: None), len(kept))
-        if learned.rig is not None:
-            found = learned_law.joined(found, by_rig(learned.rig), learned)
+        if learned.law is not None:
+            again = run(learned.corrected(fitted), learned.rig, held_out=learned.corrected(kept))
+            found = learned_law.joined(found, again, learned)
         elif learned.sentence:
             found = replace(found, sentence=f"{found.sentence} {learned.sentence}")
     return DiagnoseResult(

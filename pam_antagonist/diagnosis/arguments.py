@@ -14,7 +14,11 @@ from pam_antagonist.diagnosis.residual_equations import CHANNELS, Equations
 Floats = NDArray[np.float64]
 
 NODES = 8
+FINE = 15
+"""Nodes of a table, and of one for a law that is steep somewhere."""
 _TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)
+_SHORT = (0.03, 0.1, 0.3)
+"""[s] Times of lag and high-pass, and those of a sensor."""
 _WIDTHS = (0.1, 0.3, 0.6)
 """Widths of play as shares of the argument's range."""
 _ARGUMENTS = {
@@ -23,7 +27,7 @@ _ARGUMENTS = {
     "valve": ("none", "pressure", "other_pressure", "pressure_difference", "open_rate", "length", "time"),
     "force": ("none", "pressure", "other_pressure", "length", "length_rate", "velocity", "time"),
     "strength": ("none", "pressure", "other_pressure", "length", "length_rate", "time"),
-    "sensor": ("none", "pressure"),
+    "sensor": ("pressure", "other_pressure", "pressure_difference"), "encoder": ("angle",),
     "exchange": ("none", "pressure_difference", "pressure_sum", "angle", "velocity", "time"),
     "supply": ("none", "pressure_1", "pressure_2", "pressure_sum", "time"),
     "torque": ("none", "angle", "velocity", "pressure_1", "pressure_2", "pressure_difference", "pressure_sum", "time"),
@@ -32,6 +36,7 @@ _ARGUMENTS = {
 _WITH_MEMORY = {
     "flow": ("pressure",), "valve": ("open_rate",), "force": ("pressure", "length"), "strength": ("pressure", "length"),
     "exchange": ("pressure_difference",), "supply": ("draw",), "torque": ("angle", "pressure_difference"),
+    "sensor": ("pressure",),
 }  # fmt: skip
 
 
@@ -44,12 +49,14 @@ class Group:
         argument: as :mod:`~pam_antagonist.model.effects.learned` has it; ``none`` for a constant.
         operator: ``none``, ``lag``, ``high_pass``, ``play`` or ``stop``.
         amount: time [s] or width of the operator.
+        number: of nodes.
     """
 
     place: str
     argument: str
     operator: str = "none"
     amount: float = 0.0
+    number: int = NODES
 
     @property
     def kind(self) -> str:
@@ -123,13 +130,12 @@ def argument_of(one: Equations, group: Group, muscle: int) -> Floats:
     return operated(values, group.operator, group.amount, one.step, one.fresh)
 
 
-def nodes_of(group: Group, recordings: Sequence[Equations], number: int = NODES) -> Floats:
+def nodes_of(group: Group, recordings: Sequence[Equations]) -> Floats:
     """Nodes of a table: between even ones and such with as many values each; one for a constant.
 
     Args:
         group: the law.
         recordings: their equations.
-        number: of nodes.
     """
     if group.argument == "none":
         return np.zeros(1)
@@ -140,8 +146,8 @@ def nodes_of(group: Group, recordings: Sequence[Equations], number: int = NODES)
     low, high = np.quantile(values, [0.003, 0.997])
     if not high - low > 1e-9 * max(abs(high), 1e-12):
         return np.zeros(1)
-    even = np.linspace(low, high, number)
-    often = np.quantile(np.clip(values, low, high), np.linspace(0.0, 1.0, number))
+    even = np.linspace(low, high, group.number)
+    often = np.quantile(np.clip(values, low, high), np.linspace(0.0, 1.0, group.number))
     return np.asarray(0.5 * (even + often))
 
 
@@ -181,9 +187,9 @@ def groups_with_memory(places: Sequence[str], span: Callable[[Group], float]) ->
     for place in places:
         kind = Group(place, "none").kind
         for argument in _WITH_MEMORY.get(kind, ()):
-            operators = ("lag",) if argument == "draw" else ("lag", "high_pass")
-            for operator in operators:
-                for time in _TIMES:
+            operators = {"draw": ("lag",), "sensor": ("high_pass",)}
+            for operator in operators.get(argument, operators.get(kind, ("lag", "high_pass"))):
+                for time in _SHORT if kind == "sensor" else _TIMES:
                     yield Group(place, argument, operator, time)
             if argument != "draw":
                 for share in _WIDTHS:

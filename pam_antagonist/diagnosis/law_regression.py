@@ -7,7 +7,7 @@ table. How strong the walk is follows anew for each law from the likelihood. Bas
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ class Whitened:
         folds: fold of each block (K,).
         data: data and base directions by channel and walk (C, L, 1 + D, K).
         logs: logarithm of the variances by channel, walk and fold (C, L, F).
+        products: of the data and base directions with themselves (C, L, F, 1 + D, 1 + D).
         edges: first block of each fold, then the number of blocks (F + 1,).
     """
 
@@ -42,7 +43,8 @@ class Whitened:
     folds: NDArray[np.int64]
     data: Floats
     logs: Floats
-    edges: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    products: Floats
+    edges: NDArray[np.int64]
 
     @classmethod
     def of(cls, one: Equations) -> Whitened:
@@ -50,7 +52,7 @@ class Whitened:
         count = len(one.time)
         edges = np.linspace(0, count, FOLDS + 1).astype(np.int64)
         folds = np.repeat(np.arange(FOLDS), np.diff(edges))
-        made = cls(one, folds, np.zeros(0), np.zeros(0), edges)
+        made = cls(one, folds, np.zeros(0), np.zeros(0), np.zeros(0), edges)
         inside, outside = data_columns(one)
         data = np.zeros((len(CHANNELS), len(WALKS), len(inside), count))
         logs = np.zeros((len(CHANNELS), len(WALKS), FOLDS))
@@ -58,7 +60,9 @@ class Whitened:
             for level in range(len(WALKS)):
                 data[c, level], log = made.columns(c, level, inside, outside)
                 logs[c, level] = np.add.reduceat(log, edges[:-1])
-        made.data, made.logs = data, logs
+        parts = [data[..., edges[k] : edges[k + 1]] for k in range(FOLDS)]
+        products = np.stack([part @ np.swapaxes(part, -1, -2) for part in parts], axis=2)
+        made.data, made.logs, made.products = data, logs, products
         return made
 
     def columns(self, c: int, level: int, inside: Floats, outside: Floats) -> tuple[Floats, Floats]:
@@ -133,20 +137,23 @@ def grams(recordings: Sequence[Whitened], group: Group | None, nodes: Floats | N
     bases = [item.data.shape[2] - 1 for item in recordings]
     products = []
     for item, base in zip(recordings, bases, strict=True):
-        size = 1 + base + count
+        first, size = 1 + base, 1 + base + count
         made = np.zeros((len(CHANNELS), len(WALKS), FOLDS, size, size))
+        made[..., :first, :first] = item.products
         if group is not None and nodes is not None:
             inside, outside = law_columns(item.one, group, nodes)
             inside, outside = inside * unit, outside * unit
-        for c in range(len(CHANNELS)):
-            touched = group is not None and (outside[:, :, c].any() or (c < 2 and inside[:, :, c].any()))
-            for level in range(len(WALKS)):
-                rows = item.data[c, level]
-                if touched:
-                    rows = np.concatenate([rows, item.columns(c, level, inside, outside)[0]])
-                for fold in range(FOLDS):
-                    part = rows[:, item.edges[fold] : item.edges[fold + 1]]
-                    made[c, level, fold, : len(rows), : len(rows)] = part @ part.T
+            for c in range(len(CHANNELS)):
+                if not (outside[:, :, c].any() or (c < 2 and inside[:, :, c].any())):
+                    continue
+                for level in range(len(WALKS)):
+                    own = item.columns(c, level, inside, outside)[0]
+                    rows = np.concatenate([item.data[c, level], own])
+                    for fold in range(FOLDS):
+                        part = slice(item.edges[fold], item.edges[fold + 1])
+                        cross = rows[:, part] @ own[:, part].T
+                        made[c, level, fold, :, first:] = cross
+                        made[c, level, fold, first:, :] = cross.T
         products.append(made)
     return Grams(
         products,
@@ -228,7 +235,7 @@ def _solved(given: Grams, picked: list[Floats]) -> tuple[Floats, Floats]:
 def _left(item: Floats, own: Floats) -> Floats:
     """Squares that a solution leaves of products (..., n, n)."""
     full = np.concatenate([[1.0], -own])
-    return np.asarray(np.einsum("...ij,i,j->...", item, full, full))
+    return np.asarray((item @ full) @ full)
 
 
 def _split(given: Grams, solution: Floats) -> list[Floats]:

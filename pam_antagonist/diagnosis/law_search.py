@@ -36,7 +36,7 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("flow", "leak", "valve", "supply", "exchange"), ("air",)),
     **dict.fromkeys(("force", "strength"), ("torque", "angle")),
     **dict.fromkeys(("torque", "friction"), ("angle",)),
-    "sensor": law_simulation.PARTS,
+    **dict.fromkeys(("sensor", "encoder"), law_simulation.PARTS),
 }
 """Parts of the model in which a law at a place shows."""
 _AS_GOOD = 0.1
@@ -133,7 +133,7 @@ def written(p: Floats, law: Law | None, number: int = 1) -> Floats:
         law: the law; None for none.
         number: of the law in the rig.
     """
-    if law is None:
+    if law is None or law.is_of_readings:
         return p
     return par.changed(p, {parameter_path("learned", name): value for name, value in numbers_of(law, number).items()})
 
@@ -173,10 +173,13 @@ class _Problem:
     courses: Sequence[Sequence[Course]]
     groups: Sequence[Sequence[tuple[tuple[str, ...], float]]]
     points: list[Floats] = field(default_factory=list)
+    slopes: list[list[Floats]] = field(default_factory=list)
+    """Of the errors by each base direction, by recording: those that were worked out last."""
 
     def errors(self, r: int, law: Law | None, amounts: Floats, parts: Sequence[str] = law_simulation.PARTS) -> Floats:
         p = written(with_base(self.points[r], self.groups[r], amounts), law)
-        return law_simulation.errors(self.courses[r], p, self.rig, parts)
+        shown = law if law is not None and law.is_of_readings else None
+        return law_simulation.errors(self.courses[r], p, self.rig, parts, shown)
 
     def excess(self, errors: Floats) -> Floats:
         bounded = np.where(np.isfinite(errors), np.clip(errors, -1e4, 1e4), np.where(np.isnan(errors), np.nan, 1e4))
@@ -193,13 +196,20 @@ class _Problem:
         excess = np.array([self.excess(self.errors(r, law, a)) for r, a in enumerate(amounts)])
         return excess, self.left(excess)
 
-    def fitted(self, law: Law | None, amounts: Sequence[Floats], rounds: int) -> Simulated:
-        """Gauss-Newton on values of the law and base directions; channels weigh by what they have left."""
+    def fitted(self, law: Law | None, amounts: Sequence[Floats], rounds: int, anew: bool = False) -> Simulated:
+        """Gauss-Newton on values of the law and base directions; channels weigh by what they have left.
+
+        Args:
+            law: with the values to begin with; None for none.
+            amounts: of the base directions of each recording to begin with.
+            rounds: most steps.
+            anew: whether the slopes by base directions are worked out anew before the first step.
+        """
         amounts = [a.copy() for a in amounts]
         excess, left = self.evaluated(law, amounts)
         covariance = np.zeros((0, 0))
-        for _ in range(rounds):
-            steps, covariance = self._step(law, amounts, excess)
+        for number in range(rounds):
+            steps, covariance = self._step(law, amounts, excess, anew and number == 0)
             better = False
             for share in (1.0, 0.4, 0.15, 0.05):
                 moved = [a + share * s for a, s in zip(amounts, steps[1], strict=True)]
@@ -217,8 +227,16 @@ class _Problem:
         )
         return Simulated(law, points, excess, left, covariance, tuple(amounts))
 
+    def _slopes(self, r: int, law: Law | None, amounts: Floats) -> list[Floats]:
+        now, out = self.errors(r, law, amounts), []
+        for k, (names, _) in enumerate(self.groups[r]):
+            moved = amounts.copy()
+            moved[k] += _STEP
+            out.append((self.errors(r, law, moved, parts_of_base(names)) - now) / _STEP)
+        return out
+
     def _step(
-        self, law: Law | None, amounts: Sequence[Floats], excess: Floats
+        self, law: Law | None, amounts: Sequence[Floats], excess: Floats, anew: bool
     ) -> tuple[tuple[Floats, list[Floats]], Floats]:
         values, acts_in = (0, ()) if law is None else (len(law.values), _PARTS[law.place])
         unit = 1.0 if law is None else max(np.max(np.abs(law.values)), 1e-30)
@@ -226,17 +244,15 @@ class _Problem:
         extra = values + memory
         sizes = [len(a) for a in amounts]
         total = sum(sizes) + extra
+        if anew or not self.slopes:
+            self.slopes = [self._slopes(r, law, own) for r, own in enumerate(amounts)]
         matrix, right, at = np.zeros((total, total)), np.zeros(total), 0
         for r, own in enumerate(amounts):
             now = self.errors(r, law, own)
             # What lies above the noise hangs together: it is worth fewer values.
             above = np.maximum(np.nan_to_num(excess[r], nan=1.0), 1.0)
             weight = 1.0 / np.sqrt(above * np.minimum(above, _TOGETHER))
-            columns = []
-            for k in range(sizes[r]):
-                moved = own.copy()
-                moved[k] += _STEP
-                columns.append((self.errors(r, law, moved, parts_of_base(self.groups[r][k][0])) - now) / _STEP)
+            columns = list(self.slopes[r])
             for k in range(extra):
                 step = np.zeros(extra)
                 step[k] = _STEP * (unit if k < values else 1.0)
@@ -296,7 +312,7 @@ def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], 
     courses = [law_simulation.courses(s.stretches, s.period, s.locked) for s in subjects]
     groups = [residual_equations.base_groups(rig)] * len(subjects)
     problem = _Problem(rig, subjects, courses, groups, [s.p for s in subjects])
-    without = problem.fitted(None, [np.zeros(len(g)) for g in groups], _ROUNDS)
+    without = problem.fitted(None, [np.zeros(len(g)) for g in groups], _ROUNDS, anew=True)
     progress("residual equations")
     equations = [
         residual_equations.equations(s.name, rig, p, s.stretches, s.period, s.locked, amounts)
@@ -366,7 +382,7 @@ def _simulated(
             law = law_of(one)
             if gain < LEAST_GAIN or law is None or bool(np.all(one.walks == 0)) is not wanted_level:
                 continue
-            if not any(law.values) or len(chosen) >= _CANDIDATES or law.complaint():
+            if not any(law.values) or len(chosen) >= _CANDIDATES or (law.complaint() and not law.is_of_readings):
                 continue
             assert one.group is not None
             chosen[one.group] = None

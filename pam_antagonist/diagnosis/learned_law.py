@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.diagnosis import law_simulation
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.law_search import LEAST_SHARE, LawSearch, Simulated, Subject, law_search
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
@@ -21,7 +22,7 @@ from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, laws_of, with_law
+from pam_antagonist.rig.learned import Law, with_law
 
 Floats = NDArray[np.float64]
 
@@ -61,13 +62,32 @@ class Learned:
 
     Attributes:
         search: how it was found.
-        rig: with the law; None if none was taken.
-        sentence: what was found, or at least where the model errs.
+        law: the law, with standard deviations of its values; None if none was taken.
+        rig: with the law, or as it was where the law is an error of readings.
+        sentence: where the model errs, if no law was taken.
     """
 
     search: LawSearch
-    rig: Rig | None
-    sentence: str
+    law: Law | None
+    rig: Rig
+    sentence: str = ""
+
+    def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Recordings without the error of readings that was found; as they are, if it is another law."""
+        law = self.law
+        if law is None or not law.is_of_readings:
+            return list(recordings)
+        return [_corrected(recording, law) for recording in recordings]
+
+
+def _corrected(recording: Recording, law: Law) -> Recording:
+    assert recording.angle is not None
+    pressure, angle = np.nan_to_num(recording.pressure), np.nan_to_num(recording.angle)
+    width = law_simulation.smoothing(recording.sample_period_s)
+    smooth = np.column_stack([law_simulation.smoothed(column, width) for column in pressure.T])
+    turned = law_simulation.smoothed(angle, width)
+    raised, turned = law_simulation.misread(law, smooth, turned, recording.sample_period_s)
+    return replace(recording, pressure=recording.pressure - raised, angle=recording.angle - turned)
 
 
 def where(name: str) -> str:
@@ -164,13 +184,11 @@ def learn(
             if place is None or place.gain < 40.0
             else f"The model errs most likely in {where(place.name)}, by nothing that was measured."
         )
-        return Learned(found, None, text)
-    law = found.found.law
+        return Learned(found, None, rig, text)
+    law, covariance = found.found.law, found.found.covariance
     assert law is not None
-    std = np.sqrt(np.maximum(np.diag(found.found.covariance), 0.0))
-    return Learned(
-        found, with_law(rig, replace(law, std=tuple(map(float, std))), covariance=found.found.covariance), ""
-    )
+    law = replace(law, std=tuple(map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0)))))
+    return Learned(found, law, rig if law.is_of_readings else with_law(rig, law, covariance=covariance))
 
 
 def effect_of(law: Law, found: LawSearch, recordings: Sequence[str]) -> FoundEffect:
@@ -214,6 +232,7 @@ def sentence(law: Law, before: Diagnosis, after: Diagnosis, others: Sequence[Sim
     also = f" As good in a simulation: {'; '.join(rivals)}." if rivals else ""
     what = "table" if len(law.nodes) > 1 else "value"
     fallen = ", ".join(errors) or "no error falls"
+    also += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
     return f"What is missing: {law.in_words()}{named}. Its law is a measured {what}; {fallen}.{also}"
 
 
@@ -241,8 +260,8 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
         after: of the rig with the law.
         learned: the law.
     """
-    assert learned.rig is not None
-    law = list(laws_of(learned.rig).values())[-1]
+    law = learned.law
+    assert law is not None
     if not falls(before.errors, after.errors):
         text = f"{before.sentence} A law was learned ({law.in_words()}), but no held-out error falls by it."
         return replace(before, sentence=text)

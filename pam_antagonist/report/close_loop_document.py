@@ -101,7 +101,7 @@ def document(report: CloseLoopReport, found: Diagnosis, with_figures: bool = Tru
     if report.calibration:
         parts.append(Section("Calibration", (calibration_table(report),), 2, "calibration"))
     if report.effects:
-        figures = drawn.profiles(report.profiles) if with_figures else ()
+        figures = (*drawn.laws(report.effects), *drawn.profiles(report.profiles)) if with_figures else ()
         parts.append(Section("Size of the effect", (sizes_table(report), *_laws(report), *figures), 2, "parameters"))
     parts.append(Section("All candidates", (ranking_table(report),), 2, "candidates"))
     if found.remaining:

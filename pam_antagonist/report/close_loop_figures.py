@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pam_antagonist.diagnosis.result import Diagnosis, HeldOutComparison, SizeProfile
+from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, HeldOutComparison, SizeProfile
 from pam_antagonist.inference.point import Span
-from pam_antagonist.report.figure import Figure, Points
+from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points
 from pam_antagonist.report.figures import profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL
 from pam_antagonist.report.table import number
@@ -81,4 +81,24 @@ def profiles(sizes: Sequence[SizeProfile]) -> tuple[Figure, ...]:
             f"At half the size the rise is {number(at[0.5 * best])}, at size 0 it is {number(at[0.0])}."
         )
         out.append(Figure(f"Profile likelihood of {item.parameter} ({item.recording})", about, (panel,)))
+    return tuple(out)
+
+
+def laws(effects: Sequence[FoundEffect]) -> tuple[Figure, ...]:
+    """The table of each learned law."""
+    out = []
+    for law in (effect.law for effect in effects):
+        if law is None or len(law.nodes) < 2:
+            continue
+        at, of = readable(law.argument_unit), readable(law.unit)
+        x, y = np.array(law.nodes) * at.scale, np.array(law.values) * of.scale
+        wide = 1.96 * np.array(law.std or (0.0,) * len(x)) * of.scale
+        series = (
+            Band("95 % interval", x, y - wide, y + wide, ESTIMATE), Line("law", x, y, ESTIMATE),
+            Points("nodes", x, y, ESTIMATE, quiet=True),
+        )  # fmt: skip
+        titles = (f"{name.replace('_', ' ')} [{unit.name}]" for name, unit in ((law.argument, at), (law.at, of)))
+        panel = Panel(*map(Axis, titles), series)
+        about = "The measured law, over the range that was seen: outside of it, the law is constant."
+        out.append(Figure(f"Learned law: {law.in_words()}", about, (panel,)))
     return tuple(out)

@@ -11,7 +11,7 @@ from pam_antagonist import load_rig, simulate
 from pam_antagonist.diagnosis.learned_law import Learned, effect_of, learn, refusal
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, laws_of, with_law
+from pam_antagonist.rig.learned import Law, with_law
 from pam_antagonist.simulation.excitation import profile
 
 
@@ -34,8 +34,8 @@ def exchange() -> Learned:
 
 def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange: Learned) -> None:
     assert exchange.search.places[0].name == "exchange"
-    assert exchange.rig is not None
-    law = laws_of(exchange.rig)[1]
+    assert exchange.law is not None
+    law = exchange.law
     assert (law.place, law.argument, law.operator) == ("exchange", "pressure_difference", "none")
     assert law.value(1e5) == pytest.approx(1.2e-6, rel=0.1)
 
@@ -48,8 +48,8 @@ def test_the_simulation_with_the_law_leaves_little_but_noise(exchange: Learned) 
 
 
 def test_a_report_has_place_argument_and_table_of_a_law(exchange: Learned) -> None:
-    assert exchange.rig is not None
-    entry = effect_of(laws_of(exchange.rig)[1], exchange.search, ["free"]).to_json()
+    assert exchange.law is not None
+    entry = effect_of(exchange.law, exchange.search, ["free"]).to_json()
     assert (entry["name"], entry["place"], entry["arguments"]) == ("learned", "exchange", ["pressure_difference"])
     table = entry["law"]
     assert len(table["nodes"]) == len(table["values"]) == len(table["std"])
@@ -59,7 +59,7 @@ def test_a_report_has_place_argument_and_table_of_a_law(exchange: Learned) -> No
 
 def test_no_law_is_added_where_nothing_is_wrong() -> None:
     nothing = learned(None)
-    assert nothing.rig is None
+    assert nothing.law is None
     assert nothing.search.gain < 40.0
 
 
