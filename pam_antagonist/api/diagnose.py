@@ -222,7 +222,7 @@ def diagnose(
     if found.verdict == "unexplained" and not learned_law.refusal((*fitted, *kept), chosen):
         states = [(one, joint_condition(one, joint, lock_angle)) for one in (*fitted, *kept)]
         learned = learned_law.learn(states, chosen, holdout, progress or (lambda text: None), len(kept))
-        if learned.law is not None:
+        if learned.laws:
             again = run(learned.corrected(fitted), learned.rig, held_out=learned.corrected(kept))
             found = learned_law.joined(found, again, learned)
         elif learned.sentence:

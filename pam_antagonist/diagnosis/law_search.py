@@ -26,7 +26,10 @@ LEAST_GAIN = 40.0
 """Least gain of a law on held-out blocks [nats]."""
 LEAST_SHARE = 0.08
 """Least share of what the base leaves that a law removes in a simulation."""
-_CANDIDATES, _PLACES, _FINALISTS, _ROUNDS = 8, 4, 2, 4
+_PLACES, _ARGUMENTS, _FINALISTS = 5, 2, 4
+"""How many laws are simulated: so many places, arguments of each, and of these so many further."""
+_ROUNDS, _LAST_ROUNDS = 4, 8
+"""Steps of Gauss and Newton of a base without a law, and of the best law."""
 _STEP = 0.05
 _TOGETHER = 30.0
 """Blocks that a systematic error of the model makes worth one."""
@@ -86,6 +89,20 @@ class Simulated:
     amounts: tuple[Floats, ...]
     regression: Regression | None = None
 
+    @property
+    def channels(self) -> frozenset[int]:
+        """Channels in which the law shows: pressures, torque, angle."""
+        if self.law is None:
+            return frozenset()
+        own = (self.law.muscle - 1,) if isinstance(self.law.muscle, int) else (0, 1)
+        shown = {"air": own, "torque": (2,), "angle": (3,)}
+        return frozenset(channel for part in _PARTS[self.law.place] for channel in shown[part])
+
+    @property
+    def acts_by(self) -> tuple[str, str]:
+        """Place and argument of the law; empty for none."""
+        return ("", "") if self.law is None else (self.law.at, self.law.argument)
+
 
 @dataclass(frozen=True, eq=False)
 class LawSearch:
@@ -112,7 +129,7 @@ class LawSearch:
     share: float
 
 
-def law_of(regression: Regression, number: int = 1) -> Law | None:
+def law_of(regression: Regression) -> Law | None:
     """A regression's table as a law."""
     group = regression.group
     if group is None:
@@ -125,7 +142,7 @@ def law_of(regression: Regression, number: int = 1) -> Law | None:
     )  # fmt: skip
 
 
-def written(p: Floats, law: Law | None, number: int = 1) -> Floats:
+def written(p: Floats, law: Law | None, number: int) -> Floats:
     """A parameter vector with a law in it.
 
     Args:
@@ -173,11 +190,12 @@ class _Problem:
     courses: Sequence[Sequence[Course]]
     groups: Sequence[Sequence[tuple[tuple[str, ...], float]]]
     points: list[Floats] = field(default_factory=list)
+    number: int = 1
     slopes: list[list[Floats]] = field(default_factory=list)
     """Of the errors by each base direction, by recording: those that were worked out last."""
 
     def errors(self, r: int, law: Law | None, amounts: Floats, parts: Sequence[str] = law_simulation.PARTS) -> Floats:
-        p = written(with_base(self.points[r], self.groups[r], amounts), law)
+        p = written(with_base(self.points[r], self.groups[r], amounts), law, self.number)
         shown = law if law is not None and law.is_of_readings else None
         return law_simulation.errors(self.courses[r], p, self.rig, parts, shown)
 
@@ -222,7 +240,7 @@ class _Problem:
             if not better:
                 break
         points = tuple(
-            written(with_base(p, groups, a), law)
+            written(with_base(p, groups, a), law, self.number)
             for p, groups, a in zip(self.points, self.groups, amounts, strict=True)
         )
         return Simulated(law, points, excess, left, covariance, tuple(amounts))
@@ -300,18 +318,21 @@ def _moved_law(law: Law | None, step: Floats) -> Law:
     return moved
 
 
-def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None] = lambda text: None) -> LawSearch:
+def law_search(
+    subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None] = lambda text: None, number: int = 1
+) -> LawSearch:
     """Look for one law that the model lacks.
 
     Args:
         subjects: recordings of one rig.
         rig: for sensors and uncertain directions.
         progress: called with what is being done.
+        number: of the law in the rig.
     """
     progress("recalibrating the base parameters")
     courses = [law_simulation.courses(s.stretches, s.period, s.locked) for s in subjects]
     groups = [residual_equations.base_groups(rig)] * len(subjects)
-    problem = _Problem(rig, subjects, courses, groups, [s.p for s in subjects])
+    problem = _Problem(rig, subjects, courses, groups, [s.p for s in subjects], number)
     without = problem.fitted(None, [np.zeros(len(g)) for g in groups], _ROUNDS, anew=True)
     progress("residual equations")
     equations = [
@@ -333,8 +354,28 @@ def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], 
     share = 0.0 if best is None else 1.0 - best.left / max(without.left, 1e-9)
     gain = max((g for g, r in ranked if best is not None and r.group == best.regression.group), default=0.0)  # type: ignore[union-attr]
     taken = best if best is not None and share >= LEAST_SHARE and gain >= LEAST_GAIN else None
-    others = tuple(t for t in tried[1:] if taken is not None and t.left - taken.left < _TIE * without.left)
+    others = tuple(
+        t for t in tried[1:]
+        if taken is not None and t.left - taken.left < _TIE * without.left and t.acts_by != taken.acts_by
+    )  # fmt: skip
     return LawSearch(tuple(places), tuple(ranked), without, taken, others, tuple(tried), gain, share)
+
+
+def is_further(first: LawSearch, second: LawSearch) -> bool:
+    """Whether a law that was looked for beside another one is taken.
+
+    It removes enough of what there was, and it shows in other channels: in those of the first one it would correct the
+    first one's form. Then it is taken only if it says so, by the same place and argument.
+
+    Args:
+        first: search for the first law.
+        second: search for the second one, with the first one in the model.
+    """
+    if first.found is None or second.found is None:
+        return False
+    removed = second.without.left - second.found.left
+    other = not first.found.channels & second.found.channels or first.found.acts_by == second.found.acts_by
+    return other and removed >= LEAST_SHARE * first.without.left
 
 
 def _regressions(
@@ -356,6 +397,10 @@ def _regressions(
     names = [place.name for place in places if place.gain > 0.0]
     for group in arguments.plain_groups(names):
         tried(group)
+    best = sorted((item for item in found if item[1].group is not None), key=lambda item: -item[0])
+    for group in dict.fromkeys(one.group for _, one in best[: 2 * _PLACES] if one.group is not None):
+        if group.argument != "none":
+            tried(replace(group, number=arguments.FINE))
     span = lambda group: float(np.ptp(arguments.nodes_of(group, equations)))  # noqa: E731
     for group in arguments.groups_with_memory(_leading(found, places), span):
         tried(group)
@@ -368,7 +413,7 @@ def _leading(found: Sequence[tuple[float, Regression]], places: Sequence[Place])
     names = [item.group.place for _, item in by_gain if item.group is not None]
     likely = [place.name for place in places]
     mixed = [name for pair in zip(dict.fromkeys(names), likely, strict=False) for name in pair]
-    return list(dict.fromkeys(mixed))[: 2 * _PLACES - 2]
+    return list(dict.fromkeys(mixed))[: _PLACES + 1]
 
 
 def _simulated(
@@ -376,39 +421,43 @@ def _simulated(
 ) -> list[Simulated]:
     """The best laws, simulated and fitted there, in rounds of fewer and fewer; what is left decides."""
     starts: dict[Group, Simulated] = {}
-    for wanted_level in (False, True):
-        chosen: dict[Group, None] = {}
-        for gain, one in ranked:
+    for group in _chosen(ranked):
+        for _, one in ranked:
             law = law_of(one)
-            if gain < LEAST_GAIN or law is None or bool(np.all(one.walks == 0)) is not wanted_level:
+            if one.group != group or law is None or not any(law.values):
                 continue
-            if not any(law.values) or len(chosen) >= _CANDIDATES or (law.complaint() and not law.is_of_readings):
-                continue
-            assert one.group is not None
-            chosen[one.group] = None
             near = tuple(a + b for a, b in zip(begin, one.base, strict=True))
-            for amounts in (near, tuple(np.zeros(len(a)) for a in begin)):
-                excess, left = problem.evaluated(law, amounts)
-                if one.group not in starts or left < starts[one.group].left:
-                    starts[one.group] = Simulated(law, (), excess, left, np.zeros((0, 0)), amounts, one)
-    standing = sorted(starts.values(), key=lambda item: item.left)
-    # A base that was fitted without a law hides the right place: the best law of each place gets its turn.
-    by_place: dict[str, Simulated] = {}
-    for item in standing:
-        if item.law is not None:
-            by_place.setdefault(item.law.at, item)
-    first = list(by_place.values())[:_PLACES]
-    standing = [*first, *(item for item in standing if item not in first)]
-    done: list[Simulated] = []
-    for most, rounds in ((_PLACES + _FINALISTS, 1), (_FINALISTS, 1), (1, _ROUNDS)):
+            excess, left = problem.evaluated(law, near)
+            if group not in starts or left < starts[group].left:
+                starts[group] = Simulated(law, (), excess, left, np.zeros((0, 0)), near, one)
+    standing = list(starts.values())
+    for most, rounds in ((len(standing), 1), (_FINALISTS, 2), (1, _LAST_ROUNDS)):
         fitted = [
-            replace(problem.fitted(item.law, item.amounts, rounds), regression=item.regression)
+            replace(problem.fitted(item.law, item.amounts, rounds, anew=most == 1), regression=item.regression)
             for item in standing[:most]
         ]
         standing = sorted([*fitted, *standing[most:]], key=lambda item: item.left)
-        done = standing
-    done = [item for item in done if item.points]
-    return _simplest(problem, done, ranked) if done else done
+    return _simplest(problem, standing, ranked) if standing else standing
+
+
+def _chosen(ranked: Sequence[tuple[float, Regression]]) -> list[Group]:
+    """Laws to simulate: of the places with the best ones, with and without a walk, those by the best arguments."""
+    chosen: dict[Group, None] = {}
+    for level in (False, True):
+        by_place: dict[str, dict[tuple[str, bool], Group]] = {}
+        for gain, one in ranked:
+            law = law_of(one)
+            if gain < LEAST_GAIN or bool(np.all(one.walks == 0)) is not level or law is None or one.group is None:
+                continue
+            if law.complaint() and not law.is_of_readings:
+                continue
+            if one.group.place in by_place or len(by_place) < _PLACES:
+                own = by_place.setdefault(one.group.place, {})
+                key = one.group.argument, one.group.operator == "none"
+                if key in own or len(own) < _ARGUMENTS:
+                    own.setdefault(key, one.group)
+        chosen.update(dict.fromkeys(group for own in by_place.values() for group in own.values()))
+    return list(chosen)
 
 
 def _simplest(problem: _Problem, done: list[Simulated], ranked: Sequence[tuple[float, Regression]]) -> list[Simulated]:

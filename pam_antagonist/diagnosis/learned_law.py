@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import law_simulation
 from pam_antagonist.diagnosis.errors import ModelErrors
-from pam_antagonist.diagnosis.law_search import LEAST_SHARE, LawSearch, Simulated, Subject, law_search
+from pam_antagonist.diagnosis.law_search import (
+    LEAST_GAIN,
+    LEAST_SHARE,
+    LawSearch,
+    Simulated,
+    Subject,
+    is_further,
+    law_search,
+)
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
@@ -61,23 +69,23 @@ class Learned:
     """A law that was learned, and the rig that has it.
 
     Attributes:
-        search: how it was found.
-        law: the law, with standard deviations of its values; None if none was taken.
-        rig: with the law, or as it was where the law is an error of readings.
+        searches: how each law was found; the last one may have found none.
+        laws: with standard deviations of their values.
+        rig: with the laws, or as it was where the law is an error of readings.
         sentence: where the model errs, if no law was taken.
     """
 
-    search: LawSearch
-    law: Law | None
+    searches: tuple[LawSearch, ...]
+    laws: tuple[Law, ...]
     rig: Rig
     sentence: str = ""
 
     def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
         """Recordings without the error of readings that was found; as they are, if it is another law."""
-        law = self.law
-        if law is None or not law.is_of_readings:
-            return list(recordings)
-        return [_corrected(recording, law) for recording in recordings]
+        out = list(recordings)
+        for law in self.laws:
+            out = [_corrected(recording, law) for recording in out] if law.is_of_readings else out
+        return out
 
 
 def _corrected(recording: Recording, law: Law) -> Recording:
@@ -179,16 +187,26 @@ def learn(
     found = law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"))
     if found.found is None:
         place = found.places[0] if found.places else None
-        text = (
-            ""
-            if place is None or place.gain < 40.0
-            else f"The model errs most likely in {where(place.name)}, by nothing that was measured."
-        )
-        return Learned(found, None, rig, text)
-    law, covariance = found.found.law, found.found.covariance
-    assert law is not None
-    law = replace(law, std=tuple(map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0)))))
-    return Learned(found, law, rig if law.is_of_readings else with_law(rig, law, covariance=covariance))
+        if place is None or place.gain < LEAST_GAIN:
+            return Learned((found,), (), rig)
+        text = f"The model errs most likely in {where(place.name)}, by nothing that was measured."
+        return Learned((found,), (), rig, text)
+    searches, laws = [found], [_with_std(found.found)]
+    if not laws[0].is_of_readings:
+        points = zip(subjects, found.found.points, strict=True)
+        further = [replace(subject, p=p) for subject, p in points]
+        second = law_search(further, rig, lambda text: progress(f"a second law: {text}"), 2)
+        if is_further(found, second) and second.found is not None:
+            searches, laws = [found, second], [*laws, _with_std(second.found)]
+    for law, search in zip(laws, searches, strict=True):
+        if not law.is_of_readings and search.found is not None:
+            rig = with_law(rig, law, covariance=search.found.covariance)
+    return Learned(tuple(searches), tuple(laws), rig)
+
+
+def _with_std(found: Simulated) -> Law:
+    assert found.law is not None
+    return replace(found.law, std=tuple(map(float, np.sqrt(np.maximum(np.diag(found.covariance), 0.0)))))
 
 
 def effect_of(law: Law, found: LawSearch, recordings: Sequence[str]) -> FoundEffect:
@@ -209,14 +227,13 @@ def effect_of(law: Law, found: LawSearch, recordings: Sequence[str]) -> FoundEff
     )  # fmt: skip
 
 
-def sentence(law: Law, before: Diagnosis, after: Diagnosis, others: Sequence[Simulated]) -> str:
-    """The verdict by a learned law, in words.
+def sentence(learned: Learned, before: Diagnosis, after: Diagnosis) -> str:
+    """The verdict by learned laws, in words.
 
     Args:
-        law: the law.
-        before: the diagnosis without it.
-        after: the diagnosis with it.
-        others: laws that simulate as well.
+        learned: the laws.
+        before: the diagnosis without them.
+        after: the diagnosis with them.
     """
     errors = [
         f"the {name}'s held-out error falls from {a.rmse:.3g} to {b.rmse:.3g} {unit}"
@@ -226,14 +243,17 @@ def sentence(law: Law, before: Diagnosis, after: Diagnosis, others: Sequence[Sim
     ]  # fmt: skip
     a, b = max(before.errors.recalibrated.rmse_pa), max(after.errors.recalibrated.rmse_pa)
     errors += [f"the larger pressure error from {a / 1e3:.3g} to {b / 1e3:.3g} kPa"] if b < a else []
-    like = LIKE.get((law.place, law.argument), ())
-    named = f" (like {' or '.join(name.replace('_', ' ') for name in like)})" if like else ""
-    rivals = [item.law.in_words() for item in others if item.law is not None]
+    said = []
+    for law in learned.laws:
+        like = LIKE.get((law.place, law.argument), ())
+        named = f" (like {' or '.join(name.replace('_', ' ') for name in like)})" if like else ""
+        said.append(law.in_words() + named)
+    rivals = [item.law.in_words() for item in learned.searches[0].alternatives if item.law is not None]
     also = f" As good in a simulation: {'; '.join(rivals)}." if rivals else ""
-    what = "table" if len(law.nodes) > 1 else "value"
+    if any(law.is_of_readings for law in learned.laws):
+        also += " No rig file holds an error of readings: correct the recordings by it."
     fallen = ", ".join(errors) or "no error falls"
-    also += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
-    return f"What is missing: {law.in_words()}{named}. Its law is a measured {what}; {fallen}.{also}"
+    return f"What is missing: {'; and '.join(said)}. Measured as a table; {fallen}.{also}"
 
 
 def falls(before: ModelErrors, after: ModelErrors) -> bool:
@@ -260,14 +280,13 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
         after: of the rig with the law.
         learned: the law.
     """
-    law = learned.law
-    assert law is not None
     if not falls(before.errors, after.errors):
-        text = f"{before.sentence} A law was learned ({law.in_words()}), but no held-out error falls by it."
+        words = "; ".join(law.in_words() for law in learned.laws)
+        text = f"{before.sentence} A law was learned ({words}), but no held-out error falls by it."
         return replace(before, sentence=text)
     names = [entry.recording for entry in before.by_recording if entry.role != "held out"]
-    effect = effect_of(law, learned.search, names)
-    text = sentence(law, before, after, learned.search.alternatives)
+    effects = [effect_of(law, search, names) for law, search in zip(learned.laws, learned.searches, strict=True)]
+    text = sentence(learned, before, after)
     if after.effects:
         text += f" Beside it: {after.sentence}"
     notes = ("the law explains the recordings in part only",) if after.verdict == "unexplained" else ()
@@ -279,9 +298,9 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     )
     errors = _from(before.errors, after.errors)
     return replace(
-        after, verdict="effect", sentence=text, effects=(effect, *after.effects), errors=errors, by_recording=entries,
-        share=learned.search.share, ranking=(*before.ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
-        warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
+        after, verdict="effect", sentence=text, effects=(*effects, *after.effects), errors=errors, by_recording=entries,
+        share=learned.searches[0].share, ranking=(*before.ranking, *after.ranking),
+        rig_recalibrated=before.rig_recalibrated, warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
     )  # fmt: skip
 
 

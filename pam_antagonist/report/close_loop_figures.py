@@ -97,8 +97,8 @@ def laws(effects: Sequence[FoundEffect]) -> tuple[Figure, ...]:
             Band("95 % interval", x, y - wide, y + wide, ESTIMATE), Line("law", x, y, ESTIMATE),
             Points("nodes", x, y, ESTIMATE, quiet=True),
         )  # fmt: skip
-        titles = (f"{name.replace('_', ' ')} [{unit.name}]" for name, unit in ((law.argument, at), (law.at, of)))
-        panel = Panel(*map(Axis, titles), series)
+        across, up = (f"{name.replace('_', ' ')} [{unit.name}]" for name, unit in ((law.argument, at), (law.at, of)))
+        panel = Panel(Axis(across), Axis(up), series)
         about = "The measured law, over the range that was seen: outside of it, the law is constant."
         out.append(Figure(f"Learned law: {law.in_words()}", about, (panel,)))
     return tuple(out)
