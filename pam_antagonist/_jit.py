@@ -253,9 +253,10 @@ def kernel(function: Callable[..., Any]) -> Any:
 def in_place(function: Callable[..., Any]) -> Any:
     """A kernel that works only on given arrays, and neither makes nor returns arrays.
 
-    So numba need not count references to arrays, which it does for each row that is taken.
+    So numba need not count references to arrays, which it does for each row that is taken. It says that it is not
+    inlined: numba would else pass ``forceinline`` on to it from an :func:`inlined` function that calls it.
     """
-    return _compiled(function, _nrt=False)
+    return _compiled(function, _nrt=False, forceinline=False)
 
 
 def merged(function: Callable[..., Any]) -> Any:

@@ -24,6 +24,33 @@ def law(x):
 print(law(1.5), COMPILING.kernels, COMPILING.seconds > 0.0)
 """
 
+APART = """
+from pam_antagonist._jit import in_place, inlined
+
+@in_place
+def law(x):
+    return 2.0 * x
+
+@inlined
+def twice(x):
+    return law(x) + law(x + 1.0)
+
+print(twice(1.0), "alwaysinline" in "".join(law.inspect_llvm().values()))
+"""
+
+
+def test_a_kernel_of_its_own_is_not_copied_into_those_that_call_it(tmp_path: Path) -> None:
+    """numba passes the wish to be inlined on to what an inlined function calls."""
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
+    }
+    module = tmp_path / "lab_apart.py"
+    module.write_text(APART)
+    done = subprocess.run([sys.executable, module], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "6.0 False\n"
+
 
 def test_a_kernel_is_compiled_once_for_each_state_of_its_code(tmp_path: Path) -> None:
     module = tmp_path / "lab_law.py"

@@ -163,9 +163,8 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
     x[VELOCITY] = 0.0 if of_torque else seen.velocity
     u[2] = known_torque(seen.external_torque, seen.external_variance)
     for _ in range(_STEPS):
-        now = (x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2])
-        u[0] = voltage_towards(0, now, first, bandwidth, p)
-        u[1] = voltage_towards(1, now, second, bandwidth, p)
+        u[0] = voltage_towards(0, x[PRESSURE_1], first, x[ANGLE], x[VELOCITY], bandwidth, p, x)
+        u[1] = voltage_towards(1, x[PRESSURE_2], second, x[ANGLE], x[VELOCITY], bandwidth, p, x)
         _rk4_step(x, u, coarse, _STEP, x, effects)
         new, number = _excess(x, not of_torque, of_angle, push, of_pressures, of_velocity, of_force, limits, p)
         total += max(new, 0.0)

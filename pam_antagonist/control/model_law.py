@@ -43,14 +43,13 @@ from pam_antagonist.control.command import Command, Law, Mode, Status, VoltageLi
 from pam_antagonist.control.stiffness import Box, set_pressures
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import composition, dynamics, equilibrium, flow, lever_arm, muscle
-from pam_antagonist.model.dynamics import PRESSURE_1, PRESSURE_2, WITH_EFFECTS
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY, WITH_EFFECTS
 from pam_antagonist.model.parameters import FORCE_FORM, SLOT_OF, STATES, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
 _flow_for, _open_rate_for, _voltage_for = flow.flow_for, flow.open_rate_for, flow.voltage_for
-_pull, _make_steady = equilibrium.pull, equilibrium.make_steady
-_mass_loss, _opening = composition.mass_loss, composition.opening
+_pull, _make_steady, _mass_loss = equilibrium.pull, equilibrium.make_steady, composition.mass_loss
 _torque, _sliding_friction = dynamics.torque, dynamics.sliding_friction
 
 _REGULATED = SLOT_OF["regulator_rate_1"]
@@ -178,30 +177,30 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
 
 
 @inlined
-def voltage_towards(i, now, wanted, bandwidth, p):
+def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p, x=None):
     """Steps 3 to 5 for one muscle: the voltage [V] that moves its pressure to the wanted one.
 
     A regulator's command is the wanted pressure itself [Pa].
 
     Args:
         i: muscle, 0 or 1.
-        now: ψ [rad], ψ̇ [rad/s] and both pressures [Pa].
+        pressure: P_i [Pa].
         wanted: pressure [Pa].
+        angle: ψ [rad].
+        velocity: ψ̇ [rad/s].
         bandwidth: ω [1/s].
+        x: state (n,), for learned flows; None: left out.
     """
     if p[_REGULATED + i] > 0.0:
         return wanted
-    angle, velocity, first, second = now
-    pressure = first if i == 0 else second
     sine, cosine, _ = _leverage(angle, p)
     length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
     volume, slope = _volume(i, length, p)
     net = _flow_for(bandwidth * (wanted - pressure), pressure, volume, slope * length_rate, p)
-    # What a learned law adds may depend on the open rate: it is taken at the one without it.
+    # A learned flow may depend on the open rate: on the one without it.
     alpha = _open_rate_for(i, net, pressure, p[SUPPLY], p)
-    lost = -_mass_loss(0.0, i, pressure, length, length_rate, alpha, now, None, p)
-    moved = _opening(alpha, i, length, length_rate, alpha, now, None, p) - alpha
-    return _voltage_for(i, _open_rate_for(i, net + lost, pressure, p[SUPPLY], p) - moved, p)
+    lost = -_mass_loss(0.0, i, pressure, length, length_rate, alpha, x, p)
+    return _voltage_for(i, _open_rate_for(i, net + lost, pressure, p[SUPPLY], p), p)
 
 
 @inlined
@@ -224,9 +223,9 @@ def _step(of_torque, value, stiffness, seen, integral, gains, period, box, leads
     ahead_1 = ahead_2 = 0.0
     if leads:
         ahead_1, ahead_2 = _smooth(0, first, lead, period) / bandwidth, _smooth(1, second, lead, period) / bandwidth
-    now = (seen.angle, seen.velocity, seen.pressure_1, seen.pressure_2)
-    u_1 = voltage_towards(0, now, first + ahead_1, bandwidth, p)
-    u_2 = voltage_towards(1, now, second + ahead_2, bandwidth, p)
+    x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2] = seen.angle, seen.velocity, seen.pressure_1, seen.pressure_2
+    u_1 = voltage_towards(0, seen.pressure_1, first + ahead_1, seen.angle, seen.velocity, bandwidth, p, x)
+    u_2 = voltage_towards(1, seen.pressure_2, second + ahead_2, seen.angle, seen.velocity, bandwidth, p, x)
     error = value - seen.torque if of_torque else (value - seen.angle) * 0.5 * (softest + stiffest)
     arrived = abs(first - seen.pressure_1) < _NEAR and abs(second - seen.pressure_2) < _NEAR
     # Where the map is curved, pressures are found to a small rest: it is no torque out of reach.

@@ -35,7 +35,7 @@ _NEW_PARAMETERS = {
         for item in CATALOGUE[name].parameters
     },
     **{par.SLOT_OF[state.name]: 0.0 for name in _NEW_EFFECTS for state in CATALOGUE[name].states},
-    **dict.fromkeys((*range(par.SIGNAL, par.SIGNAL + SIGNALS), *range(par.LAW, par.CURVE)), 0.0),
+    **dict.fromkeys((*range(par.SIGNAL, par.SIGNAL + SIGNALS), *range(par.LAWS_PRESENT, par.CURVE)), 0.0),
     **{par.INDEX[name]: 0.0 for name in ("geometry.cam_1", "geometry.cam_2", "valve_1.overlap", "valve_2.overlap")},
 }
 """Entries of the parameter vector that are newer than the first checkpoints: index, and value while unused."""

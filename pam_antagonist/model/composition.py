@@ -15,6 +15,9 @@ An absent effect costs one comparison: a function is called only if a size of it
 present. A state is present if the rig has it *and* ``x`` holds it: ``x`` with four entries holds no added state. The
 path without added states passes None for ``x``, and the compiler leaves these calls out.
 
+Learned laws (an effect with ``of_tables``) are calls of separate functions, which the compiler does not inline, and
+only where there is an ``x``: a rig that has none costs one comparison at each of their hooks.
+
 To read the generated module: ``python -m pam_antagonist.model.composition``.
 """
 
@@ -34,7 +37,7 @@ from pam_antagonist._jit import cache_dir
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model import written
-from pam_antagonist.model.effects import CATALOGUE, AddedState, Effect, EffectParameter, parameter_path
+from pam_antagonist.model.effects import CATALOGUE, AddedState, Effect, EffectParameter, learned, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.hooks import (
     EVERYWHERE,
@@ -52,19 +55,36 @@ _EXPRESSIONS = {
     "quickest_lag": "quickest_lag(p)",
     "orifice_flow": "orifice_flow(chamber_pressure, p[ATMOSPHERE], p)",
     "passive_force": "static_map(i, muscle_length, p[ATMOSPHERE], p)",
+    "now": "now(x, p)",
     **{f"signal{k + 1}": f"p[SIGNAL + {k}]" for k in range(SIGNALS)},
 }
 """Quantities that are computed only where a function asks for them."""
+_CHANGES = {"adds": "value + {}", "subtracts": "value - {}", "replaces": "{}"}
+_OF_MUSCLE = "(muscle_length, length_rate, wanted_open_rate, valve_flow)"
+_OWN = {
+    **dict.fromkeys(("mass_loss", "muscle_rates", "muscle_steady"), _OF_MUSCLE),
+    "open_rate": "(muscle_length, length_rate, wanted_open_rate, wanted_open_rate)",
+    "contraction_force": "(muscle_length, length_rate, length_rate, length_rate)",
+    **dict.fromkeys(("joint_rates", "joint_steady"), "(drawn_flow, drawn_flow, drawn_flow, drawn_flow)"),
+}
+"""Argument ``own`` of learned laws: what is known where."""
 _HEADER = '''"""Effects put together; written by pam_antagonist.model.composition, which explains it."""
 
 import numpy as np
 
-from pam_antagonist._jit import inlined
+from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model.joint import quickest_lag
 from pam_antagonist.model.muscle import force as static_map
 from pam_antagonist.model.orifice import orifice_flow
-from pam_antagonist.model.parameters import ATMOSPHERE, LAWS_PRESENT, SIGNAL, STATELESS_EFFECTS, SUPPLY
+from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECTS, SUPPLY
 '''
+_NOW = """FIRST, SECOND = np.int64(0), np.int64(1)
+
+
+@in_place
+def now(x, p):
+    return x[0], x[1], chamber_pressure(x[2], FIRST, x, p), chamber_pressure(x[3], SECOND, x, p)
+"""
 
 
 class _Writer:
@@ -125,14 +145,19 @@ class _Writer:
                 )
         return f"{alias}({', '.join(arguments)})", used, held
 
-    def table(self, law: int = 1) -> dict[str, str]:
-        """Expressions of the arguments that only functions of effects with tables have, from a law on."""
-        out = {"p": "p", "x": "x", "muscle": "i"}
-        for name, index in par.law_indices(law).items():
-            out[name] = f"{name}_{law}".upper()
+    def tables(self, effect: Effect, where: str, quantities: Sequence[str], of_muscle: bool) -> tuple[str, str]:
+        """Condition and call of the learned laws in a function."""
+        known = {name: name for name in ("value", "p", "x", "dx")} | {"own": _OWN.get(where, "")}
+        indices = {"law": par.LAW, "muscle": learned.JOINT}
+        indices["place"] = 1 + list(learned.PLACES).index(learned.IN_HOOKS.get(where, ("flow",))[0])
+        for name, index in indices.items():
+            known[name] = f"LAW_{name}_{index}".upper()
             # numba would compile a function anew for each literal.
-            self.constants[out[name]] = f"np.int64({index})"
-        return out
+            self.constants[known[name]] = f"np.int64({index})"
+        known |= {"muscle": "i"} if of_muscle else {}
+        self.constants[f"LAWS_IN_{where}".upper()] = par.LAWS_IN[where]
+        text, _, _ = self.call(effect, effect.hooks[where], where, quantities, of_muscle, known)
+        return f"    if p[LAWS_IN_{where.upper()}] != 0.0:", text
 
     def hook(self, hook: Hook, before: str = "") -> None:
         """Write the function of a hook. With ``before``, only the effects ahead of the named one act in it."""
@@ -146,8 +171,12 @@ class _Writer:
         ahead = itertools.takewhile(lambda effect: effect.name != before, self.effects.values())
         acting = [effect for effect in ahead if hook.name in effect.hooks]
         for effect in reversed(acting) if hook.name == "sensor_inverse" else acting:
+            if effect.of_tables:
+                guard, text = self.tables(effect, hook.name, (hook.value, *hook.quantities), hook.of_muscle)
+                change = _CHANGES[hook.way].format(text)
+                table_lines = [guard, f"        value = {f'max({change}, 0.0)' if hook.floor else change}"]
+                continue
             expressions = {hook.value: "value"} if hook.way == "replaces" else {}
-            expressions |= self.table() if effect.of_tables else {}
             text, used, held = self.call(
                 effect, effect.hooks[hook.name], hook.name, (hook.value, *hook.quantities), hook.of_muscle, expressions
             )
@@ -155,11 +184,9 @@ class _Writer:
                 raise BadInput(f"effect {effect.name!r}: {hook.name}: a state, expected parameters and quantities only")
             if not effect.states and hook.states == "needed":
                 raise BadInput(f"effect {effect.name!r}: {hook.name}: expected an effect that adds a state")
-            change = {"adds": f"value + {text}", "subtracts": f"value - {text}", "replaces": text}[hook.way]
+            change = _CHANGES[hook.way].format(text)
             change = f"max({change}, 0.0)" if hook.floor else change
-            if effect.of_tables:
-                table_lines += ["    if p[LAWS_PRESENT] != 0.0:", f"        value = {change}"]
-            elif effect.states and hook.states != "none":
+            if effect.states and hook.states != "none":
                 state_lines += self._with_states(effect, held, hook.of_muscle, f"value = {change}")
             else:
                 sizes = [item for item in used if item.is_size] or [item for item in effect.parameters if item.is_size]
@@ -173,8 +200,16 @@ class _Writer:
                 indent = "        "
             lines += [indent + line for line in stateless_lines]
         if state_lines:
-            lines += ["    if x is not None:", *(f"        {line}" for line in state_lines)]
-        self.functions.append("\n".join([*lines, *table_lines, "    return value"]))
+            lines += [
+                "    if x is not None:",
+                "        if x.shape[0] > 4:",
+                *(f"            {line}" for line in state_lines),
+            ]
+        if table_lines and within:
+            table_lines = ["    if x is not None:", *(f"    {line}" for line in table_lines)]
+        # Readings are corrected in the reverse order.
+        lines[3 if hook.name == "sensor_inverse" else len(lines) : 0] = table_lines
+        self.functions.append("\n".join([*lines, "    return value"]))
 
     def _with_states(self, effect: Effect, held: Sequence[AddedState], of_muscle: bool, then: str) -> list[str]:
         """Lines that run only if the states are present."""
@@ -201,6 +236,10 @@ class _Writer:
         given = dict.fromkeys(["x", into])
         lines = ["@inlined", f"def {title}({', '.join([*index, *arguments, *given, 'p'])}):"]
         for effect in self.effects.values():
+            if effect.of_tables:
+                guard, text = self.tables(effect, title, quantities, of_muscle)
+                lines += [guard, f"        {text}"]
+                continue
             for state in effect.states:
                 if (state.muscle is not None) != of_muscle or state.muscle == 2:
                     continue
@@ -211,8 +250,6 @@ class _Writer:
                 held: list[AddedState] = []
                 if function is not None:
                     own = {key: text.format(effect=effect.name) for key, text in expressions.items()}
-                    if effect.of_tables:
-                        own |= self.table(state.law) | {"held": f"x[int({self.slot(state, of_muscle)})]"}
                     text, _, held = self.call(effect, function, where, quantities, of_muscle, own)
                 name = state.family
                 lines += [f"    {name}_at = {self.slot(state, of_muscle)}", f"    if {name}_at > 0.0:"]
@@ -255,7 +292,7 @@ def source_text(effects: Mapping[str, Effect]) -> str:
     """
     for effect in effects.values():
         for name in effect.hooks:
-            if name not in HOOKS:
+            if name not in HOOKS and not (effect.of_tables and name in par.LAWS_IN):
                 raise BadInput(f"effect {effect.name!r}: unknown hook {name!r}, expected one of {', '.join(HOOKS)}")
         if ("sensor_reading" in effect.hooks) != ("sensor_inverse" in effect.hooks):
             raise BadInput(f"effect {effect.name!r}: expected sensor_reading and sensor_inverse together")
@@ -280,7 +317,7 @@ def source_text(effects: Mapping[str, Effect]) -> str:
     writer.lags()
     constants = "\n".join(f"{name} = {index}" for name, index in sorted(writer.constants.items()))
     imports = "\n".join(sorted(writer.imports))
-    return f"{_HEADER}{imports}\n\n{constants}\n\n\n" + "\n\n\n".join(writer.functions) + "\n"
+    return f"{_HEADER}{imports}\n\n{constants}\n{_NOW}\n\n" + "\n\n\n".join(writer.functions) + "\n"
 
 
 def remembered(what: str, generate: Callable[[], str]) -> str:
@@ -342,7 +379,6 @@ muscle_rates: Any = _composed.muscle_rates
 joint_rates: Any = _composed.joint_rates
 muscle_steady: Any = _composed.muscle_steady
 joint_steady: Any = _composed.joint_steady
-opening: Any = _composed.opening
 small_signal_lags: Any = _composed.small_signal_lags
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model import composition, flow, joint, lever_arm, muscle
 from pam_antagonist.model.parameters import (
+    BASE_STATES,
     INERTIA,
     LOCKED,
     STIFFNESS,
@@ -37,7 +38,6 @@ _muscle_torque, _coulomb_torque, _acceleration = joint.muscle_torque, joint.coul
 _spool_voltage, _held_open_rate = composition.spool_voltage, composition.open_rate
 _supply_change, _chamber = composition.supply_change, composition.chamber_pressure
 _mass_loss, _cooling, _valve_pressure_rate = composition.mass_loss, composition.cooling, composition.valve_pressure_rate
-_opening = composition.opening
 _contraction_force, _passed_on = composition.contraction_force, composition.muscle_force
 _with_coulomb = composition.coulomb_torque
 _with_disturbance, _joint_torque = composition.disturbance_torque, composition.joint_torque
@@ -60,21 +60,10 @@ def chamber_pressure(i, x, p):
 
 
 @inlined
-def joint_now(x, p):
-    """ψ [rad], ψ̇ [rad/s] and the pressures in both muscles [Pa] of a state: what learned laws may depend on.
-
-    Args:
-        x: state (n,).
-        p: parameter vector (m,).
-    """
-    return x[ANGLE], x[VELOCITY], chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p)
-
-
-@inlined
-def _force_with_effects(i, muscle_length, length_rate, chamber, now, x, p):
+def _force_with_effects(i, muscle_length, length_rate, chamber, x, p):
     """Contraction force [N] of muscle i: static map plus the forces of effects, then what the muscle passes on."""
     static = _force(i, muscle_length, chamber, p)
-    return _passed_on(_contraction_force(static, i, muscle_length, length_rate, chamber, now, x, p), i, p)
+    return _passed_on(_contraction_force(static, i, muscle_length, length_rate, chamber, x, p), i, p)
 
 
 @inlined
@@ -84,7 +73,7 @@ def _muscle_force(i, sine, cosine, x, p, effects):
         return _linear_force(i, _length(i, sine, p), x[PRESSURE_1 + i], p)
     muscle_length, chamber = _length(i, sine, p), chamber_pressure(i, x, p)
     length_rate = _length_rate(i, cosine, x[VELOCITY], p)
-    return _force_with_effects(i, muscle_length, length_rate, chamber, joint_now(x, p), x, p)
+    return _force_with_effects(i, muscle_length, length_rate, chamber, x, p)
 
 
 @inlined
@@ -141,33 +130,28 @@ def _stopped(angle, velocity, p):
 
 
 @inlined
-def _air(i, alpha, wanted, pressure, chamber, muscle_length, length_rate, supply, now, x, p, effects):
+def _air(i, alpha, wanted, pressure, chamber, muscle_length, length_rate, supply, x, p, effects):
     """Equations (3) to (5) of one muscle.
 
     Returns:
         Ṗ of the chamber without cooling and with it [Pa/s], mass flow through the valve and out of the supply [kg/s].
     """
     volume, volume_slope = _volume(i, muscle_length, p)
-    if effects is not None:
-        alpha = _opening(alpha, i, muscle_length, length_rate, wanted, now, x, p)
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
-    net = passed
-    if effects is not None:
-        net = _mass_loss(passed, i, chamber, muscle_length, length_rate, wanted, now, x, p)
+    net = passed if effects is None else _mass_loss(passed, i, chamber, muscle_length, length_rate, wanted, x, p)
     polytropic = _pressure_rate(chamber, volume, volume_slope * length_rate, net, p)
     rate = polytropic if effects is None else _cooling(polytropic, i, chamber, x, p)
     return polytropic, rate, passed, drawn
 
 
 @inlined
-def _motion(angle, velocity, sine, cosine, force_1, force_2, now, external, x, p, effects):
+def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_2, external, x, p, effects):
     """Equations (8) to (10): ψ̈, and whether the joint slides."""
-    _, _, chamber_1, chamber_2 = now
     coulomb = _coulomb_torque(force_1, force_2, chamber_1, chamber_2, p)
     balance = _muscle_torque(cosine, force_1, force_2, p) + external
     if effects is not None:
-        coulomb = _with_coulomb(coulomb, angle, velocity, sine, chamber_1, chamber_2, now, x, p)
-        balance = _joint_torque(balance, angle, velocity, sine, now, x, p)
+        coulomb = _with_coulomb(coulomb, angle, velocity, sine, chamber_1, chamber_2, x, p)
+        balance = _joint_torque(balance, angle, velocity, sine, x, p)
     return _acceleration(angle, velocity, balance, coulomb, p, effects)
 
 
@@ -182,8 +166,7 @@ def sliding_friction(x, direction, p):
     sine, _, _ = _leverage(x[ANGLE], p)
     force_1, force_2 = forces(x, p)
     coulomb = _coulomb_torque(force_1, force_2, x[PRESSURE_1], x[PRESSURE_2], p)
-    now = (x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2])
-    coulomb = _with_coulomb(coulomb, x[ANGLE], x[VELOCITY], sine, x[PRESSURE_1], x[PRESSURE_2], now, x, p)
+    coulomb = _with_coulomb(coulomb, x[ANGLE], x[VELOCITY], sine, x[PRESSURE_1], x[PRESSURE_2], x, p)
     return coulomb * direction + p[VISCOUS] * x[VELOCITY]
 
 
@@ -197,7 +180,7 @@ def torque_needed(x, acceleration, direction, p):
         direction: of the motion, −1 to 1.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
-    load = _joint_torque(0.0, x[ANGLE], x[VELOCITY], sine, joint_now(x, p), x, p)
+    load = _joint_torque(0.0, x[ANGLE], x[VELOCITY], sine, x, p)
     inertial = p[INERTIA] * acceleration + p[STIFFNESS] * x[ANGLE]
     return inertial + sliding_friction(x, direction, p) - torque(x, p) - load
 
@@ -223,22 +206,21 @@ def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, 
     length_2 = _length(SECOND, sine, p)
     speed_1 = _length_rate(FIRST, cosine, velocity, p)
     speed_2 = _length_rate(SECOND, cosine, velocity, p)
-    now = (angle, velocity, pressure_1, pressure_2)
-    supply = p[SUPPLY] if effects is None else _supply_change(p[SUPPLY], now, None, p)
-    _, rate_1, _, _ = _air(
-        FIRST, alpha_1, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, now, None, p, effects
-    )
+    supply = p[SUPPLY] if effects is None else _supply_change(p[SUPPLY], None, p)
+    _, rate_1, _, _ = _air(FIRST, alpha_1, alpha_1, pressure_1, pressure_1, length_1, speed_1, supply, None, p, effects)
     _, rate_2, _, _ = _air(
-        SECOND, alpha_2, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, now, None, p, effects
+        SECOND, alpha_2, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, effects
     )
     if p[LOCKED] != 0.0:
         return 0.0, 0.0, rate_1, rate_2
     if effects is None:
         force_1, force_2 = _linear_force(FIRST, length_1, pressure_1, p), _linear_force(SECOND, length_2, pressure_2, p)
     else:
-        force_1 = _force_with_effects(FIRST, length_1, speed_1, pressure_1, now, None, p)
-        force_2 = _force_with_effects(SECOND, length_2, speed_2, pressure_2, now, None, p)
-    acceleration, _ = _motion(angle, velocity, sine, cosine, force_1, force_2, now, external, None, p, effects)
+        force_1 = _force_with_effects(FIRST, length_1, speed_1, pressure_1, None, p)
+        force_2 = _force_with_effects(SECOND, length_2, speed_2, pressure_2, None, p)
+    acceleration, _ = _motion(
+        angle, velocity, sine, cosine, force_1, force_2, pressure_1, pressure_2, external, None, p, effects
+    )
     return velocity, acceleration, rate_1, rate_2
 
 
@@ -266,8 +248,7 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
     angle = x[ANGLE]
     velocity = _stopped(angle, x[VELOCITY], p)
     sine, cosine, _ = _leverage(angle, p)
-    now = (angle, velocity, chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p))
-    supply = _supply_change(p[SUPPLY], now, x, p)
+    supply = _supply_change(p[SUPPLY], x, p)
     consumption = 0.0
     for i in range(2):
         sensed, chamber = x[PRESSURE_1 + i], chamber_pressure(i, x, p)
@@ -276,17 +257,19 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
         spool = _spool_voltage(u[i], i, x, p)
         if spool != u[i]:
             wanted = _open_rate(i, spool, p)
-        alpha = _held_open_rate(wanted, i, x, p)
+        alpha = _held_open_rate(wanted, i, muscle_length, length_rate, x, p)
         polytropic, rate, passed, drawn = _air(
-            i, alpha, wanted, sensed, chamber, muscle_length, length_rate, supply, now, x, p, WITH_EFFECTS
+            i, alpha, wanted, sensed, chamber, muscle_length, length_rate, supply, x, p, WITH_EFFECTS
         )
         consumption += drawn
         dx[PRESSURE_1 + i] = _valve_pressure_rate(rate, i, sensed, chamber, passed, x, p)
-        _muscle_rates(
-            i, angle, velocity, sine, muscle_length, length_rate, u[i], wanted, sensed, chamber, passed, polytropic,
-            rate, now, x, dx, p,
-        )  # fmt: skip
-    _joint_rates(angle, velocity, sine, consumption, now, x, dx, p)
+        if x.shape[0] > BASE_STATES:
+            _muscle_rates(
+                i, angle, velocity, sine, muscle_length, length_rate, u[i], wanted, sensed, chamber, passed, polytropic,
+                rate, x, dx, p,
+            )  # fmt: skip
+    if x.shape[0] > BASE_STATES:
+        _joint_rates(angle, velocity, sine, consumption, x, dx, p)
     if p[LOCKED] != 0.0:
         dx[ANGLE] = 0.0
         dx[VELOCITY] = 0.0
@@ -295,8 +278,8 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
     force_2 = _muscle_force(SECOND, sine, cosine, x, p, WITH_EFFECTS)
     dx[ANGLE] = velocity
     dx[VELOCITY], _ = _motion(
-        angle, velocity, sine, cosine, force_1, force_2, now, _with_disturbance(external_torque(u), x, p), x, p,
-        WITH_EFFECTS,
+        angle, velocity, sine, cosine, force_1, force_2, chamber_pressure(FIRST, x, p), chamber_pressure(SECOND, x, p),
+        _with_disturbance(external_torque(u), x, p), x, p, WITH_EFFECTS,
     )  # fmt: skip
 
 
@@ -327,10 +310,11 @@ def subsystem(x, p, effects=True):
     if p[LOCKED] == 0.0:
         force_1, force_2 = forces(x, p, effects)
         sine, cosine, _ = _leverage(x[ANGLE], p)
-        now = (x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2])
-        if effects is not None:
-            now = joint_now(x, p)
+        chamber_1 = x[PRESSURE_1] if effects is None else chamber_pressure(FIRST, x, p)
+        chamber_2 = x[PRESSURE_2] if effects is None else chamber_pressure(SECOND, x, p)
         external = 0.0 if effects is None else _with_disturbance(0.0, x, p)
-        _, slides = _motion(x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2, now, external, x, p, effects)
+        _, slides = _motion(
+            x[ANGLE], x[VELOCITY], sine, cosine, force_1, force_2, chamber_1, chamber_2, external, x, p, effects
+        )
     regimes = 6 * _flow_regime(x[PRESSURE_1], p) + 2 * _flow_regime(x[PRESSURE_2], p)
     return 1 + regimes + (1 if slides > 0.0 else 0)

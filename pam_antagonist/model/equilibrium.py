@@ -16,7 +16,7 @@ from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, S
 _leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
 _open_rate, _valve_flow, _torque = flow.open_rate, flow.valve_flow, dynamics.torque
 _joint_torque, _muscle_steady = composition.joint_torque, composition.muscle_steady
-_joint_steady, _joint_now = composition.joint_steady, dynamics.joint_now
+_joint_steady = composition.joint_steady
 
 _LARGEST_WITHOUT_STOP = math.pi / 3.0
 """[rad] Without a stop, the search for an angle of rest still needs an end."""
@@ -40,9 +40,7 @@ def pull(x, p, effects=True):
         x: state (n,), of which angle and pressures count.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
-    load = 0.0
-    if effects is not None:
-        load = _joint_torque(0.0, x[ANGLE], 0.0, sine, _joint_now(x, p), x, p)
+    load = 0.0 if effects is None else _joint_torque(0.0, x[ANGLE], 0.0, sine, x, p)
     return _torque(x, p, effects) + load - p[STIFFNESS] * x[ANGLE]
 
 
@@ -157,7 +155,6 @@ def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
         return
     sine, cosine, _ = _leverage(angle, p)
     consumption = 0.0
-    now = (angle, velocity, pressure_1, pressure_2)
     for i in range(2):
         wanted = _open_rate(i, u[i], p)
         pressure = x[PRESSURE_1 + i]
@@ -165,6 +162,6 @@ def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
         consumption += drawn
         _muscle_steady(
             i, angle, velocity, sine, _length(i, sine, p), _length_rate(i, cosine, velocity, p), u[i], wanted, pressure,
-            passed, now, x, p,
+            passed, x, p,
         )  # fmt: skip
-    _joint_steady(consumption, now, x, p)
+    _joint_steady(consumption, x, p)

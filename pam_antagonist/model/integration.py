@@ -12,10 +12,10 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import dynamics, flow
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND, VELOCITY, WITH_EFFECTS
-from pam_antagonist.model.parameters import BASE_STATES, LONGEST_STEP, PLAIN, STOP
+from pam_antagonist.model.parameters import BASE_STATES, LAWS_PRESENT, LONGEST_STEP, PLAIN, STOP
 
 STAGES = 4
-"""Stages of a Runge-Kutta step. A step with added states needs scratch of STAGES + 1 rows."""
+"""Stages of a Runge-Kutta step. A step with added states or learned laws needs scratch of STAGES + 1 rows."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _open_rate, _external_torque = flow.open_rate, dynamics.external_torque
@@ -41,7 +41,7 @@ def apply_stop(x, p):
 
 @in_place
 def _extended_step(x, u, p, dt, result, scratch):
-    """:func:`rk4_step_within` with any number of states."""
+    """:func:`rk4_step_within` with any number of states, and with learned laws."""
     n = x.shape[0]
     slopes, point = scratch[:STAGES], scratch[STAGES]
     wanted_1, wanted_2 = _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p)
@@ -109,11 +109,11 @@ def rk4_step_within(x, u, p, dt, result, scratch):
         u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
         dt: step [s].
         result: state after the step (n,).
-        scratch: (STAGES + 1, n), used where there are added states.
+        scratch: (STAGES + 1, n), used where there are added states or learned laws.
     """
     if p[PLAIN] != 0.0:
         _scalar_step(x, u, p, dt, result, None)
-    elif x.shape[0] == BASE_STATES:
+    elif x.shape[0] == BASE_STATES and p[LAWS_PRESENT] == 0.0:
         _optional_step(x, u, p, dt, result)
     else:
         _extended_step(x, u, p, dt, result, scratch)

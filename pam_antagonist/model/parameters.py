@@ -125,11 +125,13 @@ SIGNAL = SUBSONIC + TERMS
 """First of the further signals on which effects may depend; the value is 0 where a signal is not measured."""
 SLOT = SIGNAL + SIGNALS
 """First of the slots for ``effects.ADDED_STATES``: each holds the index in the state, or 0 for an absent state."""
-LAW = SLOT + len(ADDED_STATES)
-"""First of the codes of the learned laws, a copy of the named ones: these are the same in all lanes."""
-LAWS_PRESENT = LAW + learned.USED
-"""Number of learned laws, then for each place whether there is one."""
-CURVE = LAWS_PRESENT + 1 + len(learned.PLACES)
+LAWS_PRESENT = SLOT + len(ADDED_STATES)
+"""Number of learned laws whose values are not all 0."""
+LAW = LAWS_PRESENT + 1
+"""First of the codes of these laws, one after another, a copy of the named ones: they are the same in all lanes."""
+LAWS_IN = {hook: LAW + learned.LAWS * learned.SIZE + k for k, hook in enumerate(learned.EFFECT.hooks)}
+"""Indices of whether laws act in a function of the effects, by its name."""
+CURVE = max(LAWS_IN.values()) + 1
 CURVE_SIZE = 1 + 2 * MAX_KNOTS
 SIZE = CURVE + 2 * CURVE_SIZE
 
@@ -152,16 +154,6 @@ _STATELESS = np.array(
     ]
 )
 BASE_STATES = 4
-
-
-def law_indices(number: int) -> dict[str, int]:
-    """Indices of a learned law in the vector: its codes, and its named numbers.
-
-    Args:
-        number: of the law, from 1 on.
-    """
-    before = number - 1
-    return {"law": LAW + before * learned.SIZE, "rows": LAW_NUMBERS + before * learned.NUMBERS}
 
 
 def added_states(p: np.ndarray) -> list[str]:
@@ -195,18 +187,20 @@ def refresh(p: np.ndarray) -> np.ndarray:
 
 def _copy_laws(p: np.ndarray) -> None:
     """Write the codes of the laws that are present, whose values are not all 0, where all lanes find them."""
-    p[LAW:CURVE] = 0.0
+    p[LAWS_PRESENT:CURVE] = 0.0
     numbers = p[LAW_NUMBERS : LAW_NUMBERS + learned.LAWS * learned.NUMBERS].reshape(learned.LAWS, learned.NUMBERS)
-    for k in np.flatnonzero(numbers[:, 0]):
-        if not numbers[k, -learned.NODES :].any():
-            continue
-        codes = p[LAW + k * learned.SIZE : LAW + (k + 1) * learned.SIZE]
+    for k in np.flatnonzero((numbers[:, 0] != 0.0) & numbers[:, -learned.NODES :].any(axis=1)):
+        codes = p[LAW + int(p[LAWS_PRESENT]) * learned.SIZE :][: learned.SIZE]
         codes[: learned.STATE] = numbers[k, : learned.STATE]
         slot = SLOT_OF[f"law{k + 1}_memory_1"]
         codes[learned.STATE : learned.SIGNAL] = p[slot : slot + learned.SIGNAL - learned.STATE]
         codes[learned.SIGNAL] = SIGNAL + max(codes[2] - learned.FIRST_SIGNAL, 0.0)
+        codes[learned.TABLE] = LAW_NUMBERS + k * learned.NUMBERS
         p[LAWS_PRESENT] += 1.0
-        p[LAWS_PRESENT + int(codes[0])] = 1.0
+        place = list(learned.PLACES)[int(codes[0]) - 1]
+        for hook, index in LAWS_IN.items():
+            acts = place in learned.IN_HOOKS[hook] if hook in learned.IN_HOOKS else codes[learned.STATE :][:3].any()
+            p[index] = max(p[index], float(acts))
 
 
 def set_curve(p: np.ndarray, valve: int, voltage: np.ndarray, open_rate: np.ndarray) -> None:

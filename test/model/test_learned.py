@@ -309,6 +309,13 @@ def test_a_sensor_s_reading_and_its_inverse(rig: Rig) -> None:
         assert sensor.pressure_behind(1, reading, p) == pytest.approx(pressure, rel=1e-12)
 
 
+def test_a_law_of_a_sensor_is_taken_back_before_the_sensor_s_other_errors(rig: Rig) -> None:
+    wrong = rig.replaced(effects={"pressure_sensor": {"offset_1": 2e3, "gain_1": 0.01}})
+    p = vector(wrong, Law("sensor", (200e3, 500e3), (1e3, -2e3), 1, "pressure"))
+    for pressure in np.linspace(100e3, 700e3, 50):
+        assert sensor.pressure_behind(0, sensor.reading(0, pressure, p), p) == pytest.approx(pressure, rel=1e-12)
+
+
 def test_laws_of_one_place_add_up(rig: Rig) -> None:
     one, other = CASES["torque-angle-none"], CASES["torque-none-none"]
     x, u = np.array([0.03, 1.5, 400e3, 380e3]), np.array([5.0, 5.0])

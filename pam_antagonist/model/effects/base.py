@@ -96,7 +96,6 @@ class AddedState:
             of a filter. At its neutral value there is no bound, and a filter starts with ``initial_std``.
         lag: time constant [s] for small changes, where it may be a few milliseconds. Its arguments are parameters
             only.
-        law: number of the learned law that it belongs to; 0 for none.
     """
 
     name: str
@@ -110,7 +109,6 @@ class AddedState:
     steady_value: Kernel | None = None
     lag: Kernel | None = None
     prior: str = ""
-    law: int = 0
 
     @property
     def muscle(self) -> int | None:

@@ -38,8 +38,7 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "muscle_torque": ("N m", "τ of equation (9), and the torque from outside where it is known"),
     "pressure": ("Pa", "pressure at a sensor"),
     "reading": ("Pa", "what a sensor shows"),
-    "opening": ("-", "open rate at which the valve stands, with what effects make of it"),
-    "now": ("rad, rad/s, Pa, Pa", "ψ, ψ̇ and the pressures in both muscles, as one tuple"),
+    "now": ("rad, rad/s, Pa, Pa", "ψ, ψ̇ and the pressures in both muscles of the state, as one tuple"),
     "first_pressure": ("Pa", "pressure in muscle 1"),
     "second_pressure": ("Pa", "pressure in muscle 2"),
     **{
@@ -76,10 +75,10 @@ class Hook:
 
 _JOINT = ("joint_angle", "joint_velocity", "travel")
 _FRICTION = (*_JOINT, "first_pressure", "second_pressure", "now")
-_LENGTH = ("muscle_length", "length_rate", "wanted_open_rate", "now")
-_LOSS = ("chamber_pressure", "orifice_flow", *_LENGTH)
+_LENGTH = ("muscle_length", "length_rate", "now")
+_LOSS = ("chamber_pressure", "orifice_flow", *_LENGTH, "wanted_open_rate")
 _LINE = ("valve_pressure", "chamber_pressure", "valve_flow")
-_FORCE = ("muscle_length", "length_rate", "chamber_pressure", "passive_force", "now")
+_FORCE = (*_LENGTH, "chamber_pressure", "passive_force")
 
 HOOKS: dict[str, Hook] = {
     hook.name: hook
@@ -87,8 +86,7 @@ HOOKS: dict[str, Hook] = {
         Hook("spool_voltage", "voltage for which the spool stands", "V", "replaces", "valve_voltage", states="needed"),
         Hook("voltage_shift", "shift of the curve along the voltage", "V", "subtracts", "valve_voltage", states="none"),
         Hook("open_rate_shift", "change of the open rate", "-", "adds", "wanted_open_rate", states="none"),
-        Hook("open_rate", "open rate at which the valve stands", "-", "replaces", "wanted_open_rate", states="needed"),
-        Hook("opening", "open rate at which the valve stands", "-", "replaces", "opening", _LENGTH),
+        Hook("open_rate", "open rate of the valve", "-", "replaces", "wanted_open_rate", _LENGTH, states="needed"),
         Hook("asked_pressure", "pressure that the regulator goes by", "Pa", "replaces", "asked_pressure"),
         Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", ("now",), False),
         Hook("chamber_pressure", "pressure in the muscle", "Pa", "replaces", "valve_pressure", states="needed"),

@@ -68,8 +68,8 @@ from pam_antagonist.model.effects.base import AddedState, Effect, EffectParamete
 LAWS, NODES = 4, 15
 """The most laws of a rig, and the most nodes of a law."""
 PLACES = {
-    "flow": "kg/s", "leak": "m2", "valve": "-", "sensor": "Pa", "force": "N", "strength": "-", "torque": "N m",
-    "friction": "N m", "exchange": "kg/s", "supply": "-",
+    "flow": "kg/s", "leak": "m2", "exchange": "kg/s", "force": "N", "strength": "-", "valve": "-", "sensor": "Pa",
+    "torque": "N m", "friction": "N m", "supply": "-",
 }  # fmt: skip
 """Places of a law, with the unit of its values. Their codes are 1, 2 and so on, as those of the other tables."""
 OF_JOINT = ("torque", "friction", "exchange", "supply")
@@ -87,7 +87,7 @@ MUSCLES = ("both", "1", "2", "joint")
 """Where a law acts; these codes begin at 0."""
 
 # numba would compile a function anew for each literal.
-FLOW, LEAK, VALVE, SENSOR, FORCE, STRENGTH, TORQUE, FRICTION, EXCHANGE, SUPPLY = map(np.int64, range(1, 11))
+FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, FRICTION, SUPPLY = map(np.int64, range(1, 11))
 JOINT = np.int64(2)
 """Index of the joint, in the place of a muscle's."""
 (
@@ -98,26 +98,27 @@ _NONE, _CLOCK, _LAG, _PLAY, _HIGH_PASS, _STOP = range(1, 1 + len(OPERATORS))
 
 CODES = ("place", "muscle", "argument", "operator", "count", "keeps_1", "keeps_2", "keeps")
 """What a law is made of. The last ones are 1 for each state that it has, at muscle 1, muscle 2 and the joint."""
-_PLACE, _MUSCLE, _ARGUMENT, _OPERATOR, _COUNT, STATE, _, _, SIGNAL = range(1 + len(CODES))
-SIZE = len(CODES) + 1
-"""Entries of a law's codes where all lanes find them: there the indices of its states and of its signal are too."""
-USED = LAWS * SIZE
-"""After the codes of all laws: their number, then for each place whether there is a law."""
+_PLACE, _MUSCLE, _ARGUMENT, _OPERATOR, _COUNT, STATE, _, _, SIGNAL, TABLE = range(2 + len(CODES))
+SIZE = len(CODES) + 2
+"""Entries of a law's codes where all lanes find them: there the indices of its states, signal and numbers are too."""
 NUMBERS = len(CODES) + 2 + 2 * NODES
 """Numbers of a law: codes, time, width, nodes, values."""
 _TIME_AT, _WIDTH_AT, _NODE_AT = len(CODES), len(CODES) + 1, len(CODES) + 2
-_VALUE_AT = _NODE_AT + NODES
 _LARGEST = 1e12
 """Largest number of a table, in the unit of its place or argument."""
 _FADE = 2e3
 """[Pa] Difference of pressures within which a flow goes to 0, so that it never turns against it."""
 
+# In all functions, ``law`` is the index in ``p`` of the first law's codes, behind the number of laws; ``muscle`` is 0,
+# 1 or JOINT; ``now`` is ψ [rad], ψ̇ [rad/s] and the pressures in both muscles [Pa]; ``own`` is of the muscle: length and
+# its rate [m, m/s], open rate that the voltage asks for [-], flow through the valve [kg/s].
+
 
 @inlined
-def _tabled(law, rows, argument, p):
+def _tabled(law, argument, p):
     """Value of a table, linear between its nodes and constant outside."""
-    nodes = rows + _NODE_AT
-    values = rows + _VALUE_AT
+    nodes = int(p[law + TABLE]) + _NODE_AT
+    values = nodes + NODES
     count = int(p[law + _COUNT])
     if count < 2:
         return p[values]
@@ -132,20 +133,15 @@ def _tabled(law, rows, argument, p):
 
 
 @inlined
-def _span(law, rows, p):
-    """Distance between the first node and the last one: the unit of a law's state."""
-    count = int(p[law + _COUNT])
-    if count < 2:
-        return 1.0
-    return p[rows + _NODE_AT + count - 1] - p[rows + _NODE_AT]
-
-
-@inlined
-def _of_joint(what, now):
-    """An argument that the whole joint has [SI]."""
+def _argued(law, muscle, now, own, p):  # noqa: C901 (a table of cases)
+    """What a law depends on, before its operator [SI]; and the distance from its first node to the last one."""
+    what = int(p[law + _ARGUMENT])
     angle, velocity, first, second = now
+    length, length_rate, open_rate, flow = own
     value = 0.0 * first
-    if what == _FIRST:
+    if what >= FIRST_SIGNAL:
+        value = p[int(p[law + SIGNAL])]
+    elif what == _FIRST:
         value = first
     elif what == _SECOND:
         value = second
@@ -159,20 +155,6 @@ def _of_joint(what, now):
         value = velocity
     elif what == _SPEED:
         value = abs(velocity)
-    return value
-
-
-@inlined
-def _argued(law, muscle, now, own, p):
-    """What a law depends on, before its operator [SI]; arguments as for :func:`total`."""
-    what = int(p[law + _ARGUMENT])
-    _, _, first, second = now
-    length, length_rate, open_rate, flow = own
-    if what < _PRESSURE:
-        return _of_joint(what, now)
-    value = 0.0 * first
-    if what >= FIRST_SIGNAL:
-        value = p[int(p[law + SIGNAL])]
     elif what == _PRESSURE:
         value = first if muscle == 0 else second
     elif what == _OTHER:
@@ -185,218 +167,143 @@ def _argued(law, muscle, now, own, p):
         value = open_rate
     elif what < _TIME:
         value = flow
+    first_node = int(p[law + TABLE]) + _NODE_AT
+    return value, p[first_node + int(p[law + _COUNT]) - 1] - p[first_node]
+
+
+@in_place
+def _sums(place, muscle, now, own, law, x, p):
+    """Sums of the laws at a place and at the two whose codes follow, in their units."""
+    first_sum, second_sum, third_sum = 0.0, 0.0, 0.0
+    for k in range(int(p[law - 1])):
+        codes = law + k * SIZE
+        further = p[codes + _PLACE] - place
+        side = JOINT if p[codes + _MUSCLE] == 3.0 else muscle
+        at = p[codes + STATE + side]
+        acts = p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == side + 1
+        if acts and 0.0 <= further <= 2.0 and at < x.shape[0]:
+            argument, span = _argued(codes, side, now, own, p)
+            entry = argument
+            if at > 0.0:
+                held = x[np.uint64(at)] * span
+                entry = argument - held if p[codes + _OPERATOR] >= _HIGH_PASS else held
+            value = _tabled(codes, entry, p)
+            if at == 0.0:
+                value = _passive(codes, value, argument, p)
+            if further == 0.0:
+                first_sum += value
+            elif further == 1.0:
+                second_sum += value
+            else:
+                third_sum += value
+    return first_sum, second_sum, third_sum
+
+
+@inlined
+def _passive(law, value, rate, p):
+    """A value that depends on a rate, but 0 where it would drive the motion; others as they are."""
+    of_torque = p[law + _PLACE] == TORQUE
+    if p[law + _ARGUMENT] == _VELOCITY or p[law + _ARGUMENT] == _LENGTH_RATE:
+        if of_torque or p[law + _PLACE] == FORCE or p[law + _PLACE] == STRENGTH:
+            # A muscle pulls: it works against the motion while it gets longer.
+            against = -value if of_torque else value
+            value = value if against * rate >= 0.0 else 0.0
     return value
 
 
 @in_place
-def total(place, muscle, now, own, law, rows, x, p):
-    """Sum of the laws at a place, in its unit.
+def _lost_air(chamber_pressure, orifice_flow, now, own, atmosphere, supply_pressure, muscle, law, x, p):
+    """Mass flow out of a muscle beside the valve [kg/s]: places ``flow``, ``leak`` and ``exchange``."""
+    flow, area, passed = _sums(FLOW, muscle, now, own, law, x, p)
+    _, _, first, second = now
+    left = supply_pressure - chamber_pressure if flow > 0.0 else chamber_pressure - atmosphere
+    drop = first - second if passed > 0.0 else second - first
+    passed = passed * min(max(drop / _FADE, 0.0), 1.0)
+    lost = max(area, 0.0) * orifice_flow - flow * min(max(left / _FADE, 0.0), 1.0)
+    return lost + (passed if muscle == 0 else -passed)
 
-    Args:
-        place: its code.
-        muscle: 0 or 1, or JOINT.
-        now: ψ [rad], ψ̇ [rad/s], pressures in both muscles [Pa].
-        own: of the muscle: length [m], its rate [m/s], open rate that the voltage asks for [-], flow through the valve
-            [kg/s].
-        law: index of the first law's codes in ``p``.
-        rows: index of its numbers.
-        x: state (n,), or None where no state is added.
-        p: parameter vector (m,).
-    """
-    out = 0.0
-    for k in range(LAWS):
-        codes = law + k * SIZE
-        numbers = rows + k * NUMBERS
-        if p[codes + _PLACE] == place and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
-            argument = _argued(codes, muscle, now, own, p)
-            if p[codes + _OPERATOR] == _NONE:
-                out += _passive(place, codes, _tabled(codes, numbers, argument, p), argument, p)
-            elif x is not None:
-                at = p[codes + STATE + muscle]
-                if at > 0.0 and at < x.shape[0]:
-                    held = x[np.uint64(at)] * _span(codes, numbers, p)
-                    if p[codes + _OPERATOR] >= _HIGH_PASS:
-                        held = argument - held
-                    out += _tabled(codes, numbers, held, p)
-    return out
+
+@in_place
+def _moved_valve(value, now, own, muscle, law, x, p):
+    """Open rate at which a valve stands [-], from the one without laws: place ``valve``."""
+    change, _, _ = _sums(VALVE, muscle, now, own, law, x, p)
+    return min(max(value + change, 0.0), 1.0)
+
+
+@in_place
+def _further_force(static_force, passive_force, now, own, muscle, law, x, p):
+    """Further contraction force [N]: places ``force`` and ``strength``."""
+    force, share, _ = _sums(FORCE, muscle, now, own, law, x, p)
+    return force + share * (static_force - passive_force)
 
 
 @inlined
-def _passive(place, law, value, rate, p):
-    """A value that depends on a rate, but 0 where it would drive the motion; others as they are."""
-    if FORCE <= place <= TORQUE and (p[law + _ARGUMENT] == _VELOCITY or p[law + _ARGUMENT] == _LENGTH_RATE):
-        # A muscle pulls: it works against the motion while it gets longer.
-        against = -value if place == TORQUE else value
-        value = value if against * rate >= 0.0 else 0.0
+def _of_joint(place, now, law, x, p):
+    """Sum of the laws at a place of the joint: ``torque`` [N m], ``friction`` [N m]."""
+    value, _, _ = _sums(place, JOINT, now, now, law, x, p)
     return value
 
 
 @inlined
-def _faded(flow, left):
-    """A flow [kg/s] where a difference of pressures [Pa] is left for it."""
-    return flow * min(max(left / _FADE, 0.0), 1.0)
+def _supply_shift(supply_pressure, now, law, x, p):
+    """Change of the supply's pressure [Pa]: place ``supply``."""
+    return max(_of_joint(SUPPLY, now, law, x, p), -0.9) * supply_pressure
 
 
-@inlined
-def lost_air(
-    valve_flow, chamber_pressure, orifice_flow, muscle_length, length_rate, wanted_open_rate, now, atmosphere,
-    supply_pressure, muscle, law, rows, x, p,
-):  # fmt: skip
-    """Mass flow out of a muscle beside the valve [kg/s]: places ``flow``, ``leak`` and ``exchange``.
-
-    Args:
-        valve_flow: into the muscle [kg/s].
-        chamber_pressure: P [Pa].
-        orifice_flow: of an ideal orifice from P to P_out, by its area [kg/(s m²)].
-        muscle_length: l [m].
-        length_rate: dl/dt [m/s].
-        wanted_open_rate: open rate that the voltage asks for [-].
-        now: as for :func:`total`.
-        atmosphere: P_out [Pa].
-        supply_pressure: P_tank [Pa].
-        muscle: 0 or 1.
-        law: as for :func:`total`.
-        rows: likewise.
-        x: likewise.
-        p: parameter vector (m,).
-    """
-    lost = 0.0
-    own = (muscle_length, length_rate, wanted_open_rate, valve_flow)
-    if p[law + USED + FLOW] != 0.0:
-        flow = total(FLOW, muscle, now, own, law, rows, x, p)
-        left = supply_pressure - chamber_pressure if flow > 0.0 else chamber_pressure - atmosphere
-        lost -= _faded(flow, left)
-    if p[law + USED + LEAK] != 0.0:
-        lost += max(total(LEAK, muscle, now, own, law, rows, x, p), 0.0) * orifice_flow
-    if p[law + USED + EXCHANGE] != 0.0:
-        flow = total(EXCHANGE, JOINT, now, own, law, rows, x, p)
-        _, _, first, second = now
-        flow = _faded(flow, first - second if flow > 0.0 else second - first)
-        lost += flow if muscle == 0 else -flow
-    return lost
-
-
-@inlined
-def _moved_valve(opening, muscle_length, length_rate, wanted_open_rate, now, muscle, law, rows, x, p):
-    """Open rate at which a valve stands [-]: place ``valve``; arguments as for :func:`lost_air`."""
-    if p[law + USED + VALVE] == 0.0:
-        return opening
-    own = (muscle_length, length_rate, wanted_open_rate, 0.0 * opening)
-    return min(max(opening + total(VALVE, muscle, now, own, law, rows, x, p), 0.0), 1.0)
-
-
-@inlined
-def _further(place, now, law, rows, x, p):
-    """Sum of the laws at a place of the joint; arguments as for :func:`total`."""
-    _, _, first, _ = now
-    nothing = 0.0 * first
-    return total(place, JOINT, now, (nothing, nothing, nothing, nothing), law, rows, x, p)
-
-
-@inlined
-def _supply_shift(supply_pressure, now, law, rows, x, p):
-    """Change of the supply's pressure [Pa]: place ``supply``; arguments as for :func:`lost_air`."""
-    if p[law + USED + SUPPLY] == 0.0:
-        return 0.0
-    return max(_further(SUPPLY, now, law, rows, x, p), -0.9) * supply_pressure
-
-
-@inlined
-def _further_force(static_force, passive_force, muscle_length, length_rate, now, muscle, law, rows, x, p):
-    """Further contraction force [N]: places ``force`` and ``strength``; arguments as for :func:`lost_air`."""
-    force = 0.0
-    own = (muscle_length, length_rate, 0.0 * length_rate, 0.0 * length_rate)
-    if p[law + USED + FORCE] != 0.0:
-        force += total(FORCE, muscle, now, own, law, rows, x, p)
-    if p[law + USED + STRENGTH] != 0.0:
-        force += total(STRENGTH, muscle, now, own, law, rows, x, p) * (static_force - passive_force)
-    return force
-
-
-@inlined
-def _further_torque(now, law, rows, x, p):
-    """Further torque on the joint [N m]: place ``torque``; arguments as for :func:`lost_air`."""
-    if p[law + USED + TORQUE] == 0.0:
-        return 0.0
-    return _further(TORQUE, now, law, rows, x, p)
-
-
-@inlined
-def _further_friction(now, law, rows, x, p):
-    """Change of the Coulomb torque [N m]: place ``friction``; arguments as for :func:`lost_air`."""
-    if p[law + USED + FRICTION] == 0.0:
-        return 0.0
-    return _further(FRICTION, now, law, rows, x, p)
-
-
-@inlined
-def _shown(pressure, muscle, law, rows, p):
+@in_place
+def _shown(value, muscle, law, p):
     """Reading of a pressure sensor [Pa]; the inverse of :func:`_pressure_behind`, which is straight between nodes."""
-    reading = pressure
-    for k in range(LAWS):
-        codes, numbers = law + k * SIZE, rows + k * NUMBERS
+    reading = value
+    for k in range(int(p[law - 1])):
+        codes = law + k * SIZE
         if p[codes + _PLACE] == SENSOR and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
-            nodes, values = numbers + _NODE_AT, numbers + _VALUE_AT
-            reading = pressure + p[values]
+            nodes = int(p[codes + TABLE]) + _NODE_AT
+            values = nodes + NODES
+            reading = value + p[values]
             for j in range(1, int(p[codes + _COUNT])):
                 before, after = p[nodes + j - 1] - p[values + j - 1], p[nodes + j] - p[values + j]
-                if pressure > before:
-                    share = min((pressure - before) / (after - before), 1.0)
-                    reading = p[nodes + j - 1] + share * (p[nodes + j] - p[nodes + j - 1]) + max(pressure - after, 0.0)
+                if value > before:
+                    share = min((value - before) / (after - before), 1.0)
+                    reading = p[nodes + j - 1] + share * (p[nodes + j] - p[nodes + j - 1]) + max(value - after, 0.0)
     return reading
 
 
-@inlined
-def _pressure_behind(reading, muscle, law, rows, p):
+@in_place
+def _pressure_behind(value, muscle, law, p):
     """The pressure behind a reading [Pa]: place ``sensor``."""
-    pressure = reading
-    for k in range(LAWS):
+    pressure = value
+    for k in range(int(p[law - 1])):
         codes = law + k * SIZE
         if p[codes + _PLACE] == SENSOR and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
-            pressure = reading - _tabled(codes, rows + k * NUMBERS, reading, p)
+            pressure = value - _tabled(codes, value, p)
     return pressure
 
 
-@inlined
-def _followed(law, rows, held, argument, quickest_lag, p):
-    """Derivative [1/s] of a law's state, which is in units of the span of its nodes."""
-    span = _span(law, rows, p)
-    if p[law + _OPERATOR] == _CLOCK:
-        return 1.0 / span
-    wanted = argument / span
-    if p[rows + _WIDTH_AT] > 0.0:
-        return played(p[rows + _WIDTH_AT] / span, held, wanted, quickest_lag)
-    return (wanted - held) / max(p[rows + _TIME_AT], quickest_lag)
+@in_place
+def _rates(muscle, now, own, quickest_lag, law, x, dx, p):
+    """Fill in the derivatives [1/s] of the laws' states, which are in units of the span of a law's nodes."""
+    for k in range(int(p[law - 1])):
+        codes = law + k * SIZE
+        at = p[codes + STATE + muscle]
+        if at > 0.0:
+            argument, span = _argued(codes, muscle, now, own, p)
+            rate = 1.0 / span
+            if p[codes + _OPERATOR] == _PLAY or p[codes + _OPERATOR] == _STOP:
+                rate = played(p[int(p[codes + TABLE]) + _WIDTH_AT] / span, x[int(at)], argument / span, quickest_lag)
+            elif p[codes + _OPERATOR] != _CLOCK:
+                rate = (argument / span - x[int(at)]) / max(p[int(p[codes + TABLE]) + _TIME_AT], quickest_lag)
+            dx[int(at)] = rate
 
 
 @in_place
-def _muscle_rate(
-    held, now, muscle_length, length_rate, wanted_open_rate, valve_flow, quickest_lag, muscle, law, rows, p
-):
-    """Derivative [1/s] of the state ``held`` of a law at a muscle."""
-    own = (muscle_length, length_rate, wanted_open_rate, valve_flow)
-    return _followed(law, rows, held, _argued(law, muscle, now, own, p), quickest_lag, p)
-
-
-@in_place
-def _muscle_start(now, muscle_length, length_rate, wanted_open_rate, valve_flow, muscle, law, rows, p):
-    """State of a law at a muscle after a long rest."""
-    own = (muscle_length, length_rate, wanted_open_rate, valve_flow)
-    return _argued(law, muscle, now, own, p) / _span(law, rows, p)
-
-
-@in_place
-def _joint_rate(held, now, drawn_flow, quickest_lag, law, rows, p):
-    """Derivative [1/s] of the state ``held`` of a law of the joint."""
-    own = (drawn_flow, drawn_flow, drawn_flow, drawn_flow)
-    return _followed(law, rows, held, _argued(law, JOINT, now, own, p), quickest_lag, p)
-
-
-@in_place
-def _joint_start(now, drawn_flow, law, rows, p):
-    """State of a law of the joint after a long rest."""
-    own = (drawn_flow, drawn_flow, drawn_flow, drawn_flow)
-    return _argued(law, JOINT, now, own, p) / _span(law, rows, p)
+def _rest(muscle, now, own, law, x, p):
+    """Fill in the laws' states after a long rest."""
+    for k in range(int(p[law - 1])):
+        codes = law + k * SIZE
+        at = p[codes + STATE + muscle]
+        if at > 0.0:
+            argument, span = _argued(codes, muscle, now, own, p)
+            x[int(at)] = argument / span
 
 
 def _parameters(number: int) -> Iterator[EffectParameter]:
@@ -413,12 +320,15 @@ def _parameters(number: int) -> Iterator[EffectParameter]:
 def _states(number: int) -> Iterator[AddedState]:
     """The states of a law, in the order of its codes."""
     for name, end in (("memory_1", "_1"), ("memory_2", "_2"), ("held", "")):
-        yield AddedState(
-            f"law{number}_{name}", "-", f"law{number}_keeps{end}", 0.02, 1e-4, law=number,
-            rate=_muscle_rate if end else _joint_rate, steady_value=_muscle_start if end else _joint_start,
-        )  # fmt: skip
+        yield AddedState(f"law{number}_{name}", "-", f"law{number}_keeps{end}", 0.02, 1e-4)
 
 
+IN_HOOKS = {
+    "mass_loss": ("flow", "leak", "exchange"), "open_rate": ("valve",), "supply_change": ("supply",),
+    "contraction_force": ("force", "strength"), "joint_torque": ("torque",), "coulomb_torque": ("friction",),
+    "sensor_reading": ("sensor",), "sensor_inverse": ("sensor",),
+}  # fmt: skip
+"""Places that act in each hook; in all others of the effect's functions, laws with states do."""
 EFFECT = Effect(
     name="learned",
     meaning="A table that was learned from recordings acts at one place of the equations.",
@@ -428,14 +338,18 @@ EFFECT = Effect(
     parameters=tuple(item for number in range(1, LAWS + 1) for item in _parameters(number)),
     states=tuple(state for number in range(1, LAWS + 1) for state in _states(number)),
     hooks={
-        "opening": _moved_valve,
+        "open_rate": _moved_valve,
         "supply_change": _supply_shift,
-        "mass_loss": lost_air,
+        "mass_loss": _lost_air,
         "contraction_force": _further_force,
-        "coulomb_torque": _further_friction,
-        "joint_torque": _further_torque,
+        "coulomb_torque": _of_joint,
+        "joint_torque": _of_joint,
         "sensor_reading": _shown,
         "sensor_inverse": _pressure_behind,
+        "muscle_rates": _rates,
+        "joint_rates": _rates,
+        "muscle_steady": _rest,
+        "joint_steady": _rest,
     },
     of_tables=True,
     sentence="a law that was learned from the recordings acts on the joint (learned)",
