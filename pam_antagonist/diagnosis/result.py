@@ -17,6 +17,7 @@ from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.learned import Law
 from pam_antagonist.shown import Shown
 
 Verdict = Literal["effect", "none", "unexplained"]
@@ -64,6 +65,8 @@ class FoundEffect:
         end_s: until when it acts [s]; None: to the end of every recording that shows it.
         end_std_s: standard deviation of that [s].
         splits: how many of them support it; None where it was not judged so.
+        law: of a learned effect; None of the catalogue's.
+        like: effects of the catalogue that a learned one resembles.
     """
 
     name: str
@@ -78,10 +81,15 @@ class FoundEffect:
     end_s: float | None = None
     end_std_s: float | None = None
     splits: Splits | None = None
+    law: Law | None = None
+    like: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``: all but the notes, which are warnings there."""
-        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "notes"}
+        out = {
+            item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("notes", "law", "like")
+        }
+        return out if self.law is None else {**out, **self.law.to_json(), "like": list(self.like)}
 
 
 @dataclass(frozen=True)

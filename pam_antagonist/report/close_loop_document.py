@@ -81,7 +81,7 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
     if found.calibrations:
         parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration"))
     if found.effects:
-        figures = drawn.profiles(found.profiles) if with_figures else ()
+        figures = (*drawn.laws(found.effects), *drawn.profiles(found.profiles)) if with_figures else ()
         parts.append(Section("Size of the effect", (sizes_table(found), *_laws(found), *figures), 2, "parameters"))
     parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates"))
     if found.remaining:

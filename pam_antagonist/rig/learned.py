@@ -37,6 +37,7 @@ _WHERE = {
     "flow": "the flow into {m}", "leak": "a leak of {m}", "valve": "the opening of {v}", "sensor": "the sensor of {m}",
     "force": "the force of {m}", "strength": "the strength of {m}", "torque": "the torque on the joint",
     "friction": "the joint's friction", "exchange": "the flow from muscle 1 to muscle 2", "supply": "the supply",
+    "encoder": "the encoder's error",
 }  # fmt: skip
 _ON = {
     "none": "nothing that was measured", "pressure_difference": "P1 - P2", "pressure_sum": "P1 + P2",
@@ -95,9 +96,16 @@ class Law:
         return f"{self.place}_{self.muscle}" if self.muscle in (1, 2) else self.place
 
     @property
+    def is_of_readings(self) -> bool:
+        """Whether it is an error of sensors that no rig can hold: of the encoder, or not by a sensor's own pressure."""
+        return self.place == "encoder" or (
+            self.place == "sensor" and (self.argument, self.operator) != ("pressure", "none")
+        )
+
+    @property
     def unit(self) -> str:
         """Unit of the values."""
-        return learned.PLACES[self.place]
+        return learned.PLACES.get(self.place, "rad")
 
     @property
     def argument_unit(self) -> str:
