@@ -291,19 +291,22 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
         text += f" Beside it: {after.sentence}"
     notes = ("the law explains the recordings in part only",) if after.verdict == "unexplained" else ()
     entries = tuple(
-        entry
-        if first.errors is None or entry.errors is None
-        else replace(entry, errors=_from(first.errors, entry.errors))
+        replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
     )
     errors = _from(before.errors, after.errors)
+    assert errors is not None
+    rigs = {**before.of_one_rig, "extended": after.of_one_rig["extended"]}
     return replace(
         after, verdict="effect", sentence=text, effects=(*effects, *after.effects), errors=errors, by_recording=entries,
         share=learned.searches[0].share, ranking=(*before.ranking, *after.ranking),
         rig_recalibrated=before.rig_recalibrated, warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
+        of_one_rig=rigs,
     )  # fmt: skip
 
 
-def _from(before: ModelErrors, after: ModelErrors) -> ModelErrors:
-    """Errors with a law, and those without it as configured and recalibrated."""
+def _from(before: ModelErrors | None, after: ModelErrors | None) -> ModelErrors | None:
+    """Errors with a law, and those without it as configured and recalibrated; None where they were not worked out."""
+    if before is None or after is None:
+        return after
     return replace(after, as_configured=before.as_configured, recalibrated=before.recalibrated)

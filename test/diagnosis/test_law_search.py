@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pam_antagonist import load_rig, simulate
-from pam_antagonist.diagnosis.learned_law import Learned, effect_of, learn, refusal
+from pam_antagonist.diagnosis import Diagnosis
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors, RigErrors
+from pam_antagonist.diagnosis.learned_law import Learned, effect_of, joined, learn, refusal
+from pam_antagonist.diagnosis.result import RecordingEntry
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, with_law
@@ -66,3 +70,30 @@ def test_a_joint_without_a_measured_angle_or_air_that_flows_is_refused_in_a_sent
     assert refusal([recording], rig()) == ""
     assert "the angle was measured" in refusal([dataclasses.replace(recording, angle=None)], rig())
     assert "moving valves" in refusal([recording], load_rig("sealed_joint"))
+
+
+def diagnosed(pressure: float) -> Diagnosis:
+    """What counts when diagnoses are joined: pressure errors [Pa] as configured, recalibrated and extended."""
+    shares = dict(zip(("as_configured", "recalibrated", "extended"), (3.0, 2.0, 1.0), strict=True))
+    each = {name: Errors(None, None, (share * pressure, share * pressure)) for name, share in shares.items()}
+    errors = ModelErrors(**each)
+    content: dict[str, Any] = {item.name: () for item in dataclasses.fields(Diagnosis)}
+    content |= {"verdict": "unexplained", "sentence": "", "errors": errors}
+    content["by_recording"] = (RecordingEntry("free", "free", None, "both", 16.0, errors, ukf=errors),)
+    content["of_one_rig"] = {name: RigErrors(own, own) for name, own in each.items()}
+    return Diagnosis(**content)
+
+
+def test_errors_before_a_law_are_those_of_the_diagnosis_without_it(exchange: Learned) -> None:
+    found = joined(diagnosed(1000.0), diagnosed(10.0), exchange)
+    assert found.verdict == "effect"
+    for errors in (found.errors, found.by_recording[0].errors, found.by_recording[0].ukf):
+        assert errors is not None
+        assert [own.rmse_pa[0] for own in errors.all] == [3000.0, 2000.0, 10.0]
+    assert [own.model.rmse_pa[0] for own in found.of_one_rig.values()] == [3000.0, 2000.0, 10.0]
+
+
+def test_a_law_by_which_no_held_out_error_falls_is_not_added(exchange: Learned) -> None:
+    found = joined(diagnosed(1000.0), diagnosed(1000.0), exchange)
+    assert (found.verdict, found.effects) == ("unexplained", ())
+    assert "no held-out error falls by it" in found.sentence
