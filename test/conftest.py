@@ -133,7 +133,8 @@ def _differences(kept: Any, now: Any, where: str) -> Iterator[str]:
         for k, pair in enumerate(zip(kept, now, strict=False)):
             yield from _differences(*pair, f"{where}[{k}]")
     elif isinstance(kept, float) and isinstance(now, (int, float)):
-        if now != pytest.approx(kept, rel=0.05, abs=1e-12):
+        # Changes of a fit that hardly moved are rounding, which other processors do otherwise.
+        if now != pytest.approx(kept, rel=0.05, abs=1e-6):
             yield f"{where}: {now}, expected {kept}"
     elif kept != now and not isinstance(kept, str):
         yield f"{where}: {now!r}, expected {kept!r}"

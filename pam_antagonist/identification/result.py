@@ -191,7 +191,8 @@ class FromPressures:
                 "hit a stop that the rig file does not have."
             )
         if said := refusal(self.rig):
-            return f"the values that fit best are impossible ({said})."
+            what = f"the values that fit best are impossible ({said})"
+            return f"{what}. The recordings do not fit two muscles on one joint."
         model, rest = self.pressures
         if model > _EXPLAINED * rest:
             return (

@@ -51,7 +51,7 @@ def test_every_number_and_every_state_is_there(name):
     shown = {word: row for row in table(section, "parameter") for word in re.findall(r"`(\w+)`", row[0])}
     numbers = () if effect.of_tables else effect.parameters
     assert list(shown) == [item.name for item in numbers]
-    states = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\*State\* (.*?) \$", section, re.MULTILINE)))
+    states = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\*State\* ([^$\[]*)", section, re.MULTILINE)))
     assert states == [item.name for item in effect.states]
     for item in numbers:
         allowed = f"{item.low:g} to {item.high:g} {item.unit.replace('-', '')}".rstrip()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import re
 import signal
 import struct
 import subprocess
@@ -140,7 +139,10 @@ def test_killed_at_any_moment(tmp_path: Path, seed: int, limits: str) -> None:
     assert_a_beginning(recording, FakeRig(3000), 100)
     said = "\n".join(recording.issues)
     assert "bag has no metadata.yaml, as after a recording that was not closed" in said
-    assert re.search(r"mcap was not closed, .*: read the \d+ messages before that", said)
+    # Killed between two files, a recorder leaves the last one whole, or empty.
+    last = max((tmp_path / "bag").glob("*.mcap"), key=lambda path: (len(path.stem), path.stem))
+    whole = last.read_bytes().endswith(b"\x89MCAP0\r\n")
+    assert whole or not last.stat().st_size or f"{last.name} was not closed" in said or f"{last.name} holds no" in said
 
 
 def chunk_ends(data: bytes) -> list[int]:
