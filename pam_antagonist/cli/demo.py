@@ -131,7 +131,7 @@ def _main(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
     try:
-        stopped = _experiment(arguments, rig, mode, law, asked, out)
+        stopped = _experiment(arguments, rig, mode, {**_gains(law, mode, rig), **found}, asked, out)
     except ProcessFailed as error:
         print(f"error: {error} (logs: {out / 'logs'})", file=sys.stderr)
         return common.FAILED
@@ -166,7 +166,9 @@ def _judge(out: Path, rig: Rig, mode: Mode, law: str, stopped: str, arguments: a
     print(common.next_command("replay", [out / "bag"], f"--rig {arguments.rig} --out DIR"))
 
 
-def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, law: str, asked: Task, out: Path) -> str:
+def _experiment(
+    arguments: argparse.Namespace, rig: Rig, mode: Mode, gains: dict[str, object], asked: Task, out: Path
+) -> str:
     """Run the processes and step the reference; returns why the joint was stopped for safety, else nothing."""
     stay_apart()
     print(how_to_watch(), flush=True)
@@ -179,9 +181,7 @@ def _experiment(arguments: argparse.Namespace, rig: Rig, mode: Mode, law: str, a
     )
     with Processes(out / "logs") as processes:
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
-        processes.start(
-            "controller", ros_arguments({**shared, **_gains(law, mode, rig), **found_gains(arguments.gains)}, {})
-        )
+        processes.start("controller", ros_arguments({**shared, **gains}, {}))
         simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
         if arguments.no_pressures:
             # The controller listens to what is left as well.
