@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
-from pam_antagonist.diagnosis import Diagnosis, learned_law
+from pam_antagonist.diagnosis import Diagnosis
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
+from pam_antagonist.diagnosis.learned_law import with_laws
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import is_for
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording, bag_name, recording_hash
-from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.report.close_loop import DiagnoseResult
 from pam_antagonist.report.close_loop_from_pressures import PressuresDiagnoseResult
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
@@ -103,15 +103,7 @@ def diagnose(
         _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed, progress=progress,
         profiles=profiles, estimator=estimator, store=store,
     )  # fmt: skip
-    diagnosis = run(fitted, chosen, held_out=kept)
-    if diagnosis.verdict == "unexplained" and not learned_law.refusal(every, chosen):
-        states = [(one, joint_condition(one, joint, lock_angle)) for one in every]
-        learned = learned_law.learn(states, chosen, holdout, progress or _silent, len(kept))
-        if learned.laws:
-            again = run(learned.corrected(fitted), learned.rig, held_out=learned.corrected(kept))
-            diagnosis = learned_law.joined(diagnosis, again, learned)
-        elif learned.sentence:
-            diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence} {learned.sentence}")
+    diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or _silent)
     return DiagnoseResult(
         **{item.name: getattr(diagnosis, item.name) for item in fields(Diagnosis)},
         start=chosen,

@@ -20,18 +20,9 @@ _length, _volume, _leverage = muscle.length, muscle.volume, lever_arm.leverage
 
 @kernel
 def _advanced(x, command, before, after, substeps, p, dt, scratch, shown):
-    """The chambers from the middle of a block to that of the next, ``x`` in place; pressures after each sample too.
+    """The chambers from the middle of a block to that of the next, ``x`` in place.
 
-    Args:
-        x: state (n,).
-        command: of the samples (S, 2).
-        before: angle in the middle of the block [rad].
-        after: likewise of the next block.
-        substeps: integration steps a sample.
-        p: parameter vector.
-        dt: step of the integration [s].
-        scratch: as of the step.
-        shown: pressures after each sample (S, 2), result.
+    The angle goes from ``before`` to ``after`` [rad]; ``shown`` gets the pressures after each sample (S, 2).
     """
     p[FRICTION_STEP] = dt
     count = command.shape[0] * substeps
@@ -114,12 +105,7 @@ def observed(begin, fresh, command, angle, reading, size, period, substeps, old,
 
 @kernel
 def torques(states, p):
-    """Torque of the muscles in each state (K,) [N m].
-
-    Args:
-        states: of the blocks (K, n).
-        p: parameter vector (m,).
-    """
+    """Torque of the muscles (K,) [N m] in states (K, n)."""
     out = np.empty(states.shape[0])
     for k in range(states.shape[0]):
         out[k] = _torque(states[k], p)
@@ -128,14 +114,7 @@ def torques(states, p):
 
 @kernel
 def motions(states, acceleration, direction, p):
-    """Torque of the muscles that the motion needs, by equation (8) (K,) [N m].
-
-    Args:
-        states: of the blocks (K, n).
-        acceleration: (K,) [rad/s²].
-        direction: of the motion (K,).
-        p: parameter vector (m,).
-    """
+    """Torque of the muscles that a motion needs, by equation (8) (K,) [N m]."""
     out = np.empty(states.shape[0])
     for k in range(states.shape[0]):
         out[k] = _needed(states[k], acceleration[k], direction[k], p) + _torque(states[k], p)
@@ -144,12 +123,7 @@ def motions(states, acceleration, direction, p):
 
 @kernel
 def air_columns(states, voltage, p):
-    """What the places of the air act with.
-
-    Args:
-        states: of the blocks (K, n).
-        voltage: (K, 2) [V].
-        p: parameter vector (m,).
+    """What the places of the air act with, by states (K, n) and voltages (K, 2).
 
     Returns:
         For each block and muscle: dP/dt per kg/s, flow per open rate, flow per share of the supply, flow, drawn flow,
@@ -183,28 +157,27 @@ def air_columns(states, voltage, p):
 
 
 @kernel
-def whitened_at_place(fresh, slope, noise, walk, at, quiet, columns_in, columns_out):
-    """Whitens columns by a Kalman filter whose unknowns are the errors of both pressures and a random walk at a place.
+def whitened(fresh, slope, noise, walk, at, quiet, seen, columns_in, columns_out):
+    """Whitens columns by a Kalman filter whose unknowns are the errors of both pressures and a random walk.
 
     Args:
         fresh: whether a block begins anew (K,).
         slope: of the errors over a block (K, 2).
-        noise: variance of each channel, not finite where it is missing (K, C); the first two are the pressures.
+        noise: variance of each channel, not finite where it is missing (K, C).
         walk: variance of the walk's step [unit²], and at the begin.
         at: what a unit of the walk does over a block and to the channels (K, 2 + C).
         quiet: variance of the errors' steps [Pa²].
+        seen: which pressure's error a channel shows, 0 or 1; -1 for none (C,).
         columns_in: what regressors add to the errors over a block, and what is taken from the data (N, K, 2).
         columns_out: likewise, to the channels (N, K, C).
 
     Returns:
-        Whitened columns (N, K, C), 0 where missing, and the logarithms of the variances (C,), summed.
+        Whitened columns (N, K, C), 0 where missing, and the logarithms of the variances (K, C).
     """
     count, channels = noise.shape
-    white = np.zeros(columns_out.shape)
-    logs = np.zeros(channels)
-    cov, gain, row = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    old = np.zeros((3, 3))
+    white, logs = np.zeros(columns_out.shape), np.zeros(noise.shape)
     state = np.zeros((columns_in.shape[0], 3))
+    cov, gain, row = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for k in range(count):
         if fresh[k]:
             cov[:] = 0.0
@@ -214,29 +187,29 @@ def whitened_at_place(fresh, slope, noise, walk, at, quiet, columns_in, columns_
         for c in range(channels):
             if not np.isfinite(noise[k, c]):
                 continue
-            row[0], row[1], row[2] = 1.0 if c == 0 else 0.0, 1.0 if c == 1 else 0.0, at[k, 2 + c]
+            row[:] = 0.0
+            if seen[c] >= 0:
+                row[seen[c]] = 1.0
+            row[2] = at[k, 2 + c]
             for i in range(3):
                 gain[i] = cov[i, 0] * row[0] + cov[i, 1] * row[1] + cov[i, 2] * row[2]
             spread = noise[k, c] + row[0] * gain[0] + row[1] * gain[1] + row[2] * gain[2]
-            logs[c] += np.log(spread)
+            logs[k, c] = np.log(spread)
             for i in range(3):
                 for j in range(3):
-                    old[i, j] = gain[i] * gain[j] / spread
-            for i in range(3):
-                for j in range(3):
-                    cov[i, j] -= old[i, j]
+                    cov[i, j] -= gain[i] * gain[j] / spread
             scale = 1.0 / np.sqrt(spread)
             g0, g1, g2 = gain[0] / spread, gain[1] / spread, gain[2] / spread
             for n in range(state.shape[0]):
-                s0, s1, s2 = state[n, 0], state[n, 1], state[n, 2]
-                left = columns_out[n, k, c] - row[0] * s0 - row[1] * s1 - row[2] * s2
+                left = columns_out[n, k, c] - row[0] * state[n, 0] - row[1] * state[n, 1] - row[2] * state[n, 2]
                 white[n, k, c] = left * scale
-                state[n, 0], state[n, 1], state[n, 2] = s0 + g0 * left, s1 + g1 * left, s2 + g2 * left
+                state[n, 0] += g0 * left
+                state[n, 1] += g1 * left
+                state[n, 2] += g2 * left
         a0, a1, b0, b1 = slope[k, 0], slope[k, 1], at[k, 0], at[k, 1]
         for n in range(state.shape[0]):
-            walked = state[n, 2]
-            state[n, 0] = a0 * state[n, 0] + b0 * walked - columns_in[n, k, 0]
-            state[n, 1] = a1 * state[n, 1] + b1 * walked - columns_in[n, k, 1]
+            state[n, 0] = a0 * state[n, 0] + b0 * state[n, 2] - columns_in[n, k, 0]
+            state[n, 1] = a1 * state[n, 1] + b1 * state[n, 2] - columns_in[n, k, 1]
         p00, p01, p11, p02, p12, p22 = cov[0, 0], cov[0, 1], cov[1, 1], cov[0, 2], cov[1, 2], cov[2, 2]
         cov[0, 0] = a0 * a0 * p00 + 2.0 * a0 * b0 * p02 + b0 * b0 * p22 + quiet
         cov[1, 1] = a1 * a1 * p11 + 2.0 * a1 * b1 * p12 + b1 * b1 * p22 + quiet
@@ -248,63 +221,8 @@ def whitened_at_place(fresh, slope, noise, walk, at, quiet, columns_in, columns_
 
 
 @kernel
-def whitened_channel(fresh, slope, noise, walk, inside, outside, state_seen, quiet, columns_in, columns_out):
-    """Whitens columns of one channel by a filter of its error and of a random walk.
-
-    Args:
-        fresh: whether a block begins anew (K,).
-        slope: of the error over a block (K,).
-        noise: variance (K,), not finite where missing.
-        walk: variance of its step, and at the begin.
-        inside: what a unit of the walk does over a block (K,).
-        outside: likewise, to the channel at once (K,).
-        state_seen: 1 where the channel shows the error, else 0.
-        quiet: variance of the error's step.
-        columns_in: what regressors add to the error over a block, and what is taken from the data (N, K).
-        columns_out: to the channel (N, K).
-
-    Returns:
-        Whitened columns (N, K), and the logarithm of each variance (K,).
-    """
-    count, number = noise.shape[0], columns_in.shape[0]
-    white, logs = np.zeros((number, count)), np.zeros(count)
-    state = np.zeros((number, 2))
-    p00, p01, p11 = 0.0, 0.0, 0.0
-    for k in range(count):
-        if fresh[k]:
-            p00, p01, p11 = 4e8 * state_seen, 0.0, walk[1]
-            state[:] = 0.0
-        if np.isfinite(noise[k]):
-            h0, h1 = state_seen, outside[k]
-            g0, g1 = p00 * h0 + p01 * h1, p01 * h0 + p11 * h1
-            spread = noise[k] + h0 * g0 + h1 * g1
-            logs[k] = np.log(spread)
-            scale = 1.0 / np.sqrt(spread)
-            p00, p01, p11 = p00 - g0 * g0 / spread, p01 - g0 * g1 / spread, p11 - g1 * g1 / spread
-            g0, g1 = g0 / spread, g1 / spread
-            for n in range(number):
-                left = columns_out[n, k] - h0 * state[n, 0] - h1 * state[n, 1]
-                white[n, k] = left * scale
-                state[n, 0] += g0 * left
-                state[n, 1] += g1 * left
-        a, b = slope[k], inside[k]
-        for n in range(number):
-            state[n, 0] = a * state[n, 0] + b * state[n, 1] - columns_in[n, k]
-        p00 = a * a * p00 + 2.0 * a * b * p01 + b * b * p11 + quiet * state_seen
-        p01 = a * p01 + b * p11
-        p11 += walk[0]
-    return white, logs
-
-
-@kernel
 def lagged(values, share, fresh):
-    """First-order lag of an argument, its step ``share`` time constants long, at rest where a stretch begins.
-
-    Args:
-        values: the argument (K,).
-        share: of a time constant that a block lasts.
-        fresh: whether a block begins anew (K,).
-    """
+    """First-order lag of an argument (K,), in steps of a share of its time, at rest where a stretch begins."""
     out = np.empty(values.shape[0])
     held = 0.0
     for k in range(values.shape[0]):
@@ -318,13 +236,7 @@ def lagged(values, share, fresh):
 
 @kernel
 def played(values, width, fresh):
-    """Play of a width on an argument, in its middle where a stretch begins.
-
-    Args:
-        values: the argument (K,).
-        width: of the play, in the unit of the argument.
-        fresh: whether a block begins anew (K,).
-    """
+    """Play of a width on an argument (K,), in its middle where a stretch begins."""
     out = np.empty(values.shape[0])
     held = 0.0
     for k in range(values.shape[0]):
@@ -336,60 +248,32 @@ def played(values, width, fresh):
 
 
 @kernel
-def imposed_torque(time, pressure, angle, command, p, longest):
-    """Torque of the muscles along measured pressures and angle, with all states that effects add (N,) [N m].
+def along_pressures(time, pressure, angle, velocity, anew, command, p, longest):
+    """The joint along measured pressures: held, along the measured angle too; free, set to it anew at some rows.
 
-    Args:
-        time: of the rows (N,) [s].
-        pressure: (N, 2) [Pa].
-        angle: (N,) [rad].
-        command: (N, 2) [V] or [Pa].
-        p: parameter vector (m,).
-        longest: longest step of the integration [s].
-    """
-    p = p.copy()
-    x = _initial_state(angle[0], pressure[0, 0], pressure[0, 1], command[0], p)
-    scratch, out = np.empty((STAGES + 1, x.shape[0])), np.empty(time.shape[0])
-    for k in range(time.shape[0]):
-        if k > 0:
-            dt = time[k] - time[k - 1]
-            steps = max(1, int(np.ceil(dt / longest - 0.1)))
-            p[FRICTION_STEP] = dt / steps
-            for s in range(steps):
-                share = (s + 0.5) / steps
-                x[ANGLE] = angle[k - 1] + share * (angle[k] - angle[k - 1])
-                x[VELOCITY] = (angle[k] - angle[k - 1]) / dt
-                for i in range(2):
-                    x[PRESSURE_1 + i] = pressure[k - 1, i] + share * (pressure[k, i] - pressure[k - 1, i])
-                _rk4_step(x, command[k], p, dt / steps, x, scratch)
-        x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle[k], pressure[k, 0], pressure[k, 1]
-        out[k] = _torque(x, p)
-    return out
-
-
-@kernel
-def driven_angles(time, pressure, measured, velocity, anew, p, longest):
-    """The joint along measured pressures; at some rows its motion is set anew, what effects remember goes on.
+    What effects and laws remember goes on where the motion is set anew.
 
     Args:
         time: of the rows (N,) [s].
         pressure: (N, 2) [Pa], linear between rows.
-        measured: angle (N,) [rad].
+        angle: measured (N,) [rad].
         velocity: of the measured angle (N,) [rad/s].
-        anew: whether the motion is set to the measured one at a row (N,).
-        p: parameter vector of a free joint.
+        anew: whether the motion of a free joint is set to the measured one at a row (N,).
+        command: (N, 2).
+        p: parameter vector (m,).
         longest: longest step of the integration [s].
 
     Returns:
-        Angle (N,) [rad].
+        Angle [rad] and torque of the muscles [N m] (N, 2).
     """
     p = p.copy()
-    # With these zeros, equation (4) keeps the pressures: no flow, and no effect of the volume.
-    p[par.VALVE : par.VALVE + 2 * par.VALVE_SIZE] = 0.0
-    p[par.POLYTROPIC_VOLUME] = 0.0
-    u, out = np.zeros(2), np.empty(time.shape[0])
-    x = _initial_state(measured[0], pressure[0, 0], pressure[0, 1], u, p)
-    scratch = np.empty((STAGES + 1, x.shape[0]))
+    held = p[par.LOCKED] > 0.0
+    if not held:
+        # With these zeros, equation (4) keeps the pressures: no flow, and no effect of the volume.
+        p[par.VALVE : par.VALVE + 2 * par.VALVE_SIZE] = 0.0
+        p[par.POLYTROPIC_VOLUME] = 0.0
+    x = _initial_state(angle[0], pressure[0, 0], pressure[0, 1], command[0], p)
+    scratch, out = np.empty((STAGES + 1, x.shape[0])), np.empty((time.shape[0], 2))
     for k in range(time.shape[0]):
         if k > 0:
             dt = time[k] - time[k - 1]
@@ -397,10 +281,16 @@ def driven_angles(time, pressure, measured, velocity, anew, p, longest):
             p[FRICTION_STEP] = dt / steps
             for s in range(steps):
                 share = (s + 0.5) / steps
+                if held:
+                    x[ANGLE] = angle[k - 1] + share * (angle[k] - angle[k - 1])
+                    x[VELOCITY] = (angle[k] - angle[k - 1]) / dt
                 for i in range(2):
                     x[PRESSURE_1 + i] = pressure[k - 1, i] + share * (pressure[k, i] - pressure[k - 1, i])
-                _rk4_step(x, u, p, dt / steps, x, scratch)
-        out[k] = x[ANGLE]
-        if anew[k]:
-            x[ANGLE], x[VELOCITY] = measured[k], velocity[k]
+                _rk4_step(x, command[k], p, dt / steps, x, scratch)
+        if held:
+            x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle[k], pressure[k, 0], pressure[k, 1]
+            out[k, 1] = _torque(x, p)
+        out[k, 0] = x[ANGLE]
+        if anew[k] and not held:
+            x[ANGLE], x[VELOCITY] = angle[k], velocity[k]
     return out

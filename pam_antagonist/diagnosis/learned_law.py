@@ -1,7 +1,7 @@
-"""What no law of the catalogue explains gets a learned one: its place, what it depends on, and a table in the rig.
+"""What the catalogue does not explain gets a learned law: its place, what it depends on, and a table in the rig.
 
 The search (:mod:`~pam_antagonist.diagnosis.law_search`) works on the recordings as they are. The rig that has its law
-is then diagnosed like any other, so that errors, further effects and calibrations come from the same judge.
+is then diagnosed like any other. Held-out data decide between both diagnoses, by the rules of a further effect.
 """
 
 from __future__ import annotations
@@ -9,105 +9,69 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import law_simulation
+from pam_antagonist.diagnosis import found_calibrations, law_simulation, thresholds
+from pam_antagonist.diagnosis.arguments import Group
+from pam_antagonist.diagnosis.description import change_in_words
 from pam_antagonist.diagnosis.errors import ModelErrors
-from pam_antagonist.diagnosis.law_search import (
-    LEAST_GAIN,
-    LEAST_SHARE,
-    LawSearch,
-    Simulated,
-    Subject,
-    is_further,
-    law_search,
-)
+from pam_antagonist.diagnosis.law_search import LEAST_GAIN, LawSearch, law_search
+from pam_antagonist.diagnosis.law_simulation import Subject
+from pam_antagonist.diagnosis.models import further_share, held_share, likelier, share_of_all
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
-from pam_antagonist.recording import Recording, bag_name
-from pam_antagonist.recording.joint import JointCondition
+from pam_antagonist.inference.gauss_newton import held_residual
+from pam_antagonist.inference.measured_motion import MeasuredMotion
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, with_law
+from pam_antagonist.rig.learned import Law, laws_of, with_law
+
+if TYPE_CHECKING:
+    from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 
 Floats = NDArray[np.float64]
 
+MOST_LAWS = 2
 _SHORTEST_S = 10.0
 _SLOWEST_S = 5e-3
 """[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
-LIKE: Mapping[tuple[str, str], tuple[str, ...]] = {
-    ("flow", "pressure"): ("leak", "pressure_sensor"),
-    ("flow", "length"): ("leak",),
-    ("valve", "none"): ("valve_offset",),
-    ("valve", "open_rate"): ("valve_offset", "valve_lag", "valve_play"),
-    ("supply", "draw"): ("supply_droop",),
-    ("supply", "none"): ("supply_droop",),
-    ("force", "length"): ("hysteresis", "creep"),
-    ("strength", "length"): ("hysteresis", "creep"),
-    ("strength", "time"): ("warm_up",),
-    ("sensor", "pressure"): ("pressure_sensor",),
-    ("sensor", "none"): ("pressure_sensor",),
-    ("torque", "angle"): ("load_torque",),
-    ("friction", "speed"): ("friction",),
-    ("friction", "none"): ("friction",),
-}
-"""Effects of the catalogue that act at a place by an argument."""
-_WHERE = {
-    "flow": "the flow into muscle {}", "valve": "the opening of valve {}", "force": "the force of muscle {}",
-    "strength": "the strength of muscle {}", "sensor": "the pressure sensor of muscle {}",
-    "line": "the line of muscle {}",
-    "volume": "the volume of muscle {}", "supply": "the supply", "exchange": "a flow from muscle 1 to muscle 2",
-    "encoder": "the encoder", "meter": "the torque meter", "torque": "a torque on the joint",
-    "friction": "the joint's friction",
+_AIR = {"mass_loss", "open_rate", "open_rate_shift", "voltage_shift", "spool_voltage"}
+_HOOKS: Mapping[str, set[str]] = {
+    **dict.fromkeys(("flow", "leak", "valve"), _AIR),
+    **dict.fromkeys(("force", "strength"), {"contraction_force", "muscle_force"}),
+    "exchange": {"mass_loss"}, "supply": {"supply_change"}, "sensor": {"sensor_reading"},
+    "torque": {"joint_torque"}, "friction": {"coulomb_torque"},
 }  # fmt: skip
+"""Where effects of the catalogue act as a law at a place does: a flow by pressure and a valve by pressure are one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A law that was learned, and the rig that has it.
+    """A search for a law, and the rig that has it: as it was, where none was taken or it is an error of readings."""
 
-    Attributes:
-        searches: how each law was found; the last one may have found none.
-        laws: with standard deviations of their values.
-        rig: with the laws, or as it was where the law is an error of readings.
-        sentence: where the model errs, if no law was taken.
-    """
-
-    searches: tuple[LawSearch, ...]
-    laws: tuple[Law, ...]
+    search: LawSearch
+    law: Law | None
     rig: Rig
-    sentence: str = ""
 
     def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
         """Recordings without the error of readings that was found; as they are, if it is another law."""
-        out = list(recordings)
-        for law in self.laws:
-            out = [_corrected(recording, law) for recording in out] if law.is_of_readings else out
-        return out
+        law = self.law
+        return [_corrected(one, law) if law and law.is_of_readings else one for one in recordings]
 
 
 def _corrected(recording: Recording, law: Law) -> Recording:
     assert recording.angle is not None
-    pressure, angle = np.nan_to_num(recording.pressure), np.nan_to_num(recording.angle)
-    width = law_simulation.smoothing(recording.sample_period_s)
-    smooth = np.column_stack([law_simulation.smoothed(column, width) for column in pressure.T])
-    turned = law_simulation.smoothed(angle, width)
-    raised, turned = law_simulation.misread(law, smooth, turned, recording.sample_period_s)
+    period = recording.sample_period_s
+    pressure, angle = (np.nan_to_num(values) for values in (recording.pressure, recording.angle))
+    pressure, angle = (law_simulation.smoothed(values, period) for values in (pressure, angle))
+    raised, turned = law_simulation.misread(law, pressure, angle, period)
     return replace(recording, pressure=recording.pressure - raised, angle=recording.angle - turned)
-
-
-def where(name: str) -> str:
-    """A place in words, such as ``flow_2``.
-
-    Args:
-        name: of the place.
-    """
-    kind, _, end = name.rpartition("_")
-    if end in ("1", "2", "both") and kind:
-        return _WHERE[kind].format("1 and 2" if end == "both" else end)
-    return _WHERE[name]
 
 
 def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
@@ -124,184 +88,190 @@ def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
 
 
 def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = math.inf) -> list[dict[str, Floats]]:
-    """The stretches of a recording without holes, as the search takes them.
-
-    Args:
-        recording: the recording.
-        begin_s: of the part [s].
-        end_s: of the part [s].
-    """
+    """The stretches of a part [s] of a recording without holes, as the search takes them."""
     time = recording.time_s
-    torque = np.full(len(time), np.nan) if recording.torque is None else recording.torque
-    angle = np.full(len(time), np.nan) if recording.angle is None else recording.angle
-    known = (
-        np.isfinite(recording.pressure).all(axis=1) & np.isfinite(recording.voltage).all(axis=1) & np.isfinite(angle)
-    )
-    rows = np.flatnonzero(known & (time >= begin_s) & (time < end_s))
-    holes = (
-        np.flatnonzero(np.diff(recording.stamp_ns[rows]) > max(LONGEST_GAP_NS, 2.5e9 * recording.sample_period_s)) + 1
-    )
+    none = np.full(len(time), np.nan)
     columns = {
-        "time": time, "pressure": recording.pressure, "command": recording.voltage, "angle": angle, "torque": torque,
+        "time": time, "pressure": recording.pressure, "command": recording.voltage,
+        "angle": none if recording.angle is None else recording.angle,
+        "torque": none if recording.torque is None else recording.torque,
     }  # fmt: skip
+    known = [np.isfinite(v).reshape(len(time), -1).all(axis=1) for name, v in columns.items() if name != "torque"]
+    rows = np.flatnonzero(np.all(known, axis=0) & (time >= begin_s) & (time < end_s))
+    longest = max(LONGEST_GAP_NS, 2.5e9 * recording.sample_period_s)
+    holes = np.flatnonzero(np.diff(recording.stamp_ns[rows]) > longest) + 1
     return [{key: values[part] for key, values in columns.items()} for part in np.split(rows, holes) if len(part) > 1]
 
 
 def learn(
-    recordings: Sequence[tuple[Recording, JointCondition]],
+    recordings: Sequence[Recording],
     rig: Rig,
-    holdout: float,
-    progress: Callable[[str], None],
-    whole: int = 0,
+    share: float = 1.0,
+    joint: str = "auto",
+    lock_angle: float | None = None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Learned:
-    """Look for the law that a rig lacks.
+    """Look for a law that a rig lacks.
 
     Args:
-        recordings: each with the condition of its joint.
-        rig: as configured.
-        holdout: share at the end of each recording that is not seen.
+        recordings: of the rig.
+        rig: as configured; it may have laws already.
+        share: at the begin of each recording that is seen.
+        joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
+        lock_angle: of a locked joint [rad], where it is known.
         progress: called with what is being done.
-        whole: number of recordings at the end that are held out as a whole, in place of the share.
 
     Raises:
         BadInput: recordings in which no law can be looked for.
     """
-    reason = refusal([one for one, _ in recordings], rig)
-    if reason:
+    if reason := refusal(recordings, rig):
         raise BadInput(reason)
     subjects = []
-    for number, (recording, state) in enumerate(recordings):
-        if number >= len(recordings) - whole:
-            continue
-        end = recording.duration_s * (1.0 if whole else 1.0 - holdout)
-        seen = stretches(recording, end_s=end)
-        if sum(float(part["time"][-1] - part["time"][0]) for part in seen) < _SHORTEST_S:
-            continue
-        subjects.append(
-            Subject(
-                bag_name(recording.path), seen, recording.sample_period_s, state.condition == "locked", rig.parameters()
-            )
-        )
+    for one in recordings:
+        seen = stretches(one, end_s=one.duration_s * share if share < 1.0 else math.inf)
+        if sum(float(part["time"][-1] - part["time"][0]) for part in seen) >= _SHORTEST_S:
+            locked = joint_condition(one, joint, lock_angle).condition == "locked"
+            subjects.append(Subject(seen, one.sample_period_s, locked, rig.parameters()))
     if not subjects:
         raise BadInput(f"a law is looked for in recordings of {_SHORTEST_S:g} s at least")
-    found = law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"))
-    if found.found is None:
-        place = found.places[0] if found.places else None
-        if place is None or place.gain < LEAST_GAIN:
-            return Learned((found,), (), rig)
-        text = f"The model errs most likely in {where(place.name)}, by nothing that was measured."
-        return Learned((found,), (), rig, text)
-    searches, laws = [found], [_with_std(found.found)]
-    if not laws[0].is_of_readings:
-        points = zip(subjects, found.found.points, strict=True)
-        further = [replace(subject, p=p) for subject, p in points]
-        second = law_search(further, rig, lambda text: progress(f"a second law: {text}"), 2)
-        if is_further(found, second) and second.found is not None:
-            searches, laws = [found, second], [*laws, _with_std(second.found)]
-    for law, search in zip(laws, searches, strict=True):
-        if not law.is_of_readings and search.found is not None:
-            rig = with_law(rig, law, covariance=search.found.covariance)
-    return Learned(tuple(searches), tuple(laws), rig)
+    number = len(laws_of(rig)) + 1
+    found = law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number)
+    if found.found is None or found.found.law is None:
+        return Learned(found, None, rig)
+    covariance = found.found.covariance
+    law = replace(found.found.law, std=tuple(map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0)))))
+    return Learned(found, law, rig if law.is_of_readings else with_law(rig, law, covariance=covariance))
 
 
-def _with_std(found: Simulated) -> Law:
-    assert found.law is not None
-    return replace(found.law, std=tuple(map(float, np.sqrt(np.maximum(np.diag(found.covariance), 0.0)))))
-
-
-def effect_of(law: Law, found: LawSearch, recordings: Sequence[str]) -> FoundEffect:
-    """A learned law as an effect of a diagnosis.
+def with_laws(
+    diagnose: Callable[..., Diagnosis],
+    recordings: Sequence[Recording],
+    kept: Sequence[Recording],
+    rig: Rig,
+    holdout: float,
+    joint: str,
+    lock_angle: float | None,
+    progress: Callable[[str], None],
+) -> Diagnosis:
+    """A diagnosis; where it leaves a clear excess, with the law that is missing, and then perhaps with a second one.
 
     Args:
-        law: the law.
-        found: how it was found.
-        recordings: names of those that show it.
+        diagnose: makes a diagnosis of recordings and a rig, with recordings that are ``held_out``.
+        recordings: of the rig.
+        kept: that are held out as a whole.
+        rig: as configured.
+        holdout: share at the end of each recording that is held out, if no whole one is.
+        joint: as of :func:`learn`.
+        lock_angle: as of :func:`learn` [rad].
+        progress: called with what is being done.
     """
+    now = diagnose(recordings, rig, held_out=kept)
+    fitted, others = list(recordings), list(kept)
+    share = 1.0 if kept else 1.0 - holdout
+    for _ in range(MOST_LAWS):
+        if not leaves_excess(now) or refusal((*fitted, *others), rig):
+            break
+        zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
+        learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
+        if learned.law is None:
+            if now.verdict == "unexplained":
+                now = replace(now, sentence=f"{now.sentence} {place_in_words(learned.search)}".strip())
+            break
+        corrected, also = learned.corrected(fitted), learned.corrected(others)
+        after = diagnose(corrected, learned.rig, held_out=also)
+        if not is_better(now, after):
+            if now.verdict == "unexplained":
+                words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
+                now = replace(now, sentence=f"{now.sentence} {words}")
+            break
+        now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
+    return now
+
+
+def leaves_excess(found: Diagnosis) -> bool:
+    """Whether what a diagnosis found leaves so much that a law could be a further effect.
+
+    What begins, ends or comes and goes is no law, nor is friction that is judged along the motion of a joint that
+    sticks.
+    """
+    events = any(one.name == DISTURBANCE or one.onset_s is not None or one.end_s is not None for one in found.effects)
+    if found.verdict == "none" or events or any(isinstance(one, MeasuredMotion) for one in found.experiments):
+        return False
+    left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
+    return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
+
+
+def is_better(before: Diagnosis, after: Diagnosis) -> bool:
+    """Whether a diagnosis with a law does better where nothing was fitted, by the rules of a further effect."""
+    pairs = zip(before.extended.pairs, after.extended.pairs, strict=True)
+    gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
+    share = further_share(before.recalibrated, before.extended, after.extended)
+    return gain >= thresholds.STRONG and share >= thresholds.FURTHER_SHARE
+
+
+def place_in_words(found: LawSearch) -> str:
+    """Where the model errs by nothing that was measured; empty if that is not known."""
+    place = found.places[0] if found.places else None
+    if place is None or place.gain < LEAST_GAIN:
+        return ""
+    group = Group(place.name)
+    where = Law(group.kind, (), (), group.muscle).where
+    return f"The model errs most likely in {where}, by nothing that was measured."
+
+
+def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
+    """Effects of the catalogue that act where a law does and explain something of the recordings, the best first."""
+    scores = {
+        item.effect: item.muscles[law.muscle - 1] if item.muscles and isinstance(law.muscle, int) else item.score
+        for item in ranking if item.round == 1 and item.effect in CATALOGUE
+    }  # fmt: skip
+    acts = [name for name in scores if _HOOKS.get(law.place, set()) & set(CATALOGUE[name].hooks)]
+    return tuple(sorted((n for n in acts if scores[n] >= thresholds.LEAST_SCORE), key=lambda name: -scores[name]))
+
+
+def effect_of(learned: Learned, names: Sequence[str], recordings: Sequence[str]) -> FoundEffect:
+    """A learned law as an effect of a diagnosis, with what it is like and the recordings that show it."""
+    law, found = learned.law, learned.search
+    assert law is not None
     sizes = {
         ("everywhere" if len(law.nodes) == 1 else f"at {node:.4g} {law.argument_unit}"): Size(value, std, law.unit)
-        for node, value, std in zip(law.nodes, law.values, law.std or (0.0,) * len(law.nodes), strict=True)
+        for node, value, std in zip(law.nodes, law.values, law.std, strict=True)
     }
+    muscle = law.muscle if isinstance(law.muscle, int) else None
     return FoundEffect(
-        "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, 2.0 * found.gain, found.share,
-        tuple(recordings), law=law, like=LIKE.get((law.place, law.argument), ()),
-    )  # fmt: skip
-
-
-def sentence(learned: Learned, before: Diagnosis, after: Diagnosis) -> str:
-    """The verdict by learned laws, in words.
-
-    Args:
-        learned: the laws.
-        before: the diagnosis without them.
-        after: the diagnosis with them.
-    """
-    errors = [
-        f"the {name}'s held-out error falls from {a.rmse:.3g} to {b.rmse:.3g} {unit}"
-        for name, unit in (("angle", "deg"), ("torque", "N m"))
-        if (a := getattr(before.errors.recalibrated, name)) and (b := getattr(after.errors.recalibrated, name))
-        and b.rmse < a.rmse
-    ]  # fmt: skip
-    a, b = max(before.errors.recalibrated.rmse_pa), max(after.errors.recalibrated.rmse_pa)
-    errors += [f"the larger pressure error from {a / 1e3:.3g} to {b / 1e3:.3g} kPa"] if b < a else []
-    said = []
-    for law in learned.laws:
-        like = LIKE.get((law.place, law.argument), ())
-        named = f" (like {' or '.join(name.replace('_', ' ') for name in like)})" if like else ""
-        said.append(law.in_words() + named)
-    rivals = [item.law.in_words() for item in learned.searches[0].alternatives if item.law is not None]
-    also = f" As good in a simulation: {'; '.join(rivals)}." if rivals else ""
-    if any(law.is_of_readings for law in learned.laws):
-        also += " No rig file holds an error of readings: correct the recordings by it."
-    fallen = ", ".join(errors) or "no error falls"
-    return f"What is missing: {'; and '.join(said)}. Measured as a table; {fallen}.{also}"
-
-
-def falls(before: ModelErrors, after: ModelErrors) -> bool:
-    """Whether the held-out errors of recalibrated models are less with a law than without it, all channels together.
-
-    Args:
-        before: errors without the law.
-        after: errors with it.
-    """
-    pairs = [(a, b) for a, b in zip(before.recalibrated.rmse_pa, after.recalibrated.rmse_pa, strict=True)]
-    for name in ("angle", "torque"):
-        first, second = getattr(before.recalibrated, name), getattr(after.recalibrated, name)
-        pairs += [] if first is None or second is None else [(first.rmse, second.rmse)]
-    return float(np.mean([math.log(b / a) for a, b in pairs])) < math.log(1.0 - LEAST_SHARE)
+        "learned", muscle, sizes, 2.0 * found.gain, found.share, tuple(recordings), law=law, like=tuple(names)
+    )
 
 
 def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
-    """The diagnosis of the rig as configured, explained by a law: errors before, and those of the rig that has it.
+    """The diagnosis with a law, and its errors without the law as the diagnosis before it has them.
 
-    A law that does not lower the errors on held-out data leaves the verdict as it was.
-
-    Args:
-        before: of the rig as configured.
-        after: of the rig with the law.
-        learned: the law.
+    An effect of the catalogue that acts where the law does names it, and comes first.
     """
-    if not falls(before.errors, after.errors):
-        words = "; ".join(law.in_words() for law in learned.laws)
-        text = f"{before.sentence} A law was learned ({words}), but no held-out error falls by it."
-        return replace(before, sentence=text)
+    assert learned.law is not None
     names = [entry.recording for entry in before.by_recording if entry.role != "held out"]
-    effects = [effect_of(law, search, names) for law, search in zip(learned.laws, learned.searches, strict=True)]
-    text = sentence(learned, before, after)
-    if after.effects:
-        text += f" Beside it: {after.sentence}"
-    notes = ("the law explains the recordings in part only",) if after.verdict == "unexplained" else ()
+    effect = effect_of(learned, like(learned.law, before.ranking), names)
+    earlier = [one for one in before.effects if one.law is not None]
+    again = {one.name for one in after.effects}
+    named = [
+        one for one in before.effects
+        if one.name in effect.like and one.muscle in (None, effect.muscle) and one.name not in again
+    ]  # fmt: skip
     entries = tuple(
         replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
     )
     errors = _from(before.errors, after.errors)
     assert errors is not None
-    rigs = {**before.of_one_rig, "extended": after.of_one_rig["extended"]}
+    part = share_of_all(before.recalibrated, after.extended) < thresholds.EXPLAINED_WELL
+    notes = ("the law explains the recordings in part only",) if part else ()
     return replace(
-        after, verdict="effect", sentence=text, effects=(*effects, *after.effects), errors=errors, by_recording=entries,
-        share=learned.searches[0].share, ranking=(*before.ranking, *after.ranking),
-        rig_recalibrated=before.rig_recalibrated, warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
-        of_one_rig=rigs,
+        after, verdict="effect", sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
+        effects=(*named, *earlier, effect, *after.effects), by_recording=entries,
+        share=held_share(before.recalibrated, after.extended),
+        ranking=(*before.ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
+        warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
+        of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},
     )  # fmt: skip
 
 
@@ -310,3 +280,29 @@ def _from(before: ModelErrors | None, after: ModelErrors | None) -> ModelErrors 
     if before is None or after is None:
         return after
     return replace(after, as_configured=before.as_configured, recalibrated=before.recalibrated)
+
+
+def _sentence(
+    learned: Learned, effect: FoundEffect, named: Sequence[FoundEffect], earlier: Sequence[FoundEffect],
+    before: Diagnosis, after: Diagnosis,
+) -> str:  # fmt: skip
+    """The verdict by a learned law, in words."""
+    law = learned.law
+    assert law is not None
+    change = change_in_words(before.errors.recalibrated, after.errors.extended, " after recalibration")
+    text = f"The missing effect sits in {law.where} and depends on {law.on}"
+    kind = " and ".join(one.name.replace("_", " ") for one in named)
+    text += f": {kind}, in another form than the catalogue's law. " if kind else ". "
+    text += (
+        f"Its law was measured as a table{law.range_in_words}. With it the model's errors on held-out data {change}."
+    )
+    others = [name.replace("_", " ") for name in effect.like if name not in {one.name for one in named}]
+    text += f" Effects of the catalogue that act there, but explain less: {', '.join(others)}." if others else ""
+    wrong = [one.name.replace("_", " ") for one in before.effects if one.law is None and one not in named]
+    text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the table." if wrong else ""
+    rivals = [one.law.in_words() for one in learned.search.alternatives if one.law is not None]
+    text += f" As good in a simulation: {'; '.join(rivals)}." if rivals else ""
+    text += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
+    first = [one.law.in_words() for one in earlier if one.law is not None]
+    text += f" Another law was found before it: {'; '.join(first)}." if first else ""
+    return text + (f" Beside it: {after.sentence}" if after.effects else "")
