@@ -194,13 +194,7 @@ class Simulated:
 
 
 class Simulation:
-    """Simulations of laws with the base of each recording, and fits of both to what was measured.
-
-    Args:
-        rig: for sensors and uncertain directions.
-        subjects: recordings of it.
-        number: of the law in the rig.
-    """
+    """Simulations of the rig's next law with the base of each recording, and fits of both to what was measured."""
 
     def __init__(self, rig: Rig, subjects: Sequence[Subject], number: int) -> None:
         self.subjects, self.number = subjects, number
@@ -244,10 +238,7 @@ class Simulation:
     def fitted(self, start: Simulated, rounds: int, anew: bool = False) -> Simulated:
         """Gauss-Newton on values of the law and base directions; channels weigh by what they have left.
 
-        Args:
-            start: law and amounts to begin with.
-            rounds: most steps.
-            anew: whether the slopes by base directions are worked out anew before the first step.
+        ``anew``: the slopes by base directions are worked out anew before the first step.
         """
         now, covariance = start, start.covariance
         for number in range(rounds):

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MOST_LAWS = 2
-_SHORTEST_S = 10.0
+_SHORTEST_S, _SHORTEST_PART_S = 10.0, 1.0
+"""[s] Least length of a recording in which a law is looked for, and of a stretch without holes."""
 _SLOWEST_S = 5e-3
 """[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
 _AIR = {"mass_loss", "open_rate", "open_rate_shift", "voltage_shift", "spool_voltage"}
@@ -111,25 +112,14 @@ def learn(
     lock_angle: float | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Learned:
-    """Look for a law that a rig lacks.
-
-    Args:
-        recordings: of the rig.
-        rig: as configured; it may have laws already.
-        share: at the begin of each recording that is seen.
-        joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
-        lock_angle: of a locked joint [rad], where it is known.
-        progress: called with what is being done.
-
-    Raises:
-        BadInput: recordings in which no law can be looked for.
-    """
+    """Look for a law that a rig lacks, in a share at the begin of recordings; joint and angle as of a diagnosis."""
     if reason := refusal(recordings, rig):
         raise BadInput(reason)
     subjects = []
     for one in recordings:
-        seen = stretches(one, end_s=one.duration_s * share if share < 1.0 else math.inf)
-        if sum(float(part["time"][-1] - part["time"][0]) for part in seen) >= _SHORTEST_S:
+        parts = stretches(one, end_s=one.duration_s * share if share < 1.0 else math.inf)
+        seen = [part for part in parts if np.ptp(part["time"]) >= _SHORTEST_PART_S]
+        if sum(float(np.ptp(part["time"])) for part in seen) >= _SHORTEST_S:
             locked = joint_condition(one, joint, lock_angle).condition == "locked"
             subjects.append(Subject(seen, one.sample_period_s, locked, rig.parameters()))
     if not subjects:
@@ -155,15 +145,7 @@ def with_laws(
 ) -> Diagnosis:
     """A diagnosis; where it leaves a clear excess, with the law that is missing, and then perhaps with a second one.
 
-    Args:
-        diagnose: makes a diagnosis of recordings and a rig, with recordings that are ``held_out``.
-        recordings: of the rig.
-        kept: that are held out as a whole.
-        rig: as configured.
-        holdout: share at the end of each recording that is held out, if no whole one is.
-        joint: as of :func:`learn`.
-        lock_angle: as of :func:`learn` [rad].
-        progress: called with what is being done.
+    ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
     """
     now = diagnose(recordings, rig, held_out=kept)
     fitted, others = list(recordings), list(kept)
@@ -172,13 +154,17 @@ def with_laws(
         if not leaves_excess(now) or refusal((*fitted, *others), rig):
             break
         zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
-        learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
+        try:
+            learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
+            corrected, also = learned.corrected(fitted), learned.corrected(others)
+            after = diagnose(corrected, learned.rig, held_out=also) if learned.law is not None else now
+        except BadInput:
+            # The catalogue's diagnosis needs less of the recordings, and it stands.
+            break
         if learned.law is None:
             if now.verdict == "unexplained":
                 now = replace(now, sentence=f"{now.sentence} {place_in_words(learned.search)}".strip())
             break
-        corrected, also = learned.corrected(fitted), learned.corrected(others)
-        after = diagnose(corrected, learned.rig, held_out=also)
         if not is_better(now, after):
             if now.verdict == "unexplained":
                 words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."

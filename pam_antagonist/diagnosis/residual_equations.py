@@ -237,17 +237,8 @@ def _places(
 ) -> dict[str, tuple[Floats, Floats]]:  # fmt: skip
     """What one unit at each place does: over a block (K, 2), and to the residuals (K, 4).
 
-    Args:
-        columns: of :func:`~pam_antagonist.diagnosis.law_kernels.air_columns` (K, 2, 8).
-        slope: of the errors of the pressures over a block (K, 2).
-        step: length of a block [s].
-        by_pressure: slopes of the torque by the pressures (K, 2) [N m/Pa].
-        by_angle: likewise by the angle (K,) [N m/rad].
-        shown: states with measured pressures and motion (K, n).
-        p: parameter vector (m,).
-        direction: of the motion (K,).
-        has_torque: whether the torque was measured (K,) [-].
-        valve: whether valves drive the joint.
+    ``columns`` are those of the air (K, 2, 8), ``by_pressure`` and ``by_angle`` the torque's slopes [N m/Pa, N m/rad],
+    ``shown`` states with measured pressures and motion; ``valve``: whether valves drive the joint.
     """
     zero, one = np.zeros(len(shown)), np.ones(len(shown))
     arm = np.cos(shown[:, ANGLE]) if p[par.PULLEY] == 0.0 else one
