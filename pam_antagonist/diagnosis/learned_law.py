@@ -225,8 +225,9 @@ def effect_of(learned: Learned, names: Sequence[str], recordings: Sequence[str])
     }
     muscle = law.muscle if isinstance(law.muscle, int) else None
     return FoundEffect(
-        "learned", muscle, sizes, 2.0 * found.gain, found.share, tuple(recordings), law=law, like=tuple(names)
-    )
+        "learned", muscle, sizes, 2.0 * found.gain, found.share, tuple(recordings), law=law, like=tuple(names),
+        alternatives=tuple(one.law.in_words() for one in found.alternatives if one.law is not None),
+    )  # fmt: skip
 
 
 def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
@@ -286,8 +287,7 @@ def _sentence(
     text += f" Effects of the catalogue that act there, but explain less: {', '.join(others)}." if others else ""
     wrong = [one.name.replace("_", " ") for one in before.effects if one.law is None and one not in named]
     text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the table." if wrong else ""
-    rivals = [one.law.in_words() for one in learned.search.alternatives if one.law is not None]
-    text += f" As good in a simulation: {'; '.join(rivals)}." if rivals else ""
+    text += f" As good in a simulation: {'; '.join(effect.alternatives)}." if effect.alternatives else ""
     text += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
     first = [one.law.in_words() for one in earlier if one.law is not None]
     text += f" Another law was found before it: {'; '.join(first)}." if first else ""

@@ -66,7 +66,8 @@ class FoundEffect:
         end_std_s: standard deviation of that [s].
         splits: how many of them support it; None where it was not judged so.
         law: of a learned effect; None of the catalogue's.
-        like: effects of the catalogue that a learned one resembles.
+        like: effects of the catalogue that act where a learned one does and explain something.
+        alternatives: other laws that simulate as well as a learned one, in words.
     """
 
     name: str
@@ -83,13 +84,15 @@ class FoundEffect:
     splits: Splits | None = None
     law: Law | None = None
     like: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``: all but the notes, which are warnings there."""
-        out = {
-            item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("notes", "law", "like")
-        }
-        return out if self.law is None else {**out, **self.law.to_json(), "like": list(self.like)}
+        of_law = ("law", "like", "alternatives")
+        out = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("notes", *of_law)}
+        if self.law is None:
+            return out
+        return {**out, **self.law.to_json(), "like": list(self.like), "alternatives": list(self.alternatives)}
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,7 @@ def test_a_report_has_place_argument_and_table_of_a_law(exchange: Course) -> Non
     assert len(table["nodes"]) == len(table["values"]) == len(table["std"])
     assert table["unit"] == "kg/s"
     assert entry["like"] == ["leak"]
+    assert all(law in report["sentence"] for law in entry["alternatives"])
     assert "sits in the flow from muscle 1 to muscle 2 and depends on P1 - P2" in report["sentence"]
     assert "errors on held-out data fall from" in report["sentence"]
     page = html.render(exchange.result.document())
