@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from pam_antagonist.diagnosis import found_calibrations, law_simulation, thresho
 from pam_antagonist.diagnosis.arguments import Group
 from pam_antagonist.diagnosis.description import change_in_words
 from pam_antagonist.diagnosis.errors import ModelErrors
+from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.law_search import LEAST_GAIN, LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
 from pam_antagonist.diagnosis.models import further_share, held_share, likelier, share_of_all
@@ -31,9 +31,6 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, laws_of, with_law
-
-if TYPE_CHECKING:
-    from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 
 Floats = NDArray[np.float64]
 
@@ -62,17 +59,13 @@ class Learned:
 
     def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
         """Recordings without the error of readings that was found; as they are, if it is another law."""
-        law = self.law
-        return [_corrected(one, law) if law and law.is_of_readings else one for one in recordings]
-
-
-def _corrected(recording: Recording, law: Law) -> Recording:
-    assert recording.angle is not None
-    period = recording.sample_period_s
-    pressure, angle = (np.nan_to_num(values) for values in (recording.pressure, recording.angle))
-    pressure, angle = (law_simulation.smoothed(values, period) for values in (pressure, angle))
-    raised, turned = law_simulation.misread(law, pressure, angle, period)
-    return replace(recording, pressure=recording.pressure - raised, angle=recording.angle - turned)
+        law, out = self.law, []
+        for one in recordings if law is not None and law.is_of_readings else ():
+            pressure, angle = (np.nan_to_num(values) for values in (one.pressure, one.angle))  # type: ignore[arg-type]
+            seen = [law_simulation.smoothed(values, one.sample_period_s) for values in (pressure, angle)]
+            raised, turned = law_simulation.misread(law, seen[0], seen[1], one.sample_period_s)
+            out.append(replace(one, pressure=one.pressure - raised, angle=one.angle - turned))  # type: ignore[operator]
+        return out or list(recordings)
 
 
 def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
@@ -105,13 +98,9 @@ def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = m
 
 
 def learn(
-    recordings: Sequence[Recording],
-    rig: Rig,
-    share: float = 1.0,
-    joint: str = "auto",
-    lock_angle: float | None = None,
-    progress: Callable[[str], None] = lambda text: None,
-) -> Learned:
+    recordings: Sequence[Recording], rig: Rig, share: float = 1.0, joint: str = "auto",
+    lock_angle: float | None = None, progress: Callable[[str], None] = lambda text: None,
+) -> Learned:  # fmt: skip
     """Look for a law that a rig lacks, in a share at the begin of recordings; joint and angle as of a diagnosis."""
     if reason := refusal(recordings, rig):
         raise BadInput(reason)
@@ -134,15 +123,9 @@ def learn(
 
 
 def with_laws(
-    diagnose: Callable[..., Diagnosis],
-    recordings: Sequence[Recording],
-    kept: Sequence[Recording],
-    rig: Rig,
-    holdout: float,
-    joint: str,
-    lock_angle: float | None,
-    progress: Callable[[str], None],
-) -> Diagnosis:
+    diagnose: Callable[..., Diagnosis], recordings: Sequence[Recording], kept: Sequence[Recording], rig: Rig,
+    holdout: float, joint: str, lock_angle: float | None, progress: Callable[[str], None],
+) -> Diagnosis:  # fmt: skip
     """A diagnosis; where it leaves a clear excess, with the law that is missing, and then perhaps with a second one.
 
     ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
@@ -151,7 +134,7 @@ def with_laws(
     fitted, others = list(recordings), list(kept)
     share = 1.0 if kept else 1.0 - holdout
     for _ in range(MOST_LAWS):
-        if not leaves_excess(now) or refusal((*fitted, *others), rig):
+        if not leaves_excess(now):
             break
         zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
         try:
@@ -220,7 +203,7 @@ def effect_of(learned: Learned, names: Sequence[str], recordings: Sequence[str])
     law, found = learned.law, learned.search
     assert law is not None
     sizes = {
-        ("everywhere" if len(law.nodes) == 1 else f"at {node:.4g} {law.argument_unit}"): Size(value, std, law.unit)
+        ("everywhere" if len(law.nodes) == 1 else f"at {law.shown(node, 4)}"): Size(value, std, law.unit)
         for node, value, std in zip(law.nodes, law.values, law.std, strict=True)
     }
     muscle = law.muscle if isinstance(law.muscle, int) else None
@@ -250,12 +233,13 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     )
     errors = _from(before.errors, after.errors)
     assert errors is not None
+    share = held_share(before.recalibrated, after.extended)
     part = share_of_all(before.recalibrated, after.extended) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if part else ()
     return replace(
         after, verdict="effect", sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
         effects=(*named, *earlier, effect, *after.effects), by_recording=entries,
-        share=held_share(before.recalibrated, after.extended),
+        share=share, parts=tuple(replace(part, verdict="effect", share=share) for part in after.parts),
         ranking=(*before.ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
         warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
         of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},

@@ -86,6 +86,11 @@ class FoundEffect:
     like: tuple[str, ...] = ()
     alternatives: tuple[str, ...] = ()
 
+    @property
+    def in_short(self) -> str:
+        """Its name, and the place of a learned law."""
+        return self.name if self.law is None else f"a law of {self.law.where}"
+
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``: all but the notes, which are warnings there."""
         of_law = ("law", "like", "alternatives")

@@ -63,7 +63,7 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
     )
     title = _TITLES[found.verdict]
     if found.effects:
-        title = "Found: " + ", ".join(dict.fromkeys(effect.name.replace("_", " ") for effect in found.effects))
+        title = "Found: " + ", ".join(dict.fromkeys(effect.in_short.replace("_", " ") for effect in found.effects))
     elif found.calibrations and found.verdict == "none":
         title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
     parts: list[Block] = [Text(lede, "lede"), Text(found.sentence, "verdict")]
@@ -209,7 +209,7 @@ def calibration_table(found: DiagnoseResult) -> Table:
 def _tiles(found: DiagnoseResult) -> tuple[Tile, ...]:
     out, errors = [], found.errors
     if found.effects:
-        evidence = {effect.name: effect.delta_bic for effect in found.effects}
+        evidence = {effect.in_short: effect.delta_bic for effect in found.effects}
         if found.share is not None:
             out.append(Tile("Explained", percent(found.share), "of the excess over noise on held-out data"))
         values = " and ".join(f"{value:.0f}" for value in evidence.values())

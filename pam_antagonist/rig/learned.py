@@ -128,7 +128,7 @@ class Law:
     def on(self) -> str:
         """What it depends on, in words."""
         memory = {"lag": f" with a lag of {self.time:.2g} s", "high_pass": f", which fades within {self.time:.2g} s"}
-        memory |= {"play": f" with a play of {self._shown(self.width)}", "stop": f", within {self._shown(self.width)}"}
+        memory |= {"play": f" with a play of {self.shown(self.width)}", "stop": f", within {self.shown(self.width)}"}
         return _ON.get(self.argument, f"the {self.argument}") + memory.get(self.operator, "")
 
     @property
@@ -136,11 +136,12 @@ class Law:
         """The range that was seen, in words; empty for a constant."""
         if len(self.nodes) < 2:
             return ""
-        return f", seen from {self._shown(self.nodes[0])} to {self._shown(self.nodes[-1])}"
+        return f", seen from {self.shown(self.nodes[0])} to {self.shown(self.nodes[-1])}"
 
-    def _shown(self, value: float) -> str:
+    def shown(self, value: float, digits: int = 3) -> str:
+        """A value of what it depends on, in the unit of reports."""
         name, scale = _SHOWN.get(self.argument_unit, (self.argument_unit, 1.0))
-        return f"{value * scale:.3g} {name}"
+        return f"{value * scale:.{digits}g} {name}"
 
     def in_words(self) -> str:
         """Place, argument and range, as a report says them."""

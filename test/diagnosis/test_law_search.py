@@ -115,6 +115,8 @@ def test_a_report_has_place_argument_and_table_of_a_law(exchange: Course) -> Non
     assert "sits in the flow from muscle 1 to muscle 2 and depends on P1 - P2" in report["sentence"]
     assert "errors on held-out data fall from" in report["sentence"]
     page = html.render(exchange.result.document())
+    assert "Found: a law of the flow from muscle 1 to muscle 2" in page
+    assert "no effect explains it" not in page
     assert "Learned law: the flow from muscle 1 to muscle 2 depends on P1 - P2" in page
 
 
