@@ -141,7 +141,7 @@ class Law:
     def shown(self, value: float, digits: int = 3) -> str:
         """A value of what it depends on, in the unit of reports."""
         name, scale = _SHOWN.get(self.argument_unit, (self.argument_unit, 1.0))
-        return f"{value * scale:.{digits}g} {name}"
+        return f"{value * scale:.{digits}g} {name}".removesuffix(" -")
 
     def in_words(self) -> str:
         """Place, argument and range, as a report says them."""
