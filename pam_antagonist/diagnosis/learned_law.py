@@ -221,12 +221,12 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     assert learned.law is not None
     names = [entry.recording for entry in before.by_recording if entry.role != "held out"]
     effect = effect_of(learned, like(learned.law, before.ranking), names)
-    earlier = [one for one in before.effects if one.law is not None]
     again = {one.name for one in after.effects}
-    named = [
-        one for one in before.effects
-        if one.name in effect.like and one.muscle in (None, effect.muscle) and one.name not in again
-    ]  # fmt: skip
+    first = [one for one in before.effects if one.law is not None]
+    namers = {name for one in first for name in one.like} - again
+    earlier = [one for one in before.effects if one.law is not None or one.name in namers]
+    others = [one for one in before.effects if one not in earlier and one.name not in again]
+    named = [one for one in others if one.name in effect.like and one.muscle in (None, effect.muscle)]
     entries = tuple(
         replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
@@ -264,12 +264,11 @@ def _sentence(
     text = f"The missing effect sits in {law.where} and depends on {law.on}"
     kind = " and ".join(one.name.replace("_", " ") for one in named)
     text += f": {kind}, in another form than the catalogue's law. " if kind else ". "
-    text += (
-        f"Its law was measured as a table{law.range_in_words}. With it the model's errors on held-out data {change}."
-    )
+    text += f"Its law was measured as a table{law.range_in_words}. "
+    text += f"With it the model's errors on held-out data {change}."
     others = [name.replace("_", " ") for name in effect.like if name not in {one.name for one in named}]
     text += f" Effects of the catalogue that act there, but explain less: {', '.join(others)}." if others else ""
-    wrong = [one.name.replace("_", " ") for one in before.effects if one.law is None and one not in named]
+    wrong = [one.name.replace("_", " ") for one in before.effects if one not in named and not earlier]
     text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the table." if wrong else ""
     text += f" As good in a simulation: {'; '.join(effect.alternatives)}." if effect.alternatives else ""
     text += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
