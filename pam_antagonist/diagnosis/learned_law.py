@@ -20,7 +20,7 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.law_search import LEAST_GAIN, LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
-from pam_antagonist.diagnosis.models import further_share, held_share, likelier, share_of_all
+from pam_antagonist.diagnosis.models import further_share, held_share, likelier, price, share_of_all
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
@@ -184,8 +184,7 @@ def place_in_words(found: LawSearch) -> str:
     if place is None or place.gain < LEAST_GAIN:
         return ""
     group = Group(place.name)
-    where = Law(group.kind, (), (), group.muscle).where
-    return f"The model errs most likely in {where}, by nothing that was measured."
+    return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}, by nothing that was measured."
 
 
 def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
@@ -198,29 +197,29 @@ def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
     return tuple(sorted((n for n in acts if scores[n] >= thresholds.LEAST_SCORE), key=lambda name: -scores[name]))
 
 
-def effect_of(learned: Learned, names: Sequence[str], recordings: Sequence[str]) -> FoundEffect:
-    """A learned law as an effect of a diagnosis, with what it is like and the recordings that show it."""
-    law, found = learned.law, learned.search
+def _effect(before: Diagnosis, after: Diagnosis, learned: Learned, share: float) -> FoundEffect:
+    """A learned law as an effect of a diagnosis; each of its numbers has its price in the evidence."""
+    law = learned.law
     assert law is not None
+    pairs = list(zip(before.recalibrated.fits, after.extended.fits, strict=True))
+    gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
+    gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
     sizes = {
         ("everywhere" if len(law.nodes) == 1 else f"at {law.shown(node, 4)}"): Size(value, std, law.unit)
         for node, value, std in zip(law.nodes, law.values, law.std, strict=True)
     }
-    muscle = law.muscle if isinstance(law.muscle, int) else None
+    names = tuple(entry.recording for entry in before.by_recording if entry.role != "held out")
     return FoundEffect(
-        "learned", muscle, sizes, 2.0 * found.gain, found.share, tuple(recordings), law=law, like=tuple(names),
-        alternatives=tuple(one.law.in_words() for one in found.alternatives if one.law is not None),
+        "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, share, names, law=law,
+        like=like(law, before.ranking),
+        alternatives=tuple(one.law.in_words() for one in learned.search.alternatives if one.law is not None),
     )  # fmt: skip
 
 
 def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
-    """The diagnosis with a law, and its errors without the law as the diagnosis before it has them.
-
-    An effect of the catalogue that acts where the law does names it, and comes first.
-    """
-    assert learned.law is not None
-    names = [entry.recording for entry in before.by_recording if entry.role != "held out"]
-    effect = effect_of(learned, like(learned.law, before.ranking), names)
+    """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it."""
+    share = held_share(before.recalibrated, after.extended)
+    effect = _effect(before, after, learned, share)
     again = {one.name for one in after.effects}
     first = [one for one in before.effects if one.law is not None]
     namers = {name for one in first for name in one.like} - again
@@ -233,14 +232,15 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     )
     errors = _from(before.errors, after.errors)
     assert errors is not None
-    share = held_share(before.recalibrated, after.extended)
+    taken = {one.name for one in (*named, *earlier)}
+    ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
     part = share_of_all(before.recalibrated, after.extended) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if part else ()
     return replace(
         after, verdict="effect", sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
         effects=(*named, *earlier, effect, *after.effects), by_recording=entries,
         share=share, parts=tuple(replace(part, verdict="effect", share=share) for part in after.parts),
-        ranking=(*before.ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
+        ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
         warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
         of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},
     )  # fmt: skip

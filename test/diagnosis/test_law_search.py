@@ -131,6 +131,8 @@ def test_an_effect_that_leaves_a_clear_excess_does_not_end_the_search(exchange: 
 def test_an_effect_that_acts_where_the_law_does_names_it(exchange: Course, name: str, names: Sequence[str]) -> None:
     found = joined(exchange.like(name), exchange.diagnoses[1], exchange.learned[0])
     assert [effect.name for effect in found.effects] == names
+    assert found.effects[-1].delta_bic > 40.0
+    assert not any(item.taken and item.effect == "thermal" for item in found.ranking)
     said = "leak, in another form than the catalogue's law" if name == "leak" else "alone, thermal explained most"
     assert said in found.sentence
 
