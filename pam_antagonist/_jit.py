@@ -152,7 +152,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]
         self._py_file = py_file
         path = Path(py_file)
         inside = path.is_relative_to(_PACKAGE)
-        self._stamp = "" if path in _kernel_sources() else _content_hash(str(path.parent) if inside else py_file)
+        self._stamp = "" if path in _kernel_sources() else _content_hash(py_file)
         name = path.relative_to(_PACKAGE).with_suffix("").as_posix().replace("/", ".") if inside else path.stem
         self._cache_path = str(cache_dir() / name)
         # Number kernels of the same name; line numbers would change with every comment above.
@@ -178,10 +178,18 @@ _NAMES: Counter[tuple[str, str]] = Counter()
 
 
 @lru_cache(maxsize=64)
-def _content_hash(place: str) -> str:
-    """Hash of a file, or of all files of a folder, whose kernels may call each other."""
-    files = sorted(Path(place).glob("*.py")) if Path(place).is_dir() else [Path(place)]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+def _content_hash(file: str) -> str:
+    """Hash of a file and of what it imports from its folder, directly or not: a kernel may call or hold any of it."""
+    folder, waiting = Path(file).parent, [Path(file)]
+    found: dict[Path, bytes] = {}
+    while waiting:
+        path = waiting.pop()
+        if path not in found and path.is_file():
+            found[path] = path.read_bytes()
+            for base, names in _IMPORT.findall(found[path].decode()):
+                words = {base.rsplit(".", 1)[-1], *re.findall(r"\w+", names)}
+                waiting += [folder / f"{word}.py" for word in words]
+    return hashlib.sha256(b"".join(found[path] for path in sorted(found))).hexdigest()[:16]
 
 
 class Compiling(event.Listener):  # type: ignore[misc]

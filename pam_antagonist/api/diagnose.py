@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from functools import partial
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
 from pam_antagonist.diagnosis import Diagnosis
@@ -11,6 +12,7 @@ from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
+from pam_antagonist.diagnosis.learned_law import with_laws
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import is_for
 from pam_antagonist.inference.pressure_driven import PressureDriven
@@ -97,10 +99,11 @@ def diagnose(
         raise BadInput("also: expected a recording of many episodes of a joint with pressure regulators")
     for recording in every:
         recording.driven_by(chosen.drive).in_one_piece()
-    diagnosis = _diagnose(
-        fitted, chosen, joint=joint, lock_angle=lock_angle, holdout=holdout, held_out=kept, jobs=jobs, seed=seed,
-        progress=progress, profiles=profiles, estimator=estimator, store=store,
+    run = partial(
+        _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed, progress=progress,
+        profiles=profiles, estimator=estimator, store=store,
     )  # fmt: skip
+    diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or _silent)
     return DiagnoseResult(
         **{item.name: getattr(diagnosis, item.name) for item in fields(Diagnosis)},
         start=chosen,

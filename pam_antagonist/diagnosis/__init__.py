@@ -21,6 +21,10 @@ keeps finished candidates on disk.
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
 :mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` for parameters that drift. A
 rig of data sheets is diagnosed by :mod:`from_pressures`, in the part of the model in which an effect acts.
+
+Where the catalogue leaves a clear excess, :mod:`learned_law` measures the law that is missing. :mod:`law_search` makes
+:mod:`residual_equations`, runs :mod:`place_search`, then :mod:`law_regression` on what
+:mod:`arguments` offers, then :mod:`law_simulation`. :mod:`law_kernels` holds what is compiled.
 """
 
 from pam_antagonist.diagnosis.pipeline import diagnose

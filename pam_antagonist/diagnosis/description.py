@@ -326,10 +326,8 @@ def sentence(
                 f"{configured} as configured and {extended} with {these}."
             )
         else:
-            falls = all(after < before for (before, _), (after, _) in zip(each[0], each[2], strict=True))
-            change = "fall" if falls else "change"
-            text = f"{what} With {these} the model's errors on held-out data {change} from {configured} as configured "
-            text += f"to {extended}." + (f" {gone}." if gone else "")
+            change = change_in_words(errors.as_configured, errors.extended, " as configured", mean_pressure)
+            text = f"{what} With {these} the model's errors on held-out data {change}." + (f" {gone}." if gone else "")
         text += beside + (f" {firmness}." if firmness else "")
         if reference is not None:
             straight = reference["angle_and_pressures"]
@@ -346,6 +344,13 @@ def sentence(
         f"{configured} as configured and {recalibrated} after recalibration, well above the sensors' noise.{closest}"
         f"{beside}"
     )
+
+
+def change_in_words(before: Errors, after: Errors, whose: str = "", mean_pressure: bool = False) -> str:
+    """How errors change from those of one model, and whose these are, to those of another one."""
+    old, new = (_errors(own, mean_pressure) for own in (before, after))
+    falls = all(a[0] < b[0] for b, a in zip(old, new, strict=True))
+    return f"{'fall' if falls else 'change'} from {_listed(old)}{whose} to {_listed(new)}"
 
 
 def _errors(own: Errors, mean_pressure: bool) -> list[tuple[float, str]]:

@@ -17,6 +17,7 @@ from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.learned import Law
 from pam_antagonist.shown import Shown
 
 Verdict = Literal["effect", "none", "unexplained"]
@@ -64,6 +65,9 @@ class FoundEffect:
         end_s: until when it acts [s]; None: to the end of every recording that shows it.
         end_std_s: standard deviation of that [s].
         splits: how many of them support it; None where it was not judged so.
+        law: of a learned effect; None of the catalogue's.
+        like: effects of the catalogue that act where a learned one does and explain something.
+        alternatives: other laws that simulate as well as a learned one, in words.
     """
 
     name: str
@@ -78,10 +82,22 @@ class FoundEffect:
     end_s: float | None = None
     end_std_s: float | None = None
     splits: Splits | None = None
+    law: Law | None = None
+    like: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
+
+    @property
+    def in_short(self) -> str:
+        """Its name, and the place of a learned law."""
+        return self.name if self.law is None else f"a law of {self.law.where}"
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``: all but the notes, which are warnings there."""
-        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "notes"}
+        of_law = ("law", "like", "alternatives")
+        out = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("notes", *of_law)}
+        if self.law is None:
+            return out
+        return {**out, **self.law.to_json(), "like": list(self.like), "alternatives": list(self.alternatives)}
 
 
 @dataclass(frozen=True)

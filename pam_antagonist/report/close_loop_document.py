@@ -63,7 +63,7 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
     )
     title = _TITLES[found.verdict]
     if found.effects:
-        title = "Found: " + ", ".join(dict.fromkeys(effect.name.replace("_", " ") for effect in found.effects))
+        title = "Found: " + ", ".join(dict.fromkeys(effect.in_short.replace("_", " ") for effect in found.effects))
     elif found.calibrations and found.verdict == "none":
         title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
     parts: list[Block] = [Text(lede, "lede"), Text(found.sentence, "verdict")]
@@ -81,7 +81,7 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
     if found.calibrations:
         parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration"))
     if found.effects:
-        figures = drawn.profiles(found.profiles) if with_figures else ()
+        figures = (*drawn.laws(found.effects), *drawn.profiles(found.profiles)) if with_figures else ()
         parts.append(Section("Size of the effect", (sizes_table(found), *_laws(found), *figures), 2, "parameters"))
     parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates"))
     if found.remaining:
@@ -209,7 +209,7 @@ def calibration_table(found: DiagnoseResult) -> Table:
 def _tiles(found: DiagnoseResult) -> tuple[Tile, ...]:
     out, errors = [], found.errors
     if found.effects:
-        evidence = {effect.name: effect.delta_bic for effect in found.effects}
+        evidence = {effect.in_short: effect.delta_bic for effect in found.effects}
         if found.share is not None:
             out.append(Tile("Explained", percent(found.share), "of the excess over noise on held-out data"))
         values = " and ".join(f"{value:.0f}" for value in evidence.values())

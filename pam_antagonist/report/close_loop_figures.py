@@ -10,10 +10,10 @@ import numpy as np
 from pam_antagonist.diagnosis import remaining
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import Relation
-from pam_antagonist.diagnosis.result import HeldOutComparison, Residuals, SizeProfile
+from pam_antagonist.diagnosis.result import FoundEffect, HeldOutComparison, Residuals, SizeProfile
 from pam_antagonist.inference.point import Span
 from pam_antagonist.report.document import Block, Findings, Text, note
-from pam_antagonist.report.figure import Axis, Figure, Line, Panel, Points, Series
+from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Series
 from pam_antagonist.report.figures import matrix, profile_panel, residual_figure
 from pam_antagonist.report.style import ESTIMATE, MODEL, PAPER, QUIET, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
@@ -113,6 +113,26 @@ def profiles(sizes: Sequence[SizeProfile]) -> tuple[Figure, ...]:
             f"At half the size the rise is {number(at[0.5 * best])}, at size 0 it is {number(at[0.0])}."
         )
         out.append(Figure(f"Profile likelihood of {item.parameter} ({item.recording})", about, (panel,)))
+    return tuple(out)
+
+
+def laws(effects: Sequence[FoundEffect]) -> tuple[Figure, ...]:
+    """The table of each learned law."""
+    out = []
+    for law in (effect.law for effect in effects):
+        if law is None or len(law.nodes) < 2:
+            continue
+        at, of = readable(law.argument_unit), readable(law.unit)
+        x, y = np.array(law.nodes) * at.scale, np.array(law.values) * of.scale
+        wide = 1.96 * np.array(law.std or (0.0,) * len(x)) * of.scale
+        series = (
+            Band("95 % interval", x, y - wide, y + wide, ESTIMATE), Line("law", x, y, ESTIMATE),
+            Points("nodes", x, y, ESTIMATE, quiet=True),
+        )  # fmt: skip
+        across, up = (f"{name.replace('_', ' ')} [{unit.name}]" for name, unit in ((law.argument, at), (law.at, of)))
+        panel = Panel(Axis(across), Axis(up), series)
+        about = "The measured law, over the range that was seen: outside of it, the law is constant."
+        out.append(Figure(f"Learned law: {law.in_words()}", about, (panel,)))
     return tuple(out)
 
 

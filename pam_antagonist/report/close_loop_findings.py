@@ -72,7 +72,7 @@ def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
     for item in found.ambiguities:
         if not item.ambiguous:
             out.append(good(f"{_title(item.other)} explains the data less well{_compared(item)}."))
-    if found.effects and not found.ambiguous_with:
+    if found.effects and not found.ambiguous_with and not any(effect.alternatives for effect in found.effects):
         out.append(good("No other candidate explains the data nearly as well as what was found."))
     return (*out, *_of_parts(found))
 
@@ -182,5 +182,5 @@ def assumed(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
         ("Sensors", "White noise, estimated from the changes between samples, and the resolution of their converters."),
         ("Errors of the model", noise),
         needed,
-        ("Catalogue", f"{tested}. Anything else can only be called unexplained."),
+        ("Catalogue", f"{tested}. Anything else is a law that is measured, or unexplained."),
     )

@@ -37,7 +37,10 @@ _WHERE = {
     "flow": "the flow into {m}", "leak": "a leak of {m}", "valve": "the opening of {v}", "sensor": "the sensor of {m}",
     "force": "the force of {m}", "strength": "the strength of {m}", "torque": "the torque on the joint",
     "friction": "the joint's friction", "exchange": "the flow from muscle 1 to muscle 2", "supply": "the supply",
+    "encoder": "the encoder", "line": "the line of {m}", "volume": "the volume of {m}", "meter": "the torque meter",
 }  # fmt: skip
+"""Places in words, those too at which no rig has a law."""
+_SHOWN = {"Pa": ("kPa", 1e-3), "rad": ("°", math.degrees(1.0)), "rad/s": ("°/s", math.degrees(1.0)), "m": ("mm", 1e3)}
 _ON = {
     "none": "nothing that was measured", "pressure_difference": "P1 - P2", "pressure_sum": "P1 + P2",
     "pressure_1": "P1", "pressure_2": "P2", "pressure": "its own pressure", "other_pressure": "the other pressure",
@@ -95,9 +98,16 @@ class Law:
         return f"{self.place}_{self.muscle}" if self.muscle in (1, 2) else self.place
 
     @property
+    def is_of_readings(self) -> bool:
+        """Whether it is an error of sensors that no rig can hold: of the encoder, or not by a sensor's own pressure."""
+        return self.place == "encoder" or (
+            self.place == "sensor" and (self.argument, self.operator) != ("pressure", "none")
+        )
+
+    @property
     def unit(self) -> str:
         """Unit of the values."""
-        return learned.PLACES[self.place]
+        return learned.PLACES.get(self.place, "rad")
 
     @property
     def argument_unit(self) -> str:
@@ -108,16 +118,34 @@ class Law:
         """The table: linear between the nodes, constant outside."""
         return float(np.interp(argument, self.nodes, self.values))
 
+    @property
+    def where(self) -> str:
+        """Its place in words."""
+        which = "both muscles" if self.muscle == "both" else f"muscle {self.muscle}"
+        return _WHERE[self.place].format(m=which, v=which.replace("muscle", "valve"))
+
+    @property
+    def on(self) -> str:
+        """What it depends on, in words."""
+        memory = {"lag": f" with a lag of {self.time:.2g} s", "high_pass": f", which fades within {self.time:.2g} s"}
+        memory |= {"play": f" with a play of {self.shown(self.width)}", "stop": f", within {self.shown(self.width)}"}
+        return _ON.get(self.argument, f"the {self.argument}") + memory.get(self.operator, "")
+
+    @property
+    def range_in_words(self) -> str:
+        """The range that was seen, in words; empty for a constant."""
+        if len(self.nodes) < 2:
+            return ""
+        return f", seen from {self.shown(self.nodes[0])} to {self.shown(self.nodes[-1])}"
+
+    def shown(self, value: float, digits: int = 3) -> str:
+        """A value of what it depends on, in the unit of reports."""
+        name, scale = _SHOWN.get(self.argument_unit, (self.argument_unit, 1.0))
+        return f"{value * scale:.{digits}g} {name}".removesuffix(" -")
+
     def in_words(self) -> str:
         """Place, argument and range, as a report says them."""
-        which = "both muscles" if self.muscle == "both" else f"muscle {self.muscle}"
-        where = _WHERE[self.place].format(m=which, v=which.replace("muscle", "valve"))
-        on = _ON.get(self.argument, f"the {self.argument}")
-        memory = {"lag": f" with a lag of {self.time:.2g} s", "high_pass": f", which fades within {self.time:.2g} s"}
-        memory |= {"play": f" with a play of {self.width:.2g}", "stop": f", within a play of {self.width:.2g}"}
-        text = f"{where} depends on {on}{memory.get(self.operator, '')}"
-        low, high = self.nodes[0], self.nodes[-1]
-        return f"{text}, seen from {low:.3g} to {high:.3g} {self.argument_unit}" if len(self.nodes) > 1 else text
+        return f"{self.where} depends on {self.on}{self.range_in_words}"
 
     def to_json(self) -> dict[str, Any]:
         """As an effect of report.json."""

@@ -1,0 +1,277 @@
+"""What the catalogue does not explain gets a learned law: its place, what it depends on, and a table in the rig.
+
+The search (:mod:`~pam_antagonist.diagnosis.law_search`) works on the recordings as they are. The rig that has its law
+is then diagnosed like any other. Held-out data decide between both diagnoses, by the rules of a further effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import found_calibrations, law_simulation, thresholds
+from pam_antagonist.diagnosis.arguments import Group
+from pam_antagonist.diagnosis.description import change_in_words
+from pam_antagonist.diagnosis.errors import ModelErrors
+from pam_antagonist.diagnosis.hypotheses import TriedCandidate
+from pam_antagonist.diagnosis.law_search import LEAST_GAIN, LawSearch, law_search
+from pam_antagonist.diagnosis.law_simulation import Subject
+from pam_antagonist.diagnosis.models import further_share, held_share, likelier, price, share_of_all
+from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
+from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
+from pam_antagonist.inference.gauss_newton import held_residual
+from pam_antagonist.inference.measured_motion import MeasuredMotion
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import joint_condition
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.learned import Law, laws_of, with_law
+
+Floats = NDArray[np.float64]
+
+MOST_LAWS = 2
+_SHORTEST_S, _SHORTEST_PART_S = 10.0, 1.0
+"""[s] Least length of a recording in which a law is looked for, and of a stretch without holes."""
+_SLOWEST_S = 5e-3
+"""[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
+_AIR = {"mass_loss", "open_rate", "open_rate_shift", "voltage_shift", "spool_voltage"}
+_HOOKS: Mapping[str, set[str]] = {
+    **dict.fromkeys(("flow", "leak", "valve"), _AIR),
+    **dict.fromkeys(("force", "strength"), {"contraction_force", "muscle_force"}),
+    "exchange": {"mass_loss"}, "supply": {"supply_change"}, "sensor": {"sensor_reading"},
+    "torque": {"joint_torque"}, "friction": {"coulomb_torque"},
+}  # fmt: skip
+"""Where effects of the catalogue act as a law at a place does: a flow by pressure and a valve by pressure are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A search for a law, and the rig that has it: as it was, where none was taken or it is an error of readings."""
+
+    search: LawSearch
+    law: Law | None
+    rig: Rig
+
+    def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Recordings without the error of readings that was found; as they are, if it is another law."""
+        law, out = self.law, []
+        for one in recordings if law is not None and law.is_of_readings else ():
+            pressure, angle = (np.nan_to_num(values) for values in (one.pressure, one.angle))  # type: ignore[arg-type]
+            seen = [law_simulation.smoothed(values, one.sample_period_s) for values in (pressure, angle)]
+            raised, turned = law_simulation.misread(law, seen[0], seen[1], one.sample_period_s)
+            out.append(replace(one, pressure=one.pressure - raised, angle=one.angle - turned))  # type: ignore[operator]
+        return out or list(recordings)
+
+
+def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
+    """Why no law can be looked for; empty if one can."""
+    if rig.valves.sealed or rig.drive != "valve":
+        return "a law is looked for in joints with moving valves only"
+    if any(one.sample_period_s > _SLOWEST_S for one in recordings):
+        return f"a law is looked for in recordings with {1.0 / _SLOWEST_S:g} samples a second at least"
+    if rig.units.pressure != "pascal":
+        return "a law is looked for where pressures are known in pascals only"
+    if any(one.angle is None or not np.isfinite(one.angle).any() for one in recordings):
+        return "a law is looked for where the angle was measured only"
+    return ""
+
+
+def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = math.inf) -> list[dict[str, Floats]]:
+    """The stretches of a part [s] of a recording without holes, as the search takes them."""
+    time = recording.time_s
+    none = np.full(len(time), np.nan)
+    columns = {
+        "time": time, "pressure": recording.pressure, "command": recording.voltage,
+        "angle": none if recording.angle is None else recording.angle,
+        "torque": none if recording.torque is None else recording.torque,
+    }  # fmt: skip
+    known = [np.isfinite(v).reshape(len(time), -1).all(axis=1) for name, v in columns.items() if name != "torque"]
+    rows = np.flatnonzero(np.all(known, axis=0) & (time >= begin_s) & (time < end_s))
+    longest = max(LONGEST_GAP_NS, 2.5e9 * recording.sample_period_s)
+    holes = np.flatnonzero(np.diff(recording.stamp_ns[rows]) > longest) + 1
+    return [{key: values[part] for key, values in columns.items()} for part in np.split(rows, holes) if len(part) > 1]
+
+
+def learn(
+    recordings: Sequence[Recording], rig: Rig, share: float = 1.0, joint: str = "auto",
+    lock_angle: float | None = None, progress: Callable[[str], None] = lambda text: None,
+) -> Learned:  # fmt: skip
+    """Look for a law that a rig lacks, in a share at the begin of recordings; joint and angle as of a diagnosis."""
+    if reason := refusal(recordings, rig):
+        raise BadInput(reason)
+    subjects = []
+    for one in recordings:
+        parts = stretches(one, end_s=one.duration_s * share if share < 1.0 else math.inf)
+        seen = [part for part in parts if np.ptp(part["time"]) >= _SHORTEST_PART_S]
+        if sum(float(np.ptp(part["time"])) for part in seen) >= _SHORTEST_S:
+            locked = joint_condition(one, joint, lock_angle).condition == "locked"
+            subjects.append(Subject(seen, one.sample_period_s, locked, rig.parameters()))
+    if not subjects:
+        raise BadInput(f"a law is looked for in recordings of {_SHORTEST_S:g} s at least")
+    number = len(laws_of(rig)) + 1
+    found = law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number)
+    if found.found is None or found.found.law is None:
+        return Learned(found, None, rig)
+    covariance = found.found.covariance
+    law = replace(found.found.law, std=tuple(map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0)))))
+    return Learned(found, law, rig if law.is_of_readings else with_law(rig, law, covariance=covariance))
+
+
+def with_laws(
+    diagnose: Callable[..., Diagnosis], recordings: Sequence[Recording], kept: Sequence[Recording], rig: Rig,
+    holdout: float, joint: str, lock_angle: float | None, progress: Callable[[str], None],
+) -> Diagnosis:  # fmt: skip
+    """A diagnosis; where it leaves a clear excess, with the law that is missing, and then perhaps with a second one.
+
+    ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
+    """
+    now = diagnose(recordings, rig, held_out=kept)
+    fitted, others = list(recordings), list(kept)
+    share = 1.0 if kept else 1.0 - holdout
+    for _ in range(MOST_LAWS):
+        if not leaves_excess(now):
+            break
+        zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
+        try:
+            learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
+            corrected, also = learned.corrected(fitted), learned.corrected(others)
+            after = diagnose(corrected, learned.rig, held_out=also) if learned.law is not None else now
+        except BadInput:
+            # The catalogue's diagnosis needs less of the recordings, and it stands.
+            break
+        if learned.law is None:
+            if now.verdict == "unexplained":
+                now = replace(now, sentence=f"{now.sentence} {place_in_words(learned.search)}".strip())
+            break
+        if not is_better(now, after):
+            if now.verdict == "unexplained":
+                words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
+                now = replace(now, sentence=f"{now.sentence} {words}")
+            break
+        now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
+    return now
+
+
+def leaves_excess(found: Diagnosis) -> bool:
+    """Whether what a diagnosis found leaves so much that a law could be a further effect.
+
+    What begins, ends or comes and goes is no law, nor is friction that is judged along the motion of a joint that
+    sticks.
+    """
+    events = any(one.name == DISTURBANCE or one.onset_s is not None or one.end_s is not None for one in found.effects)
+    if found.verdict == "none" or events or any(isinstance(one, MeasuredMotion) for one in found.experiments):
+        return False
+    left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
+    return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
+
+
+def is_better(before: Diagnosis, after: Diagnosis) -> bool:
+    """Whether a diagnosis with a law does better where nothing was fitted, by the rules of a further effect."""
+    pairs = zip(before.extended.pairs, after.extended.pairs, strict=True)
+    gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
+    share = further_share(before.recalibrated, before.extended, after.extended)
+    return gain >= thresholds.STRONG and share >= thresholds.FURTHER_SHARE
+
+
+def place_in_words(found: LawSearch) -> str:
+    """Where the model errs by nothing that was measured; empty if that is not known."""
+    place = found.places[0] if found.places else None
+    if place is None or place.gain < LEAST_GAIN:
+        return ""
+    group = Group(place.name)
+    return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}, by nothing that was measured."
+
+
+def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
+    """Effects of the catalogue that act where a law does and explain something of the recordings, the best first."""
+    scores = {
+        item.effect: item.muscles[law.muscle - 1] if item.muscles and isinstance(law.muscle, int) else item.score
+        for item in ranking if item.round == 1 and item.effect in CATALOGUE
+    }  # fmt: skip
+    acts = [name for name in scores if _HOOKS.get(law.place, set()) & set(CATALOGUE[name].hooks)]
+    return tuple(sorted((n for n in acts if scores[n] >= thresholds.LEAST_SCORE), key=lambda name: -scores[name]))
+
+
+def _effect(before: Diagnosis, after: Diagnosis, learned: Learned, share: float) -> FoundEffect:
+    """A learned law as an effect of a diagnosis; each of its numbers has its price in the evidence."""
+    law = learned.law
+    assert law is not None
+    pairs = list(zip(before.recalibrated.fits, after.extended.fits, strict=True))
+    gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
+    gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
+    sizes = {
+        ("everywhere" if len(law.nodes) == 1 else f"at {law.shown(node, 4)}"): Size(value, std, law.unit)
+        for node, value, std in zip(law.nodes, law.values, law.std, strict=True)
+    }
+    names = tuple(entry.recording for entry in before.by_recording if entry.role != "held out")
+    return FoundEffect(
+        "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, share, names, law=law,
+        like=like(law, before.ranking),
+        alternatives=tuple(one.law.in_words() for one in learned.search.alternatives if one.law is not None),
+    )  # fmt: skip
+
+
+def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
+    """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it."""
+    share = held_share(before.recalibrated, after.extended)
+    effect = _effect(before, after, learned, share)
+    again = {one.name for one in after.effects}
+    first = [one for one in before.effects if one.law is not None]
+    namers = {name for one in first for name in one.like} - again
+    earlier = [one for one in before.effects if one.law is not None or one.name in namers]
+    others = [one for one in before.effects if one not in earlier and one.name not in again]
+    named = [one for one in others if one.name in effect.like and one.muscle in (None, effect.muscle)]
+    entries = tuple(
+        replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
+        for first, entry in zip(before.by_recording, after.by_recording, strict=True)
+    )
+    errors = _from(before.errors, after.errors)
+    assert errors is not None
+    taken = {one.name for one in (*named, *earlier)}
+    ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
+    part = share_of_all(before.recalibrated, after.extended) < thresholds.EXPLAINED_WELL
+    notes = ("the law explains the recordings in part only",) if part else ()
+    return replace(
+        after, verdict="effect", sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
+        effects=(*named, *earlier, effect, *after.effects), by_recording=entries,
+        share=share, parts=tuple(replace(part, verdict="effect", share=share) for part in after.parts),
+        ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
+        warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
+        of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},
+    )  # fmt: skip
+
+
+def _from(before: ModelErrors | None, after: ModelErrors | None) -> ModelErrors | None:
+    """Errors with a law, and those without it as configured and recalibrated; None where they were not worked out."""
+    if before is None or after is None:
+        return after
+    return replace(after, as_configured=before.as_configured, recalibrated=before.recalibrated)
+
+
+def _sentence(
+    learned: Learned, effect: FoundEffect, named: Sequence[FoundEffect], earlier: Sequence[FoundEffect],
+    before: Diagnosis, after: Diagnosis,
+) -> str:  # fmt: skip
+    """The verdict by a learned law, in words."""
+    law = learned.law
+    assert law is not None
+    change = change_in_words(before.errors.recalibrated, after.errors.extended, " after recalibration")
+    text = f"The missing effect sits in {law.where} and depends on {law.on}"
+    kind = " and ".join(one.name.replace("_", " ") for one in named)
+    text += f": {kind}, in another form than the catalogue's law. " if kind else ". "
+    text += f"Its law was measured as a table{law.range_in_words}. "
+    text += f"With it the model's errors on held-out data {change}."
+    others = [name.replace("_", " ") for name in effect.like if name not in {one.name for one in named}]
+    text += f" Effects of the catalogue that act there, but explain less: {', '.join(others)}." if others else ""
+    wrong = [one.name.replace("_", " ") for one in before.effects if one not in named and not earlier]
+    text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the table." if wrong else ""
+    text += f" As good in a simulation: {'; '.join(effect.alternatives)}." if effect.alternatives else ""
+    text += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
+    first = [one.law.in_words() for one in earlier if one.law is not None]
+    text += f" Another law was found before it: {'; '.join(first)}." if first else ""
+    return text + (f" Beside it: {after.sentence}" if after.effects else "")

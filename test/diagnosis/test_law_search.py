@@ -1,0 +1,179 @@
+"""The search for a law that nobody wrote: its place, what it depends on, a table; and none where nothing is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pam_antagonist import diagnose, load_rig, simulate
+from pam_antagonist.api import diagnose as api
+from pam_antagonist.diagnosis import Diagnosis, learned_law
+from pam_antagonist.diagnosis.learned_law import Learned, joined, learn, leaves_excess, refusal
+from pam_antagonist.diagnosis.result import FoundEffect
+from pam_antagonist.recording import Recording
+from pam_antagonist.report import html
+from pam_antagonist.report.close_loop import DiagnoseResult
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.learned import Law, with_law
+from pam_antagonist.simulation.excitation import profile
+
+EXCHANGE = Law(
+    "exchange", (-3e5, -1e5, 0.0, 1e5, 3e5), (-1.8e-6, -1.2e-6, 0.0, 1.2e-6, 1.8e-6), None, "pressure_difference"
+)
+COGGING = Law("torque", (-0.2, -0.1, 0.0, 0.1, 0.2), (0.05, -0.05, 0.05, -0.05, 0.05), None, "angle")
+SEEN = 2.0 / 3.0
+
+
+def rig() -> Rig:
+    return load_rig("shin2022").replaced(sample_period=0.004)
+
+
+def recorded(*laws: Law, duration: float = 36.0) -> Recording:
+    """A free joint that has some laws."""
+    own = rig()
+    for law in laws:
+        own = with_law(own, law)
+    return simulate(own, profile("steps", duration, 0.004, seed=5), mismatch=0.01, seed=8)
+
+
+@dataclasses.dataclass
+class Course:
+    """What a diagnosis went through: its result, all diagnoses on the way, and the laws that were learned."""
+
+    result: DiagnoseResult
+    diagnoses: list[Diagnosis]
+    learned: list[Learned]
+
+    def like(self, name: str) -> Diagnosis:
+        """The first diagnosis, as if it had named an effect that leaves all of the excess."""
+        effect = FoundEffect(name, None, {}, 20.0, 0.1, ("free",))
+        return dataclasses.replace(self.diagnoses[0], verdict="effect", effects=(effect,))
+
+
+@pytest.fixture(scope="module")
+def exchange() -> Course:
+    """What ``diagnose`` makes of two chambers that exchange air."""
+    seen: dict[str, list[Any]] = {"_diagnose": [], "learn": []}
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name in ((api, "_diagnose"), (learned_law, "learn")):
+            patch.setattr(module, name, _noting(getattr(module, name), seen[name]))
+        found = diagnose(recorded(EXCHANGE), rig(), profiles=False, estimator=False)
+    assert isinstance(found, DiagnoseResult)
+    return Course(found, seen["_diagnose"], seen["learn"])
+
+
+def _noting(function: Any, results: list[Any]) -> Any:
+    def noted(*args: Any, **options: Any) -> Any:
+        results.append(function(*args, **options))
+        return results[-1]
+
+    return noted
+
+
+def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange: Course) -> None:
+    assert exchange.learned[0].search.places[0].name == "exchange"
+    assert [effect.name for effect in exchange.result.effects] == ["learned"]
+    law = exchange.result.effects[0].law
+    assert law is not None
+    assert (law.place, law.argument, law.operator) == ("exchange", "pressure_difference", "none")
+    assert law.value(1e5) == pytest.approx(1.2e-6, rel=0.1)
+
+
+def test_the_simulation_with_the_law_leaves_little_but_noise(exchange: Course) -> None:
+    search = exchange.learned[0].search
+    assert search.found is not None
+    assert np.all(search.without.excess[0, :2] > 20.0)
+    assert np.all(search.found.excess[0, :2] < 1.2)
+
+
+def test_errors_are_those_before_the_law_and_those_with_it(exchange: Course) -> None:
+    before, after = exchange.diagnoses
+    assert exchange.result.errors.as_configured == before.errors.as_configured
+    assert exchange.result.errors.recalibrated == before.errors.recalibrated
+    assert exchange.result.errors.extended == after.errors.extended
+    angle, extended = exchange.result.errors.recalibrated.angle, exchange.result.errors.extended.angle
+    assert angle is not None
+    assert extended is not None
+    assert extended.rmse < 0.2 * angle.rmse
+    assert exchange.result.next_rig == "rig_extended.yaml"
+
+
+def test_a_report_has_place_argument_and_table_of_a_law(exchange: Course) -> None:
+    report = exchange.result.to_json()
+    assert report["verdict"] == "effect"
+    entry = report["effects"][0].to_json()
+    assert (entry["name"], entry["place"], entry["arguments"]) == ("learned", "exchange", ["pressure_difference"])
+    table = entry["law"]
+    assert len(table["nodes"]) == len(table["values"]) == len(table["std"])
+    assert table["unit"] == "kg/s"
+    assert entry["like"] == ["leak"]
+    assert all(law in report["sentence"] for law in entry["alternatives"])
+    assert "sits in the flow from muscle 1 to muscle 2 and depends on P1 - P2" in report["sentence"]
+    assert "errors on held-out data fall from" in report["sentence"]
+    page = html.render(exchange.result.document())
+    assert "Found: a law of the flow from muscle 1 to muscle 2" in page
+    assert "no effect explains it" not in page
+    assert "Learned law: the flow from muscle 1 to muscle 2 depends on P1 - P2" in page
+
+
+def test_an_effect_that_leaves_a_clear_excess_does_not_end_the_search(exchange: Course) -> None:
+    assert leaves_excess(exchange.like("thermal"))
+    assert not leaves_excess(exchange.diagnoses[1])
+    events = dataclasses.replace(exchange.like("leak").effects[0], onset_s=10.0)
+    assert not leaves_excess(dataclasses.replace(exchange.like("leak"), effects=(events,)))
+
+
+@pytest.mark.parametrize(("name", "names"), [("leak", ["leak", "learned"]), ("thermal", ["learned"])])
+def test_an_effect_that_acts_where_the_law_does_names_it(exchange: Course, name: str, names: Sequence[str]) -> None:
+    found = joined(exchange.like(name), exchange.diagnoses[1], exchange.learned[0])
+    assert [effect.name for effect in found.effects] == names
+    assert found.effects[-1].delta_bic > 40.0
+    assert not any(item.taken and item.effect == "thermal" for item in found.ranking)
+    said = "leak, in another form than the catalogue's law" if name == "leak" else "alone, thermal explained most"
+    assert said in found.sentence
+
+
+def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
+    exchange: Course, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learned_law, "learn", lambda *_args: exchange.learned[0])
+    first = exchange.diagnoses[0]
+    found = learned_law.with_laws(lambda *_a, **_b: first, [recorded()], [], rig(), 1.0 / 3.0, "auto", None, print)
+    assert (found.verdict, found.effects) == ("unexplained", ())
+    assert "does not hold on data that no fit used" in found.sentence
+
+
+def test_a_second_law_is_found_beside_the_first() -> None:
+    law = learn([recorded(EXCHANGE, COGGING, duration=24.0)], with_law(rig(), EXCHANGE), SEEN).law
+    assert law is not None
+    assert (law.place, law.argument) == ("torque", "angle")
+    assert law.value(0.0) - law.value(0.1) == pytest.approx(0.1, rel=0.2)
+
+
+def test_recordings_are_corrected_by_the_error_of_an_encoder() -> None:
+    true = recorded(duration=24.0)
+    assert true.angle is not None
+    wrong = 4e-3 * np.interp(true.angle, COGGING.nodes, np.sign(COGGING.values))
+    found = learn([dataclasses.replace(true, angle=true.angle + wrong)], rig(), SEEN)
+    assert found.law is not None
+    assert (found.law.place, found.law.argument) == ("encoder", "angle")
+    corrected = found.corrected([dataclasses.replace(true, angle=true.angle + wrong)])[0].angle
+    assert corrected is not None
+    assert np.std(corrected - true.angle) < 0.3 * np.std(wrong)
+
+
+def test_no_law_is_added_where_nothing_is_wrong() -> None:
+    nothing = learn([recorded()], rig(), SEEN)
+    assert nothing.law is None
+    assert nothing.search.gain < 40.0
+
+
+def test_a_joint_without_a_measured_angle_or_air_that_flows_is_refused_in_a_sentence() -> None:
+    recording = simulate(rig(), profile("steps", 2.0, 0.004, seed=1), seed=1)
+    assert refusal([recording], rig()) == ""
+    assert "the angle was measured" in refusal([dataclasses.replace(recording, angle=None)], rig())
+    assert "moving valves" in refusal([recording], load_rig("sealed_joint"))
