@@ -81,10 +81,8 @@ def identify(
     if are_episodes(given, chosen):
         return _episodes(given, chosen, [*free, *freeze], holdout, jobs, progress)
     whole = is_for(chosen)
-    read = [
-        named(one.driven_by(chosen.drive) if whole else one.driven_by(chosen.drive).in_one_piece(), joint, lock_angle)
-        for one in given
-    ]
+    driven = [one.driven_by(chosen.drive) if whole else one.driven_by(chosen.drive).in_one_piece() for one in given]
+    read = named(driven, chosen, joint, lock_angle)
     if chosen.valves.sealed:
         return _sealed(read, chosen, holdout, seed, progress, [*free, *freeze])
     for recording, _, name in read:

@@ -93,7 +93,7 @@ def replay(
     recording.driven_by(rig.drive)
     progress = progress or (lambda samples: None)
     begin_ns = None if begin_s is None else _stamp_at(recording, number("begin_s", begin_s))
-    state = joint_condition(recording, joint, lock_angle)
+    state = joint_condition(recording, joint, lock_angle, rig.joint.stop)
     sensor_used = _angle_sensor(recording, angle_sensor)
     estimator = Estimator(rig, tuning, state.condition, state.lock_angle, sensor_used)
     impossible = possible.impossible(estimator.possible, recording.pressure, recording.voltage)
