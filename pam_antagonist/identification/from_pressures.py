@@ -384,17 +384,14 @@ def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
         out.append("The fit of joint and muscles stayed far from the measured angle: no value is determined.")
     for fit in [joint] if air is None else [joint, air]:
         for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
-            value, word = fit.values[item.name], f"--freeze {item.name}"
+            value = fit.values[item.name]
             if item.name in fit.at_bounds:
                 what = f"stands at the end of its range, {value:.4g}"
             elif item.name == SUPPLY and abs(amount) > FAR:
                 what = f"went from {item.start:.4g} to {value:.4g} Pa, though a gauge tells it within a few per cent"
             else:
                 continue
-            out.append(
-                f"{item.name} {what}: the model lacks something there. To find what, run close_loop with the same "
-                f"recordings; to keep the value of the rig file, type {word}."
-            )
+            out.append(f"{item.name} {what}: measure it; if the rig file is right, the model lacks something there.")
     return tuple(out)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from pam_antagonist import Recording
 from pam_antagonist.estimation.readings import repeated
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.rows import between, own_readings, reading_times, resets, said, slow
 
 RNG = np.random.default_rng(4)
@@ -111,3 +112,14 @@ def test_a_sensor_without_a_period_keeps_the_times_of_the_log() -> None:
     shown = logged(np.cumsum(RNG.uniform(0.02, 0.045, 1500)), 0.02)
     assert np.array_equal(reading_times(shown, 0.02), shown)
     assert np.array_equal(reading_times(shown[:20], 0.02), shown[:20])
+
+
+def test_a_delay_moves_the_readings_of_a_slow_sensor_and_not_its_rows() -> None:
+    course = 0.6 * np.sin(0.05 * ROWS)
+    log = recording(held(4), course[ROWS // 6 * 6], 0.005)
+    later = Corrections(delay_angle=0.002, delay_pressure=0.005).applied(log)
+    assert later.angle is not None and resets(later) is None
+    rows = slice(30, -30)
+    assert np.std(later.angle[rows] - np.interp(ROWS - 0.4, ROWS, course)[rows]) < 0.02
+    assert np.array_equal(later.pressure[1:], log.pressure[:-1])
+    assert list(slow(later)) == ["pressures"]
