@@ -118,7 +118,7 @@ def test_a_fit_that_stays_far_from_the_data_has_determined_nothing(trial: Record
 
 
 def test_a_supply_far_below_its_gauge_is_found() -> None:
-    lower = 0.8 * TRUE.supply.pressure
+    lower = 0.85 * TRUE.supply.pressure
     runs = runs_of(recorded(TRUE.with_value(SUPPLY, lower), 5.0, 1), JointCondition("free", 0.0, "nothing"), "trial")
     exact = [replace(run, angle=run.angle - ZERO_ERROR) for run in runs]
     free = [item for item in air_stage.unknowns(TRUE, runs) if item.name == SUPPLY]
