@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pam_antagonist import load_rig, simulate
+from pam_antagonist.cli import check
+from pam_antagonist.cli import replay as replay_command
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.recording import RecordedEstimate, Recording
-from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.recording import RecordedEstimate, Recording, write_bag
+from pam_antagonist.recording.joint import JointCondition, joint_condition, with_stops
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.write import write_rig
 
 Changed = Callable[..., Recording]
 
@@ -85,3 +91,48 @@ def test_contradictions_are_refused(free: Recording) -> None:
 def test_a_condition_cannot_be_changed(free: Recording) -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         joint_condition(free).condition = "locked"  # type: ignore[misc]
+
+
+STOP = math.radians(20.0)
+
+
+def test_a_joint_that_rests_at_its_stop_is_free(locked: Recording, changed: Changed) -> None:
+    assert locked.angle is not None
+    for angle, condition in ((19.5, "free"), (-20.2, "free"), (24.0, "free"), (15.0, "locked"), (40.0, "locked")):
+        there = changed(locked, angle=locked.angle + math.radians(angle))
+        found = joint_condition(there, stop=STOP)
+        assert found.condition == condition, angle
+        assert found.source == ("stop" if condition == "free" else "measured angle")
+        assert joint_condition(there).condition == "locked"
+        assert joint_condition(there, "locked", stop=STOP).condition == "locked"
+
+
+def test_where_the_other_recordings_rest_and_never_pass_is_a_stop(
+    free: Recording, locked: Recording, changed: Changed
+) -> None:
+    assert free.angle is not None and locked.angle is not None
+    end = float(np.quantile(free.angle, 0.5))
+    stopped = changed(free, angle=np.minimum(free.angle, end))
+    there = changed(locked, angle=locked.angle + end, torque=None)
+    inside = changed(locked, torque=None)
+    clamped = changed(locked, angle=locked.angle + end)
+    every = [stopped, there, inside, clamped]
+    found = with_stops(every, [joint_condition(one) for one in every])
+    assert [state.condition for state in found] == ["free", "free", "locked", "locked"]
+    assert found[1].source == "stop"
+
+
+def test_a_trial_that_rests_at_the_stop_is_checked_and_replayed(tmp_path: Path) -> None:
+    rig = load_rig("shin2022").with_value("joint.stop", 0.26)
+    voltage, later = np.full((5000, 2), (10.0, 2.0)), np.arange(2000)
+    voltage[3000:, 0] = 7.0 + 1.5 * np.sign(np.sin(2.0 * np.pi * later / 2000.0))
+    voltage = np.vstack([voltage, voltage[3000:], voltage[3000:]])
+    trial = simulate(rig, voltage, seed=1).slice(3.0, 9.0)
+    write_bag(tmp_path / "trial", trial)
+    write_rig(rig, tmp_path / "rig.yaml", [])
+    words = [str(tmp_path / "trial"), "--rig", str(tmp_path / "rig.yaml")]
+    assert check.main(words) == 0
+    assert replay_command.main([*words, "--out", str(tmp_path / "out"), "--no-figures"]) == 0
+    found = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert found["joint"]["condition"] == "free" and found["joint"]["source"] == "stop"
+    assert found["ukf"]["angle"]["coverage95"] > 0.85

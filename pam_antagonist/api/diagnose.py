@@ -85,7 +85,7 @@ def diagnose(
     every = (*fitted, *kept)
     hashes = tuple(recording_hash(one) for one in every)
     if is_for(chosen):
-        given = [named(one.driven_by(chosen.drive), joint, lock_angle) for one in every]
+        given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
         found = _from_pressures(given, chosen, holdout, seed, jobs, progress, len(kept))
         return PressuresDiagnoseResult(chosen, found, hashes)
     if are_episodes(every, chosen):

@@ -11,7 +11,7 @@ import numpy as np
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, bag_name, plausible, read_bag
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.joint import JointCondition, joint_condition
+from pam_antagonist.recording.joint import JointCondition, joint_condition, with_stops
 from pam_antagonist.recording.recording import Recording as _Recording
 from pam_antagonist.rig import Rig
 
@@ -45,9 +45,12 @@ def as_recordings(bags: Bag | Sequence[Bag], rig: Rig, also: Sequence[str] = ())
     return recordings
 
 
-def named(recording: Recording, joint: str, lock_angle: float | None) -> tuple[Recording, JointCondition, str]:
-    """A recording with its joint's condition and its name."""
-    return recording, joint_condition(recording, joint, lock_angle), bag_name(recording.path)
+def named(
+    recordings: Sequence[Recording], rig: Rig, joint: str, lock_angle: float | None
+) -> list[tuple[Recording, JointCondition, str]]:
+    """Recordings with their joints' conditions and their names."""
+    states = with_stops(recordings, [joint_condition(one, joint, lock_angle, rig.joint.stop) for one in recordings])
+    return [(one, state, bag_name(one.path)) for one, state in zip(recordings, states, strict=True)]
 
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:

@@ -10,7 +10,6 @@ from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.episodes import identify as _of_episodes
 from pam_antagonist.identification.from_pressures import identify as _identify
-from pam_antagonist.identification.from_pressures import is_for
 from pam_antagonist.identification.result import held_of
 from pam_antagonist.identification.sealed import identify_sealed
 from pam_antagonist.inference.expected import with_known_curves
@@ -80,12 +79,10 @@ def identify(
         raise BadInput("no recording: expected one at least")
     if are_episodes(given, chosen):
         return _episodes(given, chosen, [*free, *freeze], holdout, jobs, progress)
-    whole = is_for(chosen)
-    read = [
-        named(one.driven_by(chosen.drive) if whole else one.driven_by(chosen.drive).in_one_piece(), joint, lock_angle)
-        for one in given
-    ]
-    if chosen.valves.sealed:
+    sealed = chosen.valves.sealed
+    driven = [one.driven_by(chosen.drive).in_one_piece() if sealed else one.driven_by(chosen.drive) for one in given]
+    read = named(driven, chosen, joint, lock_angle)
+    if sealed:
         return _sealed(read, chosen, holdout, seed, progress, [*free, *freeze])
     for recording, _, name in read:
         if sealed_muscles(recording.path):

@@ -198,7 +198,7 @@ def _joint(
 ) -> tuple[JointCondition | None, list[Finding]]:
     """Whether the joint was free or locked, compared with what was said; None where it is locked beyond its stop."""
     corrected = now.applied(recording)
-    condition = joint_condition(corrected, joint, lock_angle if joint == "locked" else None)
+    condition = joint_condition(corrected, joint, lock_angle if joint == "locked" else None, rig.joint.stop)
     low, high = (math.degrees(end) for end in samples.moves(corrected.angle))
     seen = f"the measured angle goes from {low:.1f} to {high:.1f} deg, {high - low:.1f} deg in all"
     if joint == "locked" and high - low > math.degrees(_LOCKED_MOVES):
@@ -206,9 +206,12 @@ def _joint(
             f"the joint moves, so it was not locked: {seen}; a locked one moves {math.degrees(_LOCKED_MOVES):g} at most"
         )
         return joint_condition(corrected, "free"), [Finding("wrong", text, (), ("--joint locked",))]
-    if joint == "free" and joint_condition(corrected).condition == "locked":
+    if joint == "free" and joint_condition(corrected, stop=rig.joint.stop).condition == "locked":
         text = f"the joint seems locked, though it was called free: {seen}, while the pressures would move a free joint"
         return condition, [Finding("doubtful", text, ("--joint locked",), ("--joint free",))]
+    if condition.source == "stop":
+        text = f"the joint rests at its stop all the time, so the angle's sign and unit are not tested: {seen}"
+        return condition, [Finding("untested", text)]
     if condition.condition == "free":
         return condition, []
     if joint == "auto" and now.angle_unit != "rad" and _follows(recording, rig, now):

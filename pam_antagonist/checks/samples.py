@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.plausible import MIN_PRESSURE
+from pam_antagonist.recording.rows import said, slow
 from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import Rig
 
@@ -44,7 +45,8 @@ def findings(recording: Recording, rig: Rig) -> list[Finding]:
         # Holes and missing samples are counted below, and a field without values is reported as not tested.
         if issue.kind not in ("hole", "missing") and " holds no " not in issue:
             out.append(Finding("untested" if issue.kind in ("remark", "resampled") else "doubtful", str(issue)))
-    return [*out, *missing, *_held(recording), *_clocks(recording, drive), *_rate(recording, rig)]
+    slower = [Finding("untested", said(name, again)) for name, again in slow(recording).items()]
+    return [*out, *missing, *_held(recording), *slower, *_clocks(recording, drive), *_rate(recording, rig)]
 
 
 def holes(recording: Recording) -> list[tuple[int, int]]:

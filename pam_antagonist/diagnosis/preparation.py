@@ -183,8 +183,10 @@ def _valve_driven(
 ) -> Prepared:
     def trial_of(recording: Recording) -> Trial:
         lock = settings.lock_angle if settings.joint == "locked" else None
-        state, name = joint_condition(recording, settings.joint, lock), bag_name(recording.path)
-        refuse_other_condition(recording, state.condition, name)
+        state = joint_condition(recording, settings.joint, lock, rig.joint.stop)
+        name = bag_name(recording.path)
+        if state.source != "stop":
+            refuse_other_condition(recording, state.condition, name)
         return make_trial(recording, rig, state.condition, state.lock_angle, name)
 
     trials = [trial_of(recording) for recording in recordings]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import encoder
+from pam_antagonist.estimation import encoder, readings
 from pam_antagonist.estimation.memory import Memory, Settings
 from pam_antagonist.estimation.stamps import LAST, REJECTED, RUNNING, STARTED
 from pam_antagonist.model import parameters as par
@@ -85,7 +85,8 @@ class Checkpoint:
         cross: covariance with the consider parameters (n, m).
         voltage: last known ones (2,) [V].
         distances: number of intervals between stamps since the start, then the last intervals [ns], a ring buffer.
-        angle_sensor: memory of the encoder (encoder.MEMORY,); empty where none was read.
+        angle_sensor: memory of the encoder (encoder.MEMORY,), left out where none was read; then that of the pressures'
+            own rate (readings.PRESSURES,), which old checkpoints lack.
     """
 
     stamp_ns: int
@@ -136,8 +137,13 @@ def take(memory: Memory, identity: FilterIdentity) -> Checkpoint:
         memory.held.copy(),
         int(clock[REJECTED]),
         clock[REJECTED + 1 :].copy(),
-        memory.encoder.copy() if encoder.was_read(memory.encoder) else np.empty(0),
+        np.concatenate([memory.encoder if encoder.was_read(memory.encoder) else np.empty(0), memory.readings]),
     )
+
+
+def read_angle(checkpoint: Checkpoint) -> bool:
+    """Whether the filter of a checkpoint has read a measured angle."""
+    return len(checkpoint.angle_sensor) >= encoder.MEMORY
 
 
 def put(checkpoint: Checkpoint, memory: Memory, identity: FilterIdentity) -> None:
@@ -163,11 +169,14 @@ def put(checkpoint: Checkpoint, memory: Memory, identity: FilterIdentity) -> Non
         and (distances[1:][: distances[0]] > 0).all()
     ):
         raise BadInput("the checkpoint is damaged: its stamps and counts cannot be those of a filter")
-    if len(checkpoint.angle_sensor) not in (0, encoder.MEMORY):
-        raise BadInput(f"the checkpoint is damaged: angle_sensor has {len(checkpoint.angle_sensor)} numbers")
+    sensors = checkpoint.angle_sensor
+    if len(sensors) not in (0, encoder.MEMORY, readings.PRESSURES, encoder.MEMORY + readings.PRESSURES):
+        raise BadInput(f"the checkpoint is damaged: angle_sensor has {len(sensors)} numbers")
+    of_encoder, of_pressures = np.split(sensors, [encoder.MEMORY if read_angle(checkpoint) else 0])
     for name, own in here.items():
         own[:] = getattr(checkpoint, name)
-    memory.encoder[:] = checkpoint.angle_sensor if len(checkpoint.angle_sensor) else encoder.new()
+    memory.encoder[:] = of_encoder if len(of_encoder) else encoder.new()
+    memory.readings[:] = of_pressures if len(of_pressures) else readings.new(2)
     clock[RUNNING], clock[LAST], clock[STARTED] = 1, checkpoint.stamp_ns, checkpoint.started_ns
     clock[REJECTED], clock[REJECTED + 1 :] = checkpoint.rejected, distances
 

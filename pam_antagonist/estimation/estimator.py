@@ -11,7 +11,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import checkpoint as checkpoints
-from pam_antagonist.estimation import encoder, possible, push, stamps, ukf
+from pam_antagonist.estimation import encoder, possible, push, readings, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
 from pam_antagonist.estimation.memory import ESTIMATE_DTYPE, Settings, make_memory
@@ -46,6 +46,7 @@ class Counts:
         restarts: how often the filter began again.
         angles_used: samples whose measured angle was used.
         angles_refused: samples whose measured angle was not used: outliers, and all readings of a refused encoder.
+        repeated: samples whose pressures repeat the last reading of sensors that are slower: prediction only.
     """
 
     processed: int
@@ -59,6 +60,7 @@ class Counts:
     restarts: int
     angles_used: int = 0
     angles_refused: int = 0
+    repeated: int = 0
 
 
 @dataclass(frozen=True, repr=False)
@@ -254,6 +256,7 @@ class Estimator:
         """Forget the estimate; the next sample with both pressures and voltages starts the filter."""
         self._memory.clock[:] = 0
         self._memory.encoder[:] = encoder.new()
+        self._memory.readings[:] = readings.new(2)
 
     @property
     def estimates_external_torque(self) -> bool:

@@ -16,6 +16,8 @@ arrival:
 * voltages that are not finite or not possible: the last known ones are held;
 * a joint with pressure regulators: commanded pressures take the place of the voltages. At a start, a commanded pressure
   also replaces a missing measured one;
+* both pressures as in the last sample, of sensors that are slower than the samples: prediction only
+  (:mod:`~pam_antagonist.estimation.readings`);
 * a measured angle, where the filter uses one: see :mod:`~pam_antagonist.estimation.encoder`;
 * an innovation beyond the declared ``onset`` of pushes: see :mod:`~pam_antagonist.estimation.push`;
 * an innovation beyond the gate (Mahalanobis distance): the pressure with the larger normalised innovation is left out,
@@ -33,7 +35,7 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, merged
-from pam_antagonist.estimation import bridge, encoder, push, stamps, start, ukf
+from pam_antagonist.estimation import bridge, encoder, push, readings, stamps, start, ukf
 from pam_antagonist.estimation.memory import (
     COUNTERS,
     GAP,
@@ -56,7 +58,7 @@ _NO_FLAGS, _ANGLE_MISSING, _ANGLE_REFUSED = np.int64(0), np.int64(NO_ANGLE), np.
 _VERDICT, _WITHOUT, _PATIENCE = encoder.VERDICT, encoder.WITHOUT, stamps.PATIENCE
 (
     _PROCESSED, _PREDICTED_ONLY, _MISSING, _OUTLIERS, _LATE, _DUPLICATES, _GAPS, _REPAIRS, _RESTARTS, _ANGLES_USED,
-    _ANGLES_REFUSED,
+    _ANGLES_REFUSED, _REPEATED,
 ) = range(len(COUNTERS))  # fmt: skip
 
 _innovate, _update, _torque_moments = ukf.innovate, ukf.update, ukf.torque_moments
@@ -67,6 +69,7 @@ _REGULATED = SLOT_OF["regulator_rate_1"]
 _examine, _correct_angle = encoder.examine, encoder.correct
 _jumped, _widen = push.jumped, push.widen
 _propagate, _over_gap = bridge.propagate, bridge.over_gap
+_repeats, _forget = readings.repeats, readings.forget
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
 
 
@@ -183,6 +186,8 @@ def _begin(stamp, y, u, angles, k, effects, memory, settings, work, row):
     memory.held[0], memory.held[1] = u
     _start(y, effects, memory, settings, work)
     _start_clock(memory.clock, stamp)
+    _forget(memory.readings)
+    _repeats(y, 0.0, memory.readings)
     flags = _NO_FLAGS
     if angles is not None:
         # Both pressures are finite here. numba would compile _angle once more for the literal True.
@@ -344,6 +349,7 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         counts[_MISSING] += 1
         return False
 
+    held = _repeats(y, elapsed * 1e-9, memory.readings) and usable_1 and usable_2
     period = _own_period(elapsed, clock, settings.period)
     gap, repaired = _advance(elapsed, period, y, usable_1, usable_2, u, known_u, effects, memory, settings, work)
     if gap:
@@ -355,7 +361,11 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         counts[_RESTARTS] += 1
         return complete and _begin(stamp, at_rest, u, angles, k, effects, memory, settings, work, row)
 
-    use_1, use_2, outlier = _gate(y, usable_1, usable_2, memory, settings)
+    use_1, use_2, outlier = False, False, False
+    if held:
+        counts[_REPEATED] += 1
+    else:
+        use_1, use_2, outlier = _gate(y, usable_1, usable_2, memory, settings)
     nis = _correct(use_1, use_2, memory, settings, work)
     if not (usable_1 and usable_2 and known_u):
         # What is finite was there, but cannot be true.

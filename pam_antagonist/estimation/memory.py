@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pam_antagonist.estimation import encoder
+from pam_antagonist.estimation import encoder, readings
 from pam_antagonist.estimation.stamps import CLOCK_SIZE
 
 MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, LATE, NO_ANGLE = (
@@ -15,7 +15,7 @@ MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, L
 """Flags of an estimate, as in ``JointEstimate.msg``."""
 
 COUNTERS = ("processed", "predicted_only", "missing", "outliers", "late", "duplicates", "gaps", "repaired", "restarts",
-            "angles_used", "angles_refused")  # fmt: skip
+            "angles_used", "angles_refused", "repeated")  # fmt: skip
 """Outcomes of samples, in the order of the counters."""
 
 ESTIMATE_DTYPE = np.dtype(
@@ -95,6 +95,7 @@ class Memory(NamedTuple):
         torque_moments: mean of the torque [N m], its variance, its covariance with each state (2 + n,).
         noise: diagonal of Q for the present step (n,).
         encoder: memory of the encoder (encoder.MEMORY,).
+        readings: memory of the pressures' own rate (readings.PRESSURES,).
     """
 
     x: np.ndarray
@@ -108,6 +109,7 @@ class Memory(NamedTuple):
     torque_moments: np.ndarray
     noise: np.ndarray
     encoder: np.ndarray
+    readings: np.ndarray
 
 
 def make_memory(states: int, considered: int) -> Memory:
@@ -125,4 +127,5 @@ def make_memory(states: int, considered: int) -> Memory:
         torque_moments=np.zeros(2 + n),
         noise=np.zeros(n),
         encoder=encoder.new(),
+        readings=readings.new(2),
     )

@@ -25,6 +25,7 @@ from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
+from pam_antagonist.recording.rows import own_readings
 from pam_antagonist.replays import replay
 from pam_antagonist.rig import Rig
 
@@ -125,8 +126,9 @@ def _followed(rig: Rig, recordings: Sequence[Given], jobs: int) -> _Followed:
         lock_angle = state.lock_angle if state.condition == "locked" else None
         run = replay(recording, rig, "default", state.condition, lock_angle).run
         error = np.zeros(0)
-        if state.condition == "free" and recording.angle is not None:
-            error = run.rows["angle"] - recording.angle[run.index]
+        angle = own_readings(recording)[1]
+        if state.condition == "free" and angle is not None:
+            error = run.rows["angle"] - angle[run.index]
         return run.rows["innovation"].ravel(), np.sqrt(run.rows["nis"]), error
 
     parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(of)(*item) for item in recordings)
@@ -191,9 +193,9 @@ def _next(seen: Sequence[tuple[float, float, float, Covered]]) -> float:
 
 def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
     """Errors of the estimated angle and their standard deviations (M,) [rad]."""
-    assert recording.angle is not None
-    run = replay(recording, rig, "default", state.condition, None).run
-    measured = recording.angle[run.index]
+    run, angle = replay(recording, rig, "default", state.condition, None).run, own_readings(recording)[1]
+    assert angle is not None
+    measured = angle[run.index]
     known = np.isfinite(measured)
     std = np.sqrt(run.rows["covariance"][:, 0, 0])
     return (run.rows["angle"] - measured)[known], std[known]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.identification import air_stage, joint_stage, noise
-from pam_antagonist.identification.air_stage import errors, fit_air
+from pam_antagonist.identification.air_stage import SUPPLY, errors, fit_air
 from pam_antagonist.identification.filter_stage import (
     Covered,
     Given,
@@ -53,7 +53,7 @@ from pam_antagonist.identification.result import (
 )
 from pam_antagonist.identification.runs import Run, said
 from pam_antagonist.identification.stretches import beside_the_lag
-from pam_antagonist.identification.unknowns import Fit, Unknown, fitted, parameters
+from pam_antagonist.identification.unknowns import FAR, Fit, Unknown, fitted, parameters
 from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
@@ -158,7 +158,7 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
         return joint_stage.of_parameters(rig, kept), air, notes
     more = [item for item in named if item.name.startswith(options.free)] if options.free else []
     both = []
-    for usual, of_air in ((joint_stage.unknowns(rig, runs), False), (air_stage.unknowns(rig), True)):
+    for usual, of_air in ((joint_stage.unknowns(rig, runs), False), (air_stage.unknowns(rig, runs), True)):
         kept_unknowns = [item for item in usual if not _is_frozen(item, options.frozen)]
         known = {path for item in usual for path in item.paths}
         further = [item for item in more if item.name.startswith(joint_stage.AIR) == of_air and item.name not in known]
@@ -383,9 +383,15 @@ def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     if joint.lost:
         out.append("The fit of joint and muscles stayed far from the measured angle: no value is determined.")
     for fit in [joint] if air is None else [joint, air]:
-        for name in fit.at_bounds:
-            value = fit.values[name]
-            out.append(f"{name} stands at the end of its range, {value:.4g}: the model lacks something there.")
+        for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
+            value = fit.values[item.name]
+            if item.name in fit.at_bounds:
+                what = f"stands at the end of its range, {value:.4g}"
+            elif item.name == SUPPLY and abs(amount) > FAR:
+                what = f"went from {item.start:.4g} to {value:.4g} Pa, though a gauge tells it within a few per cent"
+            else:
+                continue
+            out.append(f"{item.name} {what}: measure it; if the rig file is right, the model lacks something there.")
     return tuple(out)
 
 

@@ -182,7 +182,8 @@ class FromPressures:
         if now > before * (_KNOWN_RIG if self.start.identified or self.start.model.force != "braided" else 1.0):
             return (
                 f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
-                "The recordings do not fit two muscles on one joint, or their channels are exchanged: run check."
+                "The recordings do not fit two muscles on one joint, their channels are exchanged, or their pressures "
+                "were read too rarely: run check."
             )
         if now > (linear := self.pooled("linear")):
             return (

@@ -6,7 +6,7 @@ trials at 20 Hz become the same thing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.recording.rows import reading_times, repeated
+from pam_antagonist.recording.rows import SLOW, between, slow
 
 Floats = NDArray[np.float64]
+_Rows = NDArray[np.bool_]
 
 _SHORTEST = 1.0
 """[s] A shorter stretch is left out."""
@@ -40,6 +41,7 @@ class Run:
         angle: measured (N,) [rad], NaN where missing.
         torque: measured (N,) [N m], NaN where missing.
         velocity: slope of the measured angle (N,) [rad/s], 0 where unknown.
+        slow: sensors that are slower than the log; their values are linear between their own readings.
     """
 
     name: str
@@ -50,7 +52,7 @@ class Run:
     torque: Floats
     velocity: Floats
     locked: bool
-    held: bool
+    slow: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.time)
@@ -100,7 +102,8 @@ class Run:
 
 def runs_of(recording: Recording, state: JointCondition, name: str) -> list[Run]:
     """The runs of a recording."""
-    found = [run for rows in _stretches(recording) if (run := _run(recording, rows, state, name)) is not None]
+    again = slow(recording)
+    found = [run for rows in _stretches(recording) if (run := _run(recording, rows, state, name, again)) is not None]
     if not found:
         raise BadInput(
             f"{name}: no stretch of {_SHORTEST:g} s without a hole, with both pressures; expected at least one"
@@ -118,15 +121,18 @@ def _stretches(recording: Recording) -> Iterator[NDArray[np.intp]]:
             yield from np.split(rows, np.flatnonzero(np.diff(recording.stamp_ns[rows]) > bound) + 1)
 
 
-def _run(recording: Recording, rows: NDArray[np.intp], state: JointCondition, name: str) -> Run | None:
+def _run(
+    recording: Recording, rows: NDArray[np.intp], state: JointCondition, name: str, again: Mapping[str, _Rows]
+) -> Run | None:
     time = recording.time_s[rows]
     if len(rows) < 5 or time[-1] - time[0] < _SHORTEST:
         return None
-    pressure, held = _at_own_rate(time, recording.pressure[rows])
+    slow_rows = {sensor: repeats[rows] for sensor, repeats in again.items()}
+    pressure = between(time, recording.pressure[rows], slow_rows.get("pressures"))
     missing, locked = np.full(len(rows), np.nan), state.condition == "locked"
-    angle = missing if recording.angle is None else recording.angle[rows]
+    angle = missing if recording.angle is None else between(time, recording.angle[rows], slow_rows.get("angle"))
     angle = np.full(len(rows), state.lock_angle) if locked and not np.isfinite(angle).any() else angle
-    torque = missing if recording.torque is None else recording.torque[rows]
+    torque = missing if recording.torque is None else between(time, recording.torque[rows], slow_rows.get("torque"))
     # The lag of a regulator is as short as some rows.
     finest = 0.0 if recording.drive == "regulator" else _FINEST
     command, size = recording.voltage[rows], int(finest / recording.sample_period_s + 1e-6)
@@ -139,21 +145,8 @@ def _run(recording: Recording, rows: NDArray[np.intp], state: JointCondition, na
         columns = columns[:whole].reshape(-1, size, columns.shape[1]).mean(axis=1)
     time, angle = columns[:, 0], columns[:, 5]
     return Run(
-        name, time, columns[:, 1:3], columns[:, 3:5], angle, columns[:, 6], _slope(time, angle), locked, held
+        name, time, columns[:, 1:3], columns[:, 3:5], angle, columns[:, 6], _slope(time, angle), locked, tuple(again)
     )  # fmt: skip
-
-
-def _at_own_rate(time: Floats, pressure: Floats) -> tuple[Floats, bool]:
-    """Pressures that a slow sensor repeats, linear between its own readings, and whether there are such."""
-    period = float(np.median(np.diff(time)))
-    again = repeated(pressure, period)
-    if not again.any():
-        return pressure, False
-    again[-1] = False
-    fresh = np.concatenate([[True], (np.diff(pressure, axis=0) != 0.0).any(axis=1)])
-    taken = time.copy()
-    taken[fresh] = reading_times(time[fresh], period)
-    return np.column_stack([np.interp(time, taken[~again], column[~again]) for column in pressure.T]), True
 
 
 def _slope(time: Floats, angle: Floats) -> Floats:
@@ -168,10 +161,9 @@ def _slope(time: Floats, angle: Floats) -> Floats:
 
 def said(runs: Sequence[Run]) -> tuple[str, ...]:
     """What a user should know of the runs, in sentences."""
-    slow = dict.fromkeys(run.name for run in runs if run.held)
-    if not slow:
-        return ()
-    return (
-        f"The pressures of {', '.join(slow)} repeat from row to row: the sensor is slower than the log. Values between "
-        "its readings are interpolated.",
-    )
+    names = {sensor: dict.fromkeys(run.name for run in runs if sensor in run.slow) for sensor in SLOW}
+    return tuple(
+        f"The {sensor} of {', '.join(of)} {'repeat' if sensor == 'pressures' else 'repeats'} from row to row: the "
+        "sensor is slower than the log. Values between its readings are interpolated."
+        for sensor, of in names.items() if of
+    )  # fmt: skip

@@ -20,7 +20,7 @@ from pam_antagonist.inference.threads import side_by_side
 Floats = NDArray[np.float64]
 
 _WIDEST = 5.0
-"""A fit moves a number by at most so many standard deviations of its prior."""
+"""A fit moves a number by at most so many standard deviations of its prior; an unknown may have its own reach."""
 _STEP = 1e-3
 """Step of the derivatives, in standard deviations of the priors."""
 _ROBUST = 20.0
@@ -28,7 +28,7 @@ _ROBUST = 20.0
 _AT_BOUND = 1e-3
 _NARROWED = 0.5
 """A value is determined where the data leave less than this share of its prior's standard deviation."""
-_FAR = 3.0
+FAR = 3.0
 """Distance from the rig file's value, in standard deviations of the prior, that contradicts the prior."""
 _NORMAL = 1.96
 SPREAD = 0.01
@@ -53,6 +53,7 @@ class Unknown:
         std: of the prior; of the logarithm where ``positive``.
         positive: whether it stays above 0.
         adds: parameters that are a sum of unknowns: factor of this one in each, by dotted path.
+        reach: how far a fit may move it, in standard deviations of the prior.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Unknown:
     high: float = math.inf
     adds: Mapping[str, float] = field(default_factory=dict)
     recording: str = ""
+    reach: float = _WIDEST
 
     def value(self, amount: float) -> float:
         """Value at an amount, in standard deviations from the start."""
@@ -78,11 +80,11 @@ class Unknown:
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and largest amount."""
-        low = -_WIDEST if self.positive and self.low <= 0.0 else max(-_WIDEST, self._limited(self.low, -_WIDEST))
-        return min(low, 0.0), max(min(_WIDEST, self._limited(self.high, _WIDEST)), 0.0)
+        low = -self.reach if self.positive and self.low <= 0.0 else max(-self.reach, self._limited(self.low))
+        return min(low, 0.0), max(min(self.reach, self._limited(self.high)), 0.0)
 
-    def _limited(self, value: float, otherwise: float) -> float:
-        return self.amount(value) if math.isfinite(value) else otherwise
+    def _limited(self, value: float) -> float:
+        return self.amount(value) if math.isfinite(value) else math.copysign(self.reach, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +152,7 @@ def _reason(item: Unknown, amount: float, std: float, at_bound: bool) -> str:
         return "stays near its prior" if abs(amount) <= 1.0 else "moved, but uncertain"
     if not item.positive and item.start and _NORMAL * std * item.std >= abs(item.value(amount)):
         return "uncertain by more than its value"
-    return "contradicts its prior" if abs(amount) > _FAR else ""
+    return "contradicts its prior" if abs(amount) > FAR else ""
 
 
 def scale_of(errors: Mapping[str, Floats], least: Mapping[str, float]) -> dict[str, float]:

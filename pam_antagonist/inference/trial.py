@@ -12,6 +12,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model.integration import substeps_of
 from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.recording import Recording
+from pam_antagonist.recording.rows import between, slow
 from pam_antagonist.rig import Rig
 from pam_antagonist.shown import unlike
 
@@ -170,10 +171,11 @@ def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, na
     step = step[keep]
     samples = int(step[-1]) + 1
     measured = np.full((samples, len(CHANNELS)), np.nan)
-    for channel, values in ((ANGLE, recording.angle), (TORQUE, recording.torque)):
+    again, time = slow(recording), recording.time_s
+    for channel, sensor, values in ((ANGLE, "angle", recording.angle), (TORQUE, "torque", recording.torque)):
         if values is not None:
-            measured[step, channel] = values[keep]
-    measured[step, PRESSURE_1:] = recording.pressure[keep]
+            measured[step, channel] = between(time, values, again.get(sensor))[keep]
+    measured[step, PRESSURE_1:] = between(time, recording.pressure, again.get("pressures"))[keep]
     voltage = np.full((samples, 2), np.nan)
     voltage[step] = recording.voltage[keep]
     external = None

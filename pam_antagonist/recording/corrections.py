@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, unwrapped
 from pam_antagonist.recording.recording import Recording
+from pam_antagonist.recording.rows import slow
 from pam_antagonist.recording.stamps import LARGEST_DELAY
 from pam_antagonist.recording.units import UNITS, canonical
 
@@ -104,14 +105,20 @@ class Corrections:
             late = recording.stamp_ns - round(self.delay_voltage * 1e9)
             source = np.searchsorted(recording.stamp_ns, late, side="left")
             voltage = voltage[np.clip(source, 0, len(recording) - 1)]
-        if self.delay_pressure:
-            held = (_later(recording, column, self.delay_pressure, hold=True) for column in pressure.T)
+        angle, torque, time = recording.angle, recording.torque, recording.time_s
+        again = slow(recording) if self.delay_pressure or self.delay_angle or self.delay_torque else {}
+        if self.delay_pressure and "pressures" in again:
+            # A reading that is shown too early is shown later, in whole rows: the filter uses it once.
+            late = recording.stamp_ns - round(self.delay_pressure * 1e9)
+            source = np.searchsorted(recording.stamp_ns, late, side="right") - 1
+            pressure = pressure[np.clip(source, 0, len(recording) - 1)]
+        elif self.delay_pressure:
+            held = (_later(time, column, self.delay_pressure, hold=True) for column in pressure.T)
             pressure = np.column_stack(list(held))
-        angle, torque = recording.angle, recording.torque
         if self.delay_angle and angle is not None:
-            angle = _later(recording, angle, self.delay_angle)
+            angle = _later(time, angle, self.delay_angle, again.get("angle"))
         if self.delay_torque and torque is not None:
-            torque = _later(recording, torque, self.delay_torque)
+            torque = _later(time, torque, self.delay_torque, again.get("torque"))
         return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
 
     def applied(self, recording: Recording) -> Recording:
@@ -186,17 +193,21 @@ _BOUNDS = {
 }
 
 
-def _later(recording: Recording, values: Floats, delay: float, hold: bool = False) -> Floats:
+def _later(
+    time: Floats, values: Floats, delay: float, again: NDArray[np.bool_] | None = None, hold: bool = False
+) -> Floats:
     """Values (N,) that are delayed by linear interpolation.
 
     Args:
+        time: of the values (N,) [s].
         values: to be delayed (N,).
         delay: [s].
+        again: rows that only repeat the last reading of a slow sensor (N,); None: none do.
         hold: whether the first and the last value are used outside the recording; else NaN.
     """
-    time = recording.time_s
     ends = {} if hold else {"left": np.nan, "right": np.nan}
-    return np.interp(time - delay, time, values, **ends)
+    known = slice(None) if again is None else ~again
+    return np.interp(time - delay, time[known], values[known], **ends)
 
 
 def _option(name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,9 @@ _ROUNDING = 1e-9
 """[rad] Largest change by rounding of the estimated angle of a locked joint."""
 _GIVES_WAY = math.radians(2.0)
 """[rad] A lock may give way by this much; a free joint under changing pressures moves further."""
+_BEFORE_STOP, _BEYOND_STOP = math.radians(1.0), math.radians(6.0)
+"""[rad] A joint that stands so little before its stop, or so little beyond it, rests there. An encoder's zero that was
+set by eye may be off by so much."""
 _DECIMALS = 1
 """Decimals in degrees of a measured lock angle; further digits are encoder noise."""
 
@@ -30,7 +34,8 @@ class JointCondition:
     Attributes:
         condition: ``free`` or ``locked``.
         lock_angle: angle of a locked joint [rad].
-        source: origin of the condition: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
+        source: origin of the condition: ``command line``, ``measured angle``, ``recorded estimate``, ``stop`` (a joint
+            that rests there) or ``nothing``.
     """
 
     condition: str
@@ -38,15 +43,18 @@ class JointCondition:
     source: str
 
 
-def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float | None = None) -> JointCondition:
+def joint_condition(
+    recording: Recording, joint: str = "auto", lock_angle: float | None = None, stop: float | None = None
+) -> JointCondition:
     """Whether the joint was free or locked.
 
     The joint is locked if the measured angle stays while the pressures change enough to move a free joint. Without a
     measured angle, or with nearly constant pressures, the setting of the live filter decides if its estimate was
-    recorded. Otherwise the joint is assumed free.
+    recorded. Otherwise the joint is assumed free. A free joint may stay at its stop.
 
     Args:
         joint: ``free`` or ``locked`` where it is known, ``auto`` to detect it.
+        stop: largest angle of the rig to both sides [rad], where it has a stop.
         lock_angle: angle of a locked joint [rad]; default: that of the recorded estimate, else the median of the
             measured angle to 0.1°, else 0.
     """
@@ -55,6 +63,9 @@ def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float
     if lock_angle is not None and joint != "locked":
         raise BadInput(f"a lock angle was given and joint is {joint!r}: expected locked")
     condition, source = (joint, "command line") if joint != "auto" else _detected(recording)
+    if (condition, source) == ("locked", "measured angle") and stop is not None:
+        beyond = abs(float(np.median(_finite(recording.angle)))) - stop
+        condition, source = ("free", "stop") if -_BEFORE_STOP < beyond < _BEYOND_STOP else (condition, source)
     if condition == "free":
         return JointCondition("free", 0.0, source)
     lock_angle = None if lock_angle is None else number("lock_angle", lock_angle)
@@ -64,6 +75,34 @@ def joint_condition(recording: Recording, joint: str = "auto", lock_angle: float
         angle = _finite(recording.angle)
         lock_angle = math.radians(round(math.degrees(float(np.median(angle))), _DECIMALS)) if angle.size else 0.0
     return JointCondition("locked", lock_angle, source)
+
+
+def with_stops(recordings: Sequence[Recording], conditions: Sequence[JointCondition]) -> list[JointCondition]:
+    """The conditions of recordings of one joint, some of which may stand at its stop all the time.
+
+    A stop is an angle that the others never pass, and at which they stay while the pressures change. A recording whose
+    torque was measured is one of a lock.
+    """
+    free = [
+        np.column_stack([one.angle, one.pressure[:, 0] - one.pressure[:, 1]])
+        for one, state in zip(recordings, conditions, strict=True)
+        if state.condition == "free" and one.angle is not None
+    ]
+    angles, differences = np.concatenate([np.zeros((0, 2)), *free]).T
+
+    def rests(recording: Recording, state: JointCondition) -> bool:
+        if state.source != "measured angle" or _finite(recording.torque).size:
+            return False
+        apart = angles - state.lock_angle
+        there, known = np.abs(apart) < _STILL, _finite(apart)
+        if not there.any() or not (known.max() < 2.0 * _STILL or known.min() > -2.0 * _STILL):
+            return False
+        return _range(_finite(differences[there])) >= _MOVING
+
+    return [
+        JointCondition("free", 0.0, "stop") if state.condition == "locked" and rests(recording, state) else state
+        for recording, state in zip(recordings, conditions, strict=True)
+    ]
 
 
 def refuse_other_condition(recording: Recording, condition: str, name: str) -> None:

@@ -304,8 +304,8 @@ class Recording(Shown):
             return self
         raise BadInput(
             f"{self.path}: holds {len(self.episode_ns)} episodes; expected a recording in one piece. Episodes are "
-            "taken by replay and check, and with a rig of pressure regulators (drive: regulator) by identify and "
-            "close_loop"
+            "taken by replay, check and identify, and with a rig of new_rig or one of pressure regulators (drive: "
+            "regulator) by close_loop"
         )
 
     @property

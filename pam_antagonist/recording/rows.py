@@ -5,8 +5,8 @@ the angle moves in one row about as far as in the rows around it. A row with a m
 stays, is a reset. Nor can the pressure of a muscle jump within a few milliseconds.
 
 Where a sensor is slower than the log, the log repeats a reading until the next one comes. A repeated reading is no
-measurement. It is told from a coarse converter by both pressures: a board reads them together, so they repeat together
-and change together.
+measurement (:mod:`pam_antagonist.estimation.readings` tells it from a coarse converter). A fit takes straight lines
+between the readings.
 """
 
 from __future__ import annotations
@@ -72,15 +72,24 @@ def resets(recording: Recording) -> Resets | None:
     joined = apart <= _GAP * period
     if recording.episode_ns is not None:
         joined[np.searchsorted(recording.stamp_ns, recording.episode_ns[1:]) - 1] = False
-    signals = [("the measured angle", recording.angle, _LEAST_ANGLE, _LONGEST_ANGLE_ROW)]
+    signals = [("the measured angle", recording.angle, recording.angle, _LEAST_ANGLE, _LONGEST_ANGLE_ROW)]
     measured = [k for k in (0, 1) if k not in recording.logged_commands]
     signals += [
-        (f"pressure_{k + 1}", recording.pressure[:, k], _LEAST_PRESSURE, _LONGEST_PRESSURE_ROW) for k in measured
+        (f"pressure_{k + 1}", recording.pressure, recording.pressure[:, k], _LEAST_PRESSURE, _LONGEST_PRESSURE_ROW)
+        for k in measured
     ]
-    for name, values, least, longest in signals:
-        if values is None or period > longest:
+    for name, sensor, values, least, longest in signals:
+        if sensor is None or values is None or period > longest:
             continue
         rows = _jumps(values, joined, least)
+        if len(rows) and (again := _repeated(sensor, recording.stamp_ns)).any():
+            # From one reading of a slow sensor to the next the joint moves on.
+            rows = np.zeros(0, dtype=np.intp)
+            own = np.flatnonzero(~again)
+            steps = np.diff(recording.stamp_ns[own]) * 1e-9
+            if float(np.median(steps)) <= longest:
+                whole = np.logical_and.reduceat(joined, own[:-1])
+                rows = own[_jumps(values[own], whole & (steps <= _GAP * np.median(steps)), least)]
         if len(rows):
             since = (recording.stamp_ns[rows] - recording.stamp_ns[0]) * 1e-9
             return Resets(name, tuple(rows.tolist()), tuple(since.tolist()))
@@ -111,42 +120,82 @@ def _jumps(values: Floats, joined: NDArray[np.bool_], least: float) -> NDArray[n
     return np.asarray(candidates[beyond > np.maximum(least, _FURTHER * (high - low))] + 1)
 
 
-_MOST_REPEATS = 3
-"""A slow sensor repeats a reading in at most so many rows; in longer repeats the pressure itself is at rest."""
-_SHARE = 0.15
-"""Share of repeated rows from which on a sensor is called slower than the log."""
-_TOGETHER = 0.6
-"""Share of the changes in which both pressures change; of two independent converters it is smaller."""
 _FEWEST_READINGS = 64
 """Fewer tell no period."""
 _MOST_LOST = 1.15
 """Times as many readings as are seen, since equal ones are not seen as new."""
 _STEADY = 1.1
 """Largest range of the readings' ages, in rows of the log: 1 but for the jitter of its stamps."""
-_FASTEST_S = 2e-3
-"""[s] In logs with shorter periods a repeated value is mostly a pressure at rest, on a converter's step."""
+_FEW_REPEATS = 0.1
+"""A sensor that repeats fewer of its readings is as quick as the log."""
+
+SLOW = ("pressures", "angle", "torque")
+"""Sensors that may be slower than the log. One board reads both pressures."""
 
 
-def repeated(pressure: NDArray[np.float64], period_s: float) -> NDArray[np.bool_]:
-    """Which rows repeat the last reading of a slow sensor (N,); none where the sensor is as quick as the log.
+def slow(recording: Recording) -> dict[str, NDArray[np.bool_]]:
+    """Rows that repeat the last reading (N,), of each sensor that is slower than the log, by its name in ``SLOW``."""
+    columns = zip(SLOW, (recording.pressure, recording.angle, recording.torque), strict=True)
+    found = {name: _repeated(values, recording.stamp_ns) for name, values in columns if values is not None}
+    return {name: again for name, again in found.items() if again.any()}
+
+
+def own_readings(recording: Recording) -> tuple[Floats, Floats | None, Floats | None]:
+    """Pressures (N, 2), angle (N,) and torque (N,) to judge by: NaN where a slow sensor's last reading is repeated."""
+    again = slow(recording)
+
+    def of(name: str, values: Floats | None) -> Floats | None:
+        if values is None or name not in again:
+            return values
+        return np.where(again[name] if values.ndim == 1 else again[name][:, None], np.nan, values)
+
+    pressure = of("pressures", recording.pressure)
+    assert pressure is not None
+    return pressure, of("angle", recording.angle), of("torque", recording.torque)
+
+
+def said(name: str, again: NDArray[np.bool_]) -> str:
+    """What a user should know of a slow sensor.
 
     Args:
-        pressure: both pressures (N, 2) [Pa].
-        period_s: of the rows [s].
+        name: of the sensor, of ``SLOW``.
+        again: rows that repeat its last reading (N,).
     """
-    none = np.zeros(len(pressure), dtype=bool)
-    if len(pressure) < 3 or period_s < _FASTEST_S:
-        return none
-    changed = np.diff(pressure, axis=0) != 0.0
-    any_changed = changed.any(axis=1)
-    if not any_changed.any() or changed[any_changed].all(axis=1).mean() < _TOGETHER:
-        return none
-    fresh = np.concatenate([[True], any_changed])
-    since = np.arange(len(fresh)) - np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
-    out = np.asarray((since > 0) & (since <= _MOST_REPEATS))
-    # Long rests do not count: there the pressure is as it was.
-    counted = since <= _MOST_REPEATS
-    return out if out.sum() >= _SHARE * counted.sum() else none
+    subject, verb = ("both pressures", "repeat") if name == "pressures" else (f"the measured {name}", "repeats")
+    return (
+        f"{subject} {verb} the last reading in {100 * again.mean():.0f} % of the rows: the sensor is slower than the "
+        "log, and a repeated reading is not used again"
+    )
+
+
+def _repeated(values: Floats, stamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    columns = values if values.ndim == 2 else values[:, None]
+    if (np.diff(columns, axis=0) == 0.0).all(axis=1).sum() <= _FEW_REPEATS * len(columns):
+        return np.zeros(len(columns), dtype=bool)
+    from ..estimation.readings import repeated  # takes a second, which most recordings do not need
+
+    return repeated(columns, stamp_ns)
+
+
+def between(time: Floats, values: Floats, again: NDArray[np.bool_] | None) -> Floats:
+    """Values of a slow sensor (N,) or (N, C), linear between its own readings; as they are for none.
+
+    Args:
+        time: of the rows (N,) [s].
+        again: rows that repeat the last reading (N,); None: none do.
+    """
+    if again is None or not again.any():
+        return values
+    columns = values if values.ndim == 2 else values[:, None]
+    fresh = np.concatenate([[True], (np.diff(columns, axis=0) != 0.0).any(axis=1)])
+    taken = time.copy()
+    taken[fresh] = reading_times(time[fresh], float(np.median(np.diff(time))))
+    known = ~again & np.isfinite(columns).all(axis=1)
+    known[-1] |= bool(np.isfinite(columns[-1]).all())
+    if known.sum() < 2:
+        return values
+    lines = np.column_stack([np.interp(time, taken[known], column[known]) for column in columns.T])
+    return np.asarray(np.where(np.isfinite(columns), lines, np.nan).reshape(values.shape))
 
 
 def reading_times(time: NDArray[np.float64], period_s: float) -> NDArray[np.float64]:

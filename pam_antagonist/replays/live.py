@@ -21,7 +21,6 @@ from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator
 from pam_antagonist.estimation.checkpoint import Checkpoint
 from pam_antagonist.estimation.memory import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, NO_ANGLE
 from pam_antagonist.recording import RecordedEstimate, Recording
-from pam_antagonist.recording.rows import repeated
 
 ENDED = "the recording ended while the live filter ran"
 """Reason why the last live estimates are not compared."""
@@ -50,8 +49,7 @@ def as_live(recording: Recording, impossible: NDArray[np.bool_]) -> LiveInput:
 
     The recorder may have got a message that the estimator got too late, or not at all. Values that the live filter
     flagged as missing are left out of the replay, too, except those that no filter uses. So are samples without an
-    estimate between the first and the last recorded estimate. Without a live filter, readings that a slow sensor's log
-    repeats are left out.
+    estimate between the first and the last recorded estimate.
 
     Args:
         impossible: which pressures and voltages the filter itself takes for missing (N, 4).
@@ -61,7 +59,6 @@ def as_live(recording: Recording, impossible: NDArray[np.bool_]) -> LiveInput:
     angle = np.full(len(had), np.nan) if recording.angle_sensor is None else recording.angle_sensor.copy()
     live = recording.estimate
     if live is None or len(live.stamp_ns) == 0:
-        pressure[repeated(recording.pressure, recording.sample_period_s)] = np.nan
         return LiveInput(pressure, voltage, angle, had, ~had)
     _, at, at_live = np.intersect1d(recording.stamp_ns, live.stamp_ns, return_indices=True)
     between = (recording.stamp_ns > live.stamp_ns[0]) & (recording.stamp_ns < live.stamp_ns[-1])

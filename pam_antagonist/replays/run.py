@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput, number
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics, possible, simulate_model
+from pam_antagonist.estimation.checkpoint import read_angle
 from pam_antagonist.estimation.errors import (
     ChannelErrors,
     FilterErrors,
@@ -23,7 +24,7 @@ from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import Issue, sealed_muscles
-from pam_antagonist.recording.rows import repeated
+from pam_antagonist.recording.rows import own_readings, said, slow
 from pam_antagonist.replays.live import (
     Apart,
     LiveComparison,
@@ -92,7 +93,7 @@ def replay(
     recording.driven_by(rig.drive)
     progress = progress or (lambda samples: None)
     begin_ns = None if begin_s is None else _stamp_at(recording, number("begin_s", begin_s))
-    state = joint_condition(recording, joint, lock_angle)
+    state = joint_condition(recording, joint, lock_angle, rig.joint.stop)
     sensor_used = _angle_sensor(recording, angle_sensor)
     estimator = Estimator(rig, tuning, state.condition, state.lock_angle, sensor_used)
     impossible = possible.impossible(estimator.possible, recording.pressure, recording.voltage)
@@ -105,10 +106,9 @@ def replay(
             pressure=np.where(impossible[:, :2], np.nan, recording.pressure),
             voltage=np.where(impossible[:, 2:], np.nan, recording.voltage),
         )
-    if recording.estimate is None and (again := repeated(recording.pressure, recording.sample_period_s)).any():
-        share = f"{100 * again.mean():.0f} % of the rows repeat both pressures"
-        slow = Issue(f"{share}: the sensor is slower than the log, and a repeated reading is not used again")
-        recording = dataclasses.replace(recording, issues=(*recording.issues, slow))
+    told = tuple(Issue(said(name, again)) for name, again in slow(recording).items())
+    if told and told[0] not in recording.issues:
+        recording = dataclasses.replace(recording, issues=(*recording.issues, *told))
     planned = plan(recording, estimator, begin_ns)
     progress(planned.skipped)
     run = _estimate(recording, given, estimator, planned, progress)
@@ -137,7 +137,7 @@ def replay(
 def _angle_sensor(recording: Recording, wanted: str) -> str:
     """Which angle sensor the filter is to use."""
     if wanted == "auto":
-        return "encoder" if any(len(item.angle_sensor) for item in recording.checkpoints) else "none"
+        return "encoder" if any(read_angle(item) for item in recording.checkpoints) else "none"
     if wanted == "encoder" and recording.angle_sensor is None:
         raise BadInput(
             f"{recording.path}: has no topic angle_sensor; record it (parameter angle_sensor: encoder of plant or "
@@ -284,9 +284,8 @@ def _judged(
     """The report of a recording, or of its part from a stamp on; its timings are filled in later."""
     rows, index = run.rows, run.index
     first_ns = int(recording.stamp_ns[0]) if begin_ns is None else int(run.stamp_ns[0])
-    pressure = recording.pressure[index]
-    angle = None if recording.angle is None else recording.angle[index]
-    torque = None if recording.torque is None else recording.torque[index]
+    pressure, angle, torque = (None if values is None else values[index] for values in own_readings(recording))
+    assert pressure is not None
     variance, reading = rows["covariance"], rig.sensors.reading
     nis = metrics.nis_consistency(rows["nis"], rows["innovation"])
     whitened = metrics.normalised_innovation(rows["innovation"], rows["innovation_covariance"])

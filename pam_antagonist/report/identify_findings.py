@@ -189,7 +189,8 @@ def findings(found: IdentifyResult) -> tuple[Finding, ...]:
     if (met := at_bounds(found.parameters)) and not found.rejected:
         out.append(warn(
             f"The search ended at a bound of {_bounds(met)}: the best values lie beyond it, and these may be wrong. "
-            "Held-out data are still predicted much better than with the rig file as given."
+            "Held-out data are still predicted much better than with the rig file as given. To find what the model "
+            "lacks, run close_loop with the same recordings; to keep the value of the rig file, type --freeze NAME."
         ))  # fmt: skip
     for held in found.held:
         out += [*_worse(held), *_against_model(held), *_large(held), *_of_recording(held)]

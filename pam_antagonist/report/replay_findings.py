@@ -245,4 +245,6 @@ def _quality(report: ReplayReport) -> list[Finding]:
         out.append(note(f"The filter met {joined(seen)}."))
     if report.joint.source == "nothing":
         out.append(note("The recording does not say whether the joint could move. It was taken as free."))
+    if report.joint.source == "stop":
+        out.append(note("The joint rests at its stop through the whole recording, so it was taken as free."))
     return out

@@ -23,6 +23,7 @@ from pam_antagonist.identification.regulators import of_commands
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.report.identify import IdentifyResult
 
 EPISODES, ROWS, PERIOD = 40, 80, 0.01
 GAIN, VISCOUS, STIFFNESS = 2e-4, 8.0, 60.0  # [rad/s² by Pa], [1/s], [1/s²]
@@ -161,8 +162,23 @@ def test_parameters_cannot_be_chosen_for_episodes_and_one_recording_is_enough() 
 
 
 def test_where_episodes_are_not_taken_that_is_said() -> None:
-    parts = [simulate("shin2022", duration=0.2, seed=k) for k in (1, 2)]
-    valves = replace(parts[0], episode_ns=np.array([parts[0].stamp_ns[0], parts[0].stamp_ns[100]]))
-    for door in (identify, diagnose):
-        with pytest.raises(BadInput, match="holds 2 episodes; expected a recording in one piece"):
-            door(valves, "shin2022")
+    part = simulate("shin2022", duration=0.2, seed=1)
+    valves = replace(part, episode_ns=np.array([part.stamp_ns[0], part.stamp_ns[100]]))
+    with pytest.raises(BadInput, match="holds 2 episodes; expected a recording in one piece"):
+        diagnose(valves, "shin2022")
+
+
+def test_trials_of_a_joint_with_valves_are_identified_whatever_its_force_map() -> None:
+    trials = [simulate("shin2022", duration=5.0, seed=seed, mismatch=0.02) for seed in (1, 1, 1)]
+    later = [k * 7 * 10**9 for k in range(3)]
+    stamps = np.concatenate([one.stamp_ns + late for one, late in zip(trials, later, strict=True)])
+    pressure, voltage = (np.vstack([getattr(one, name) for one in trials]) for name in ("pressure", "voltage"))
+    angle, torque = (np.concatenate([getattr(one, name) for one in trials]) for name in ("angle", "torque"))
+    whole = Recording(
+        Path("trials"), stamps, pressure, voltage, angle=angle, torque=torque,
+        episode_ns=trials[0].stamp_ns[0] + np.array(later),
+    )  # fmt: skip
+    found = identify(whole, "shin2022")
+    assert isinstance(found, IdentifyResult)
+    assert found.found.pooled("identified") < found.found.pooled("as_configured")
+    assert not found.found.rejected, found.found.rejected

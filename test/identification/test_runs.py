@@ -39,7 +39,7 @@ def test_a_recording_of_any_rate_is_one_run_of_at_most_250_rows_a_second(rate: f
     assert 1.0 / run.period == pytest.approx(min(rate, 250.0), rel=0.02)
     assert np.abs(run.velocity[5:-5] - 0.8 * np.cos(2.0 * run.time[5:-5])).max() < 0.02
     assert np.abs(run.angle - 0.4 * np.sin(2.0 * run.time)).max() < 1e-3
-    assert not run.held and not run.locked
+    assert not run.slow and not run.locked
 
 
 def test_holes_missing_pressures_and_episodes_divide() -> None:
@@ -86,7 +86,7 @@ def test_readings_of_a_slow_sensor_are_joined_by_lines_and_named() -> None:
     pressure = recording.pressure.copy()
     pressure[1::2] = pressure[::2]
     (run,) = runs(replace(recording, pressure=pressure))
-    assert run.held
+    assert run.slow == ("pressures",)
     assert np.allclose(run.pressure[1:-1:2], 0.5 * (run.pressure[:-2:2] + run.pressure[2::2]), atol=200.0)
     assert "the sensor is slower than the log" in said([run])[0]
     assert said(runs(recording)) == ()

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from other_rigs import described, drawn, recorded
+from other_rigs import ZERO_ERROR, described, drawn, recorded
 
 from pam_antagonist.control.model_law import voltage_towards
 from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.identification.air_stage import SUPPLY
 from pam_antagonist.identification.joint_stage import ZERO
 from pam_antagonist.identification.parts import with_joint
 from pam_antagonist.identification.runs import runs_of
@@ -153,3 +154,17 @@ def test_a_fit_of_valves_stays_inside_the_bounds_of_the_rig_file() -> None:
             low, high = (item.value(amount) for amount in item.bounds)
             assert RIG.bounds[item.name][0] - 1e-12 <= low < high <= RIG.bounds[item.name][1] + 1e-12
     assert any(item.name in RIG.bounds for item in air_stage.unknowns(RIG))
+
+
+def test_a_supply_far_below_its_gauge_is_found() -> None:
+    lower = 0.85 * TRUE.supply.pressure
+    runs = runs_of(recorded(TRUE.with_value(SUPPLY, lower), 5.0, 1), JointCondition("free", 0.0, "nothing"), "trial")
+    exact = [replace(run, angle=run.angle - ZERO_ERROR) for run in runs]
+    free = [item for item in air_stage.unknowns(TRUE, runs) if item.name == SUPPLY]
+    found = air_stage.fit_air(TRUE, exact, 0.0, free=free)
+    assert found is not None and not found.at_bounds
+    assert found.values[SUPPLY] == pytest.approx(lower, rel=0.02)
+    # No supply has filled a muscle beyond its own pressure.
+    full = replace(exact[0], pressure=exact[0].pressure + 0.9 * TRUE.supply.pressure - exact[0].pressure.max())
+    (item,) = (item for item in air_stage.unknowns(TRUE, [full]) if item.name == SUPPLY)
+    assert item.value(item.bounds[0]) == pytest.approx(0.9 * TRUE.supply.pressure)

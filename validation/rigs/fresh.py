@@ -131,7 +131,7 @@ def _free_run() -> Run:
     """A free run without a measured angle."""
     nothing = np.full(3, np.nan)
     pair = np.full((3, 2), np.nan)
-    return Run("", np.arange(3.0), pair, pair, nothing, nothing, np.zeros(3), False, False)
+    return Run("", np.arange(3.0), pair, pair, nothing, nothing, np.zeros(3), False, ())
 
 
 def targets(rng: np.random.Generator, times: Floats, low: float, high: float) -> Floats:
