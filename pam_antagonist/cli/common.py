@@ -36,15 +36,16 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 class Parser(argparse.ArgumentParser):
     """An argument parser whose complaints are one line, like those about any other input."""
 
-    def __init__(self, name: str, description: str, epilog: str = "") -> None:
-        """Make a parser; in the examples, ``{run}`` stands for the words that start a command where this runs."""
+    def __init__(self, name: str, about: str | None, epilog: str = "") -> None:
+        """Make a parser from a command's docstring: what it does, then ``examples:``, which may stand apart as well.
+
+        In the examples ``{run}`` stands for the words that start a command where this runs.
+        """
+        description, begin, examples = (about or "").partition("\nexamples:\n")
         super().__init__(
-            prog=typed(name),
-            description=description,
-            epilog=epilog.replace("{run}", program()),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-        )
+            prog=typed(name), description=description, epilog=(begin + examples + epilog).replace("{run}", program()),
+            formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+        )  # fmt: skip
 
     def option(
         self,
@@ -89,6 +90,11 @@ def run(
             return command(arguments)
 
     return ended(work)
+
+
+def command(parser: Callable[[], Parser], work: Callable[[argparse.Namespace], int]) -> Callable[..., int]:
+    """``main`` of a command: takes the words after its name, by default those of the process; gives the exit status."""
+    return lambda argv=None: run(parser, work, argv)
 
 
 def ended(work: Callable[[], int]) -> int:

@@ -1,4 +1,27 @@
-"""``excite``: drive a joint so that its recording tells most, within limits."""
+"""Design an experiment that determines the parameters of a rig well, drive the joint with it and record it.
+
+The voltages are designed beforehand with the rig's model. Of many candidates, the command takes the one with the
+largest determinant of the parameters' information (D-optimal), for all parameters that identify fits. The joint stays
+within the limits with a margin of three standard deviations, by the uncertainties that the rig file declares.
+
+With --tell-apart the experiment distinguishes the effect that close_loop found from the effects that explain the data
+as well. It is as short as possible, --duration at most. The command prints the probability that the experiment
+decides. If that is below a half, the command prints what else would decide.
+
+--source says what owns the valves: plant starts a simulated joint, bridge starts a bridge to hardware, and none starts
+nothing, since such a node runs already. No controller may run at the same time: only one node may command the valves.
+Ctrl-C ends the experiment at any time: the valves then get their safe voltages. If a measured pressure or angle is
+beyond a limit, the experiment ends by itself, with the joint at rest.
+
+DIR holds voltages.csv (what is planned, for simulate --profile as well), plan.json and the bag.
+Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed.
+
+examples:
+  {run} excite --rig shin2022 --out excited --plan-only
+  {run} excite --rig my_rig.yaml --out free --source bridge --port /dev/ttyACM0 --max-angle 15
+  {run} excite --rig my_rig.yaml --out locked --source bridge --port /dev/ttyACM0 --joint locked
+  {run} excite --rig my_rig.yaml --out apart --tell-apart found --plan-only
+"""
 
 from __future__ import annotations
 
@@ -29,37 +52,10 @@ if TYPE_CHECKING:
     from pam_antagonist.design import Limits, Plan
     from pam_antagonist.rig import Rig
 
-_DESCRIPTION = """\
-Design an experiment that determines the parameters of a rig well, drive the joint with it and record it.
-
-The voltages are designed beforehand with the rig's model. Of many candidates, the command takes the one with the
-largest determinant of the parameters' information (D-optimal), for all parameters that identify fits. The joint stays
-within the limits with a margin of three standard deviations, by the uncertainties that the rig file declares.
-
-With --tell-apart the experiment distinguishes the effect that close_loop found from the effects that explain the data
-as well. It is as short as possible, --duration at most. The command prints the probability that the experiment
-decides. If that is below a half, the command prints what else would decide.
-
---source says what owns the valves: plant starts a simulated joint, bridge starts a bridge to hardware, and none starts
-nothing, since such a node runs already. No controller may run at the same time: only one node may command the valves.
-Ctrl-C ends the experiment at any time: the valves then get their safe voltages. If a measured pressure or angle is
-beyond a limit, the experiment ends by itself, with the joint at rest.
-
-DIR holds voltages.csv (what is planned, for simulate --profile as well), plan.json and the bag.
-Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed.
-"""
-_EXAMPLES = """\
-examples:
-  {run} excite --rig shin2022 --out excited --plan-only
-  {run} excite --rig my_rig.yaml --out free --source bridge --port /dev/ttyACM0 --max-angle 15
-  {run} excite --rig my_rig.yaml --out locked --source bridge --port /dev/ttyACM0 --joint locked
-  {run} excite --rig my_rig.yaml --out apart --tell-apart found --plan-only
-"""
-
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("excite", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("excite", __doc__)
     common.add_rig(out)
     common.add_out(out, "folder of plan and bag; a new one")
     length = "length of the experiment [s]; with --tell-apart, the longest one (default: 60)"
@@ -75,11 +71,6 @@ def parser() -> common.Parser:
     out.flag("--plan-only", "design and write the plan, drive nothing")
     add_source(out)
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -207,3 +198,6 @@ def _summary(document: dict[str, Any]) -> str:
         f"planned: {document['duration_s']:g} s, joint {document['joint']}, {low:.0f} to {high:.0f} kPa, "
         f"up to {angle} deg and {limits['rate_rad_s']:g} rad/s\n{table}"
     )
+
+
+main = common.command(parser, _main)

@@ -1,4 +1,12 @@
-"""``reachable``: which angles and torques a joint can have together with which stiffness."""
+"""Compute which angles at rest and which torques a joint can reach, and which stiffness it can have there.
+
+The rig's model is evaluated at the declared supply pressure, within the bounds below. The controller has parameters of
+the same names. With --out, a page with figures is written as well.
+
+examples:
+  {run} reachable --rig shin2022
+  {run} reachable --rig my_rig.yaml --lowest-pressure 150e3 --out reach
+"""
 
 from __future__ import annotations
 
@@ -11,22 +19,10 @@ from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
 from pam_antagonist.report.reachable import ReachableResult
 from pam_antagonist.rig import load_rig
 
-_DESCRIPTION = """\
-Compute which angles at rest and which torques a joint can reach, and which stiffness it can have there.
-
-The rig's model is evaluated at the declared supply pressure, within the bounds below. The controller has parameters of
-the same names. With --out, a page with figures is written as well.
-"""
-_EXAMPLES = """\
-examples:
-  {run} reachable --rig shin2022
-  {run} reachable --rig my_rig.yaml --lowest-pressure 150e3 --out reach
-"""
-
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("reachable", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("reachable", __doc__)
     common.add_rig(out)
     out.option("--out", "folder of report.html and report.json; a new one", Path, metavar="DIR")
     lowest = "least pressure of a muscle, absolute [Pa] (default: a sixth of the supply's gauge pressure)"
@@ -50,11 +46,6 @@ def _number(text: str) -> float:
     return value
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
-
-
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         common.check_output(arguments.out)
@@ -68,3 +59,6 @@ def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         common.announce_report(arguments, arguments.out)
     return common.DONE
+
+
+main = common.command(parser, _main)

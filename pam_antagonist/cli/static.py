@@ -1,4 +1,19 @@
-"""``static``: volume and force map of a muscle from CSV tables, with error bars, as a rig file."""
+"""Fit a muscle's volume and force map to static measurements.
+
+The table of --volume holds length and volume, that of --force-map length, pressure and force. Units stand in the
+columns' names (length_mm, volume_cm3, pressure_kPa_gauge, force_N) or are given with --column; a pressure is gauge or
+absolute.
+A column force_std_N or volume_std_cm3 is the standard deviation of each value. A force of 0 means a slack muscle.
+
+Writes DIR/rig.yaml (the given rig with the fitted coefficients, their standard deviations as priors for identify),
+DIR/report.html and DIR/report.json. Status: 0 done, 2 bad input (one line says what and where).
+
+examples:
+  {run} static --volume cylinder.csv --force-map map.csv --rig my_rig.yaml --out result
+  {run} static --force-map left.csv --muscle 1 --form sarosi --rig my_rig.yaml --out result
+  {run} static --force-map map.csv --column length=L:mm --column pressure=p:bar:gauge --rig my_rig.yaml --out result
+  {run} static --force-map one_muscle.csv --out result --report-only
+"""
 
 from __future__ import annotations
 
@@ -12,29 +27,10 @@ from pam_antagonist.identification.static_table import QUANTITIES, Choice
 from pam_antagonist.model import parameters as par
 from pam_antagonist.program import typed
 
-_DESCRIPTION = """\
-Fit a muscle's volume and force map to static measurements.
-
-The table of --volume holds length and volume, that of --force-map length, pressure and force. Units stand in the
-columns' names (length_mm, volume_cm3, pressure_kPa_gauge, force_N) or are given with --column; a pressure is gauge or
-absolute.
-A column force_std_N or volume_std_cm3 is the standard deviation of each value. A force of 0 means a slack muscle.
-
-Writes DIR/rig.yaml (the given rig with the fitted coefficients, their standard deviations as priors for identify),
-DIR/report.html and DIR/report.json. Status: 0 done, 2 bad input (one line says what and where).
-"""
-_EXAMPLES = """\
-examples:
-  {run} static --volume cylinder.csv --force-map map.csv --rig my_rig.yaml --out result
-  {run} static --force-map left.csv --muscle 1 --form sarosi --rig my_rig.yaml --out result
-  {run} static --force-map map.csv --column length=L:mm --column pressure=p:bar:gauge --rig my_rig.yaml --out result
-  {run} static --force-map one_muscle.csv --out result --report-only
-"""
-
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("static", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("static", __doc__)
     out.option("--volume", "CSV of length and volume", Path, metavar="FILE")
     out.option("--force-map", "CSV of length, pressure and force", Path, metavar="FILE")
     muscle = "muscle that gets the fitted coefficients (default: both get the same)"
@@ -86,11 +82,6 @@ def _newton(text: str) -> float:
     return value
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _run, argv)
-
-
 def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
@@ -139,3 +130,6 @@ def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
             )
         chosen[quantity] = choice
     return chosen
+
+
+main = common.command(parser, _run)
