@@ -21,8 +21,7 @@ _Result = TypeVar("_Result")
 def one_blas_thread(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """Decorator: BLAS has one thread while the function runs; afterwards the former number is restored.
 
-    Args:
-        function: a whole calculation; numpy and scipy must be imported before it is called.
+    `function`: a whole calculation; numpy and scipy must be imported before it is called.
     """
 
     @functools.wraps(function)

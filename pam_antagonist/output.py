@@ -15,8 +15,7 @@ from pam_antagonist.errors import BadInput
 def check_output(path: Path, overwrite: bool = False) -> Path:
     """Refuse an output path that exists, before any work is done.
 
-    Args:
-        overwrite: whether it may be the folder of an earlier result, which has a ``report.json``.
+    `overwrite`: whether it may be the folder of an earlier result, which has a ``report.json``.
     """
     earlier = overwrite and (path / "report.json").is_file() and not path.is_symlink()
     if not earlier and (path.exists() or path.is_symlink()):
@@ -33,8 +32,7 @@ def check_output(path: Path, overwrite: bool = False) -> Path:
 def output_folder(path: Path, make: bool = True, overwrite: bool = False) -> Iterator[Path]:
     """A new folder that appears only after everything in it is written without an error.
 
-    Args:
-        path: of a new folder, see :func:`check_output`.
+    `path`: of a new folder, see :func:`check_output`.
     """
     check_output(path, overwrite)
     target = path.resolve()

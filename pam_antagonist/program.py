@@ -27,8 +27,7 @@ def program() -> str:
 def piped(work: Callable[[], int]) -> int:
     """Do some work and flush what it printed; a reader of the output that has gone (``| head``) is no error.
 
-    Returns:
-        That status; 0 where the reader had gone.
+    Returns that status; 0 where the reader had gone.
     """
     try:
         status = work()
@@ -45,9 +44,5 @@ def piped(work: Callable[[], int]) -> int:
 
 
 def typed(command: str) -> str:
-    """A command as the user would type it.
-
-    Args:
-        command: name and arguments, such as ``replay --help``.
-    """
+    """A command as the user would type it. `command`: name and arguments, such as ``replay --help``."""
     return f"{program()} {command}"

@@ -71,7 +71,6 @@ class Parser(argparse.ArgumentParser):
 
     @override
     def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
         raise BadInput(f"{message} (see {self.prog} --help)")
 
 
@@ -80,8 +79,7 @@ def run(
 ) -> int:
     """Read a command's arguments, do its work, and give what ``--json`` of :func:`add_json` asks for.
 
-    Args:
-        argv: arguments without the program's name; default: those of the process.
+    `argv`: arguments without the program's name; default: those of the process.
     """
 
     def work() -> int:
@@ -302,8 +300,7 @@ def give_json(where: str, text: str) -> None:
 def show(text: str, content: object, where: str | None) -> None:
     """Print the result of a command, and give it as JSON where ``--json`` says.
 
-    Args:
-        text: for people, may be empty; it goes to standard error where JSON goes to standard output.
+    `text`: for people, may be empty; it goes to standard error where JSON goes to standard output.
     """
     if text:
         with json_alone(where):

@@ -20,8 +20,7 @@ _FILES = ("rig", "map")  # options without a type that take a file's name as wel
 def main(argv: Sequence[str] | None, commands: Mapping[str, NamedTuple]) -> int:
     """Print the script; returns the exit status.
 
-    Args:
-        commands: name of each executable -> its ``target`` and ``summary``.
+    `commands`: name of each executable -> its ``target`` and ``summary``.
     """
 
     def work() -> int:
@@ -38,11 +37,7 @@ def main(argv: Sequence[str] | None, commands: Mapping[str, NamedTuple]) -> int:
 
 
 def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
-    """One parser with a subparser for each executable.
-
-    Args:
-        commands: as of :func:`main`.
-    """
+    """One parser with a subparser for each executable."""
     with needs("completion", "--completion"):
         import shtab
     root = argparse.ArgumentParser(prog="pam")

@@ -129,11 +129,7 @@ def _between(
 
 
 def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
-    """What a diagnosis left undecided.
-
-    Args:
-        folder: of ``close_loop``.
-    """
+    """What is undecided in a folder of ``close_loop``."""
     from pam_antagonist.model.effects import CATALOGUE
     from pam_antagonist.rig import load_rig
 

@@ -64,8 +64,7 @@ def compile_first(parts: Sequence[str], rig: Rig) -> None:
 
     Those of a plain rig are fewer. What others need is compiled when a rig has effects.
 
-    Args:
-        parts: ``REPLAY`` or ``FITS``.
+    `parts` are ``REPLAY`` or ``FITS``.
     """
     if not (_missing(kernels.process_all) and _missing(integration.simulate)):
         return

@@ -8,11 +8,7 @@ from collections.abc import Callable
 
 
 def real(low: float, high: float, what: str = "a number") -> Callable[[str], float]:
-    """Type of an argument that is a number between two bounds.
-
-    Args:
-        what: it is, for the message: ``a share``.
-    """
+    """Type of an argument that is a number between two bounds. `what` it is, for the message: ``a share``."""
 
     def convert(text: str) -> float:
         try:

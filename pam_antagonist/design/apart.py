@@ -89,11 +89,7 @@ class Verdict:
 
 
 def chance(distance: float) -> float:
-    """Probability that the evidence is strong.
-
-    Args:
-        distance: d², as ``close_loop`` counts it.
-    """
+    """Probability that the evidence is strong. `distance`: d², as ``close_loop`` counts it."""
     return float(norm.cdf((distance - STRONG) / (2.0 * math.sqrt(max(distance, 1e-9)))))
 
 
@@ -105,13 +101,8 @@ def without(rig: Rig, effect: str) -> Rig:
 class Question:
     """Whether one effect can be distinguished from another, updated as an experiment grows.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad], of a locked joint.
-        pressure: of both muscles at the start [Pa].
-        rest: voltages there (2,) [V].
-        channels: what is measured, indices of ``CHANNELS``.
-        step: of the integration [s].
+    `pressure`: of both muscles at the start [Pa]. `rest`: voltages there (2,) [V]. `channels`: what is measured,
+    indices of ``CHANNELS``.
     """
 
     def __init__(
@@ -158,9 +149,7 @@ class Question:
     def stable(self, bounds: tuple[float, float], step: float) -> bool:
         """Whether integration steps of this length are stable over the whole range of the voltages.
 
-        Args:
-            bounds: least and largest voltage [V].
-            step: [s].
+        `bounds`: least and largest voltage [V].
         """
         low, high = bounds
         course = self.course(held(np.array([(high, low), (low, high), (high, high), (low, low)]), 4.0, step))
@@ -253,11 +242,7 @@ def told_apart(
 ) -> Verdict:
     """The experiment that best distinguishes an effect from its rivals, no longer than needed.
 
-    Args:
-        seconds: longest time [s]; :data:`SHORTEST` at least.
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad], of a locked joint.
-        channels: what is measured, indices of ``CHANNELS``.
+    `seconds`: longest time [s]; :data:`SHORTEST` at least. `channels`: what is measured, indices of ``CHANNELS``.
     """
     for name in (effect, *rivals):
         if name not in CATALOGUE:
@@ -329,8 +314,7 @@ def _questions(
 def promised(rig: Rig, effect: str, rivals: Sequence[str], plan: Plan, channels: Sequence[int]) -> float:
     """Chance that a recording of a plan decides.
 
-    Args:
-        channels: what is measured, indices of ``CHANNELS`` or of the further gauges.
+    `channels`: what is measured, indices of ``CHANNELS`` or of the further gauges.
     """
     given = (plan.limits, plan.joint, plan.lock_angle, plan.pressure, np.array(plan.rest))
     questions, step = _questions(rig, effect, rivals, *given, channels)
@@ -347,8 +331,7 @@ def instead_of(
 ) -> tuple[str, ...]:
     """Further sensors, or the other condition of the joint, that would decide; each is tried by a design.
 
-    Args:
-        channels: what is measured, indices of ``CHANNELS``.
+    `channels`: what is measured, indices of ``CHANNELS``.
     """
     plan, out = verdict.plan, []
     missing = [channel for channel in _SENSORS if channel not in channels]
@@ -369,10 +352,6 @@ def instead_of(
 
 
 def no_motion_decides(instead: Sequence[str]) -> str:
-    """That no experiment within the limits decides, and what would.
-
-    Args:
-        instead: of :func:`instead_of`.
-    """
+    """That no experiment within the limits decides, and what would."""
     text = "No motion within the limits distinguishes them"
     return text + (f"; this would: {'; '.join(instead)}" if instead else ", nor does another sensor or a lock")

@@ -67,9 +67,8 @@ _SWING = 0.12
 class Program(ABC):
     """What drives a joint, sample by sample, by what was measured.
 
-    Attributes:
-        confined: whether the angle has to be within its limit by now; a joint without air hangs as it likes.
-        seconds: length at most [s].
+    `confined`: whether the angle has to be within its limit by now; a joint without air hangs as it likes. `seconds`:
+    length at most [s].
     """
 
     confined = False
@@ -78,10 +77,7 @@ class Program(ABC):
     def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         """Commands for the next sample; None at the end.
 
-        Args:
-            time: since the begin [s].
-            pressure: measured (2,) [Pa].
-            angle: measured [rad].
+        `time`: since the begin [s]. `pressure`: measured (2,) [Pa]. `angle`: measured [rad].
         """
         return self._commanded(time, pressure, angle)
 
@@ -91,19 +87,12 @@ class Program(ABC):
 
 @dataclass
 class Pulse:
-    """What :class:`FirstAir` saw of one valve.
+    """What :class:`FirstAir` saw of one valve."""
 
-    Attributes:
-        rise: of both sensors (2,) [Pa].
-        turned: by how much the joint turned [rad].
-        lost: part of the rise that was gone after the hold [-]; NaN where the valve's own pressure did not rise.
-        level: both pressures before (2,) [Pa].
-    """
-
-    rise: Floats
-    turned: float
-    lost: float
-    level: Floats
+    rise: Floats  # of both sensors (2,) [Pa]
+    turned: float  # by how much the joint turned [rad]
+    lost: float  # part of the rise that was gone after the hold [-]; NaN where the valve's own pressure did not rise
+    level: Floats  # both pressures before (2,) [Pa]
 
 
 class FirstAir(Program):
@@ -235,9 +224,7 @@ class Slow(_Confined):
 class Quick(_Confined):
     """Move the joint to random angles under random mean pressures, from move to move a little faster.
 
-    Args:
-        slow: recording of :class:`Slow`, which says which difference holds which angle.
-        seconds: length [s].
+    `slow`: recording of :class:`Slow`, which says which difference holds which angle. `seconds`: length [s].
     """
 
     def __init__(
@@ -321,9 +308,8 @@ class Quick(_Confined):
 def _held_by(slow: Recording, limit: float) -> tuple[Floats, tuple[float, float]]:
     """What a slow recording says of the joint.
 
-    Returns:
-        Half the difference of the pressures that holds an angle [Pa], as coefficients of 1, ψ, mean, ψ mean and ψ², and
-        the range of angles that was reached [rad].
+    Returns half the difference of the pressures that holds an angle [Pa], as coefficients of 1, ψ, mean, ψ mean and ψ²,
+    and the range of angles that was reached [rad].
     """
     assert slow.angle is not None
     known = np.isfinite(slow.angle) & (np.abs(slow.angle) < limit)

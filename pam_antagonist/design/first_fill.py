@@ -58,11 +58,7 @@ class Fault:
 
 
 def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
-    """Plan of the experiment.
-
-    Args:
-        highest: upper limit of the pressures [Pa], absolute, if lower than the usual one.
-    """
+    """Plan of the experiment. `highest`: upper limit of the pressures [Pa], absolute, if lower than the usual one."""
     air, supply = rig.atmosphere.pressure, rig.supply.pressure
     low, high, most = (air + share * (supply - air) for share in (_LOW_SHARE, _HIGH_SHARE, _MOST_SHARE))
     if highest < low + 2.0 * _LEAST_RISE:
@@ -89,10 +85,8 @@ def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
 def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None = None) -> list[Fault]:
     """Faults that a recording of the experiment shows; empty if there are none.
 
-    Args:
-        pressure: measured (N, 2) [Pa], one row a sample period from the start of the experiment.
-        angle: measured (N,) [rad]; None if it was not measured.
-        plan: the experiment; default: that of :func:`first_fill` without a limit.
+    `pressure`: measured (N, 2) [Pa], one row a sample period from the start of the experiment. `angle`: measured (N,)
+    [rad]; None if it was not measured. `plan`: the experiment; default: that of :func:`first_fill` without a limit.
     """
     if found := dead_sensors(pressure):
         return found
@@ -156,8 +150,7 @@ def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
 def dead_sensors(pressure: Floats) -> list[Fault]:
     """Faults of pressure sensors whose values are missing, impossible or constant; empty if there are none.
 
-    Args:
-        pressure: measured (N, 2) [Pa], also of an experiment that ended early.
+    `pressure`: measured (N, 2) [Pa], also of an experiment that ended early.
     """
     return [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
 
@@ -179,8 +172,7 @@ def _dead(i: int, values: Floats) -> list[Fault]:
 def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[Fault]:
     """Faults that the first air of a joint shows whose rig file is a guess; empty if there are none.
 
-    Args:
-        recording: of :class:`~pam_antagonist.design.exploration.FirstAir`.
+    `recording`: of :class:`~pam_antagonist.design.exploration.FirstAir`.
     """
     if found := dead_sensors(recording.pressure):
         return found

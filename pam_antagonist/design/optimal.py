@@ -211,10 +211,7 @@ class Plan:
 def held(pairs: Floats, seconds: float, step: float) -> Floats:
     """Voltages (N, 2) of pairs that follow one another in equal times.
 
-    Args:
-        pairs: (K, 2) [V].
-        seconds: of all of them [s].
-        step: from row to row [s].
+    `pairs`: (K, 2) [V]. `seconds`: of all of them [s]. `step`: from row to row [s].
     """
     count = round(seconds / step)
     return np.asarray(pairs[np.minimum(np.arange(count) * len(pairs) // count, len(pairs) - 1)])
@@ -230,15 +227,9 @@ def best_block(
 ) -> Floats | None:
     """The block with the least merit that a short differential evolution finds.
 
-    Args:
-        merit: takes voltages (N, 2) [V]; :data:`FORBIDDEN` or more where they leave the limits.
-        bounds: least and largest voltage [V].
-        rest: voltages of both valves at rest (2,) [V].
-        seconds: length of the block [s].
-        step: from row to row [s].
-
-    Returns:
-        Voltages (N, 2) [V]; None where every block that was tried leaves the limits.
+    `merit`: takes voltages (N, 2) [V]; :data:`FORBIDDEN` or more where they leave the limits. `bounds`: least and
+    largest voltage [V]. `rest`: voltages of both valves at rest (2,) [V]. `seconds`: length of the block [s]. `step`:
+    from row to row [s]. Returns voltages (N, 2) [V]; None where every block that was tried leaves the limits.
     """
     low, high = bounds
 
@@ -261,14 +252,8 @@ def best_block(
 class Design:
     """The search for an excitation.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad], of a locked joint.
-
-    Attributes:
-        pressure: of both muscles at rest [Pa].
-        rest: voltages of both valves that hold this pressure [V].
-        step: time between two rows of voltages [s].
+    `pressure`: of both muscles at rest [Pa]. `rest`: voltages of both valves that hold this pressure [V]. `step`: time
+    between two rows of voltages [s].
     """
 
     def __init__(
@@ -310,26 +295,12 @@ class Design:
         return float(before - after)
 
     def add(self, seconds: float = BLOCK) -> Floats:
-        """Choose one more block.
-
-        Args:
-            seconds: its length [s].
-
-        Returns:
-            Its voltages (N, 2) [V], a row a step.
-        """
+        """Choose one more block. `seconds`: its length [s]. Returns its voltages (N, 2) [V], a row a step."""
         rows = best_block(self._merit, self._limits.voltage, self._rest, seconds, self.step, self._rng)
         return self.at_rest(seconds) if rows is None else self._taken(rows)
 
     def at_rest(self, seconds: float) -> Floats:
-        """Let the joint rest for a while.
-
-        Args:
-            seconds: how long [s].
-
-        Returns:
-            The voltages (N, 2) [V], a row a step.
-        """
+        """Let the joint rest for a while. `seconds`: how long [s]. Returns the voltages (N, 2) [V], a row a step."""
         return self._taken(held(self._rest[None], seconds, self.step))
 
     def _taken(self, rows: Floats) -> Floats:

@@ -303,33 +303,24 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
         tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
         "Forecasts within the fitted episodes, by which the share was chosen",
     )
-    definitions = (
-        ("Later", "Episodes at the end of the recording, or of another one; no fit and no choice sees them."),
-        ("Interleaved", "Every fifth episode of what comes before; no fit and no choice sees them either."),
-        ("Interval", "A bootstrap of blocks of ten neighbouring episodes."),
-    )
+    recordings = [(f"Recording {k}", value) for k, value in enumerate(hashes, 1)]
     blocks: tuple[Block, ...] = (
         Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
         Text(verdict(found), "verdict"), tiles, Findings(findings(found, joint)), errors_table(found),
         values_table(found, joint.rig), tried_table(found), drift_table(found, joint.rig),
         *((figure(found, joint.rig),) if with_figures else ()), forecasts,
-        *background(definitions, [("Rig", joint.rig.name), *((f"Recording {k}", h) for k, h in enumerate(hashes, 1))]),
+        *background("close_loop of episodes", [("Rig", joint.rig.name), *recordings]),
     )  # fmt: skip
     return Document("What the model of a joint lacks", joint.name, blocks)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EpisodesDiagnoseResult(Result):
-    """Effects that the model of a joint lacks, from episodes.
+    """Effects that the model of a joint lacks, from episodes."""
 
-    Attributes:
-        found: effects, errors on whole held-out episodes, and the drift.
-        hashes: SHA-256 of the recordings, a whole held-out one last.
-    """
-
-    found: EpisodeDiagnosis
+    found: EpisodeDiagnosis  # effects, errors on whole held-out episodes, and the drift
     joint: PressureDriven
-    hashes: tuple[str, ...]
+    hashes: tuple[str, ...]  # SHA-256 of the recordings, a whole held-out one last
 
     @override
     def _brief(self) -> str:
@@ -361,7 +352,6 @@ class EpisodesDiagnoseResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``; intervals are value, lower and upper end."""
         found, rig = self.found, self.joint.rig
         return {
             "verdict": "effect" if found.effects else "none",
@@ -390,14 +380,12 @@ class EpisodesDiagnoseResult(Result):
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         found, joint = self.found, self.joint
         listed = Findings(findings(found, joint))
         return Text(self.sentence), listed, errors_table(found), values_table(found, joint.rig)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         return document(self.found, self.joint, self.hashes, figures)
 
     def to_dataframe(self) -> DataFrame:

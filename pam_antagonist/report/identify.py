@@ -165,7 +165,6 @@ class IdentifyResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         found, asked = self.full, self.full.options
         now, before = found.rig.tuning("default"), found.start.tuning("default")
         coverage, own = self.coverage95
@@ -226,12 +225,10 @@ class IdentifyResult(Result):
 
     @override
     def blocks(self) -> Sequence[Block]:
-        """What a terminal shows."""
         return pages.summary(self)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         return pages.document(self, figures)
 
     def to_dataframe(self) -> DataFrame:

@@ -99,17 +99,12 @@ def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EpisodesIdentifyResult(Result):
-    """A rig that was identified from episodes.
-
-    Attributes:
-        found: the values with their intervals, and errors on whole held-out episodes.
-        hashes: SHA-256 of the recording, a tuple of one.
-    """
+    """A rig that was identified from episodes."""
 
     rig: Rig
-    found: EpisodesIdentified
+    found: EpisodesIdentified  # the values with their intervals, and errors on whole held-out episodes
     joint: PressureDriven
-    hashes: tuple[str, ...]
+    hashes: tuple[str, ...]  # SHA-256 of the recording, a tuple of one
 
     @override
     def _brief(self) -> str:
@@ -122,7 +117,6 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``; intervals are value, lower and upper end."""
         found = self.found
         return {
             "values": found.values,
@@ -136,7 +130,6 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         found = self.found
         later, between = (item.value for item in found.errors["identified"])
         before = found.errors["as configured"][0].value
@@ -161,15 +154,9 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; it has no figures."""
-        definitions = (
-            ("Later", "Episodes at the end of the recording; no fit sees them."),
-            ("Interleaved", "Every fifth episode of what comes before; no fit sees them either."),
-            ("Interval", "A bootstrap of blocks of neighbouring episodes."),
-        )
         lede = Text("A joint driven by pressure regulators, in many short recordings.", "lede")
         provenance = [("Rig", self.found.start.name), ("Recording", self.hashes[0])]
-        blocks = (lede, *self.blocks(), *background(definitions, provenance))
+        blocks = (lede, *self.blocks(), *background("identify of episodes", provenance))
         return Document("Identified joint", self.joint.name, blocks)
 
     def to_dataframe(self) -> DataFrame:
@@ -179,7 +166,6 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def _write_rigs(self, folder: Path) -> None:
-        """``rig.yaml``; a rejected rig as ``rig_rejected.yaml``."""
         episodes = f"{self.found.counts[0]} episodes of {self.joint.name}."
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {episodes}"
         if self.rejected:

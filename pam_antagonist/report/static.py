@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from typing_extensions import override
@@ -24,28 +24,6 @@ from pam_antagonist.rig.write import write_rig
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-DEFINITIONS = (
-    (
-        "Left out",
-        "Each length is left out in turn. The form is fitted to all other lengths and predicts the forces at this one. "
-        "The error on the fitted points says little about other lengths; it is given for comparison.",
-    ),
-    (
-        "Between the ends",
-        "The same without the shortest and the longest measured length, so that nothing is extrapolated.",
-    ),
-    (
-        "Slack points",
-        "A force of 0 N means that the muscle was slack or that nothing was measured. The fit takes such a point as a "
-        "force of at most 0 N (Tobit regression). A measured 0 N would bend the map.",
-    ),
-    (
-        "Standard deviation",
-        "Of a coefficient. It is the larger of two values: for independent errors, and from the fits without each "
-        "length (jackknife). Errors at one length are correlated where the form is not quite right. The rig file "
-        "takes them as priors.",
-    ),
-)
 COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND, "braided": PALETTE[3]}
 """Colours of the forms of the force map."""
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
@@ -74,19 +52,12 @@ class StaticResult(StaticFits, Result):
         return f"{verdict(self)} {len(self.warnings)} warnings"
 
     @override
-    def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``, in SI units."""
-        return StaticFits.to_json(self)
-
-    @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         forms = () if self.force_map is None else (forms_table(self),)
         return coefficients_table(self), *forms, Text(verdict(self)), Findings(tuple(map(_warning, self.warnings)))
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         return document(self, figures)
 
     def to_dataframe(self) -> DataFrame:
@@ -201,7 +172,7 @@ def document(result: StaticResult, with_figures: bool = True) -> Document:
             if isinstance(fit, StaticFit) and name != result.form:
                 parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
     parts += figures[1:]
-    parts += background(DEFINITIONS, _provenance(result))
+    parts += background("static", _provenance(result))
     return Document("Static data of a pneumatic muscle", names, tuple(parts))
 
 
@@ -288,11 +259,7 @@ def form_figure(forms: Forms) -> Figure:
 
 
 def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> Figure:
-    """Volume over length with the fitted parabola and its 95 % interval.
-
-    Args:
-        result: with the rig; the range of its muscle lengths is marked if a rig was fitted.
-    """
+    """Volume over length with the fitted parabola and its 95 % interval; marks the range of a fitted rig's lengths."""
     low, high = float(table.length.min()), float(table.length.max())
     edges: list[Reference] = []
     if result.fitted is not None:

@@ -44,9 +44,8 @@ _EFFECTS = {parameter_path(effect.name, item.name): item.unit for effect in CATA
 def readable(unit: str, value: float = math.inf) -> Unit:
     """The readable unit of a quantity.
 
-    Args:
-        unit: SI unit of the quantity, as in the description of a rig file or an effect.
-        value: of the quantity in this unit, or the smallest of several; selects µm² or Pa for very small values.
+    `unit`: SI unit of the quantity, as in the description of a rig file or an effect. `value`: of the quantity in this
+    unit, or the smallest of several; selects µm² or Pa for very small values.
     """
     written = re.sub(r"(?<=m)[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
     if written == "m²" and abs(value) < _SMALL:
@@ -59,8 +58,7 @@ def readable(unit: str, value: float = math.inf) -> Unit:
 def unit_of(rig: Rig, name: str) -> str:
     """The SI unit of a parameter of a rig file, ``-`` for a pure number.
 
-    Args:
-        name: dotted path, such as ``valve_1.inflow_area`` or ``effects.leak.area_1``.
+    `name`: dotted path, such as ``valve_1.inflow_area`` or ``effects.leak.area_1``.
     """
     if name in _EFFECTS:
         return _EFFECTS[name]

@@ -47,16 +47,11 @@ Value = float | str | bool | None
 
 @dataclass(frozen=True)
 class Fact:
-    """A value on which the rigs of one joint agree.
+    """A value on which the rigs of one joint agree."""
 
-    Attributes:
-        name: a dotted path of the rig file, or words for a computed value.
-        tolerance: largest difference relative to the larger of both magnitudes; 0: none.
-    """
-
-    name: str
+    name: str  # a dotted path of the rig file, or words for a computed value
     unit: str
-    tolerance: float
+    tolerance: float  # largest difference relative to the larger of both magnitudes; 0: none
     value: Callable[[Rig], Value]
     absolute: bool = False
 

@@ -65,29 +65,17 @@ LAW_SCHEMA = {
 
 @dataclass(frozen=True)
 class Law:
-    """A learned law.
+    """A learned law."""
 
-    Attributes:
-        place: where it acts, one of :data:`~pam_antagonist.model.effects.learned.PLACES`.
-        nodes: of what it depends on [SI], increasing; 1 to 15.
-        values: at the nodes, in the unit of the place.
-        muscle: 1, 2 or ``both``; None at a place of the joint.
-        argument: what it depends on, or the name of a signal of the rig.
-        operator: ``none``, ``lag``, ``high_pass``, ``play`` or ``stop``.
-        time: of ``lag`` and ``high_pass`` [s].
-        width: of ``play`` and ``stop``, in the unit of the argument.
-        std: standard deviations of the values; empty: not known.
-    """
-
-    place: str
-    nodes: tuple[float, ...]
-    values: tuple[float, ...]
-    muscle: int | str | None = None
-    argument: str = "none"
-    operator: str = "none"
-    time: float = 0.0
-    width: float = 0.0
-    std: tuple[float, ...] = ()
+    place: str  # where it acts, one of :data:`~pam_antagonist.model.effects.learned.PLACES`
+    nodes: tuple[float, ...]  # of what it depends on [SI], increasing; 1 to 15
+    values: tuple[float, ...]  # at the nodes, in the unit of the place
+    muscle: int | str | None = None  # 1, 2 or ``both``; None at a place of the joint
+    argument: str = "none"  # what it depends on, or the name of a signal of the rig
+    operator: str = "none"  # ``none``, ``lag``, ``high_pass``, ``play`` or ``stop``
+    time: float = 0.0  # of ``lag`` and ``high_pass`` [s]
+    width: float = 0.0  # of ``play`` and ``stop``, in the unit of the argument
+    std: tuple[float, ...] = ()  # standard deviations of the values; empty: not known
 
     @property
     def at(self) -> str:
@@ -139,11 +127,7 @@ class Law:
         return {key: entries[key] for key in _KEYS if key not in neutral or entries[key] != neutral[key]}
 
     def complaint(self, signals: Sequence[str] = ()) -> str:
-        """What is wrong with it, in one line; empty if nothing is.
-
-        Args:
-            signals: names of the rig's further signals.
-        """
+        """What is wrong with it, in one line; empty if nothing is."""
         if self.place not in learned.PLACES:
             return f"place: {unknown(str(self.place), learned.PLACES)}; expected one of {', '.join(learned.PLACES)}"
         of_joint = self.place in learned.OF_JOINT
@@ -200,13 +184,7 @@ class Law:
 
 
 def numbers_of(law: Law, number: int, signals: Sequence[str] = ()) -> dict[str, float]:
-    """The numbers of a law, by their names in the catalogue.
-
-    Args:
-        law: that has no complaint.
-        number: of the law in the rig.
-        signals: names of the rig's further signals, in their order.
-    """
+    """The numbers of a law, by their names in the catalogue. `law`: that has no complaint."""
     of_joint = law.muscle is None
     argument = law.argument
     if argument not in learned.ARGUMENTS:
@@ -233,13 +211,7 @@ def numbers_of(law: Law, number: int, signals: Sequence[str] = ()) -> dict[str, 
 def law_of(numbers: Mapping[str, float], number: int, signals: Sequence[str] = ()) -> Law | None:
     """A law from its numbers; None if there is no such law.
 
-    Args:
-        numbers: of the effect, by their names in the catalogue.
-        number: of the law in the rig.
-        signals: names of the rig's further signals, in their order.
-
-    Raises:
-        BadInput: numbers that are no law.
+    `numbers`: of the effect, by their names in the catalogue.
     """
 
     def of(name: str) -> float:
@@ -275,9 +247,7 @@ def law_of(numbers: Mapping[str, float], number: int, signals: Sequence[str] = (
 def complaint_about(numbers: Mapping[str, float], signals: Sequence[str] = ()) -> str:
     """What is wrong with the learned laws of a rig, in one line; empty if nothing is.
 
-    Args:
-        numbers: of the effect, by their names in the catalogue.
-        signals: names of the rig's further signals, in their order.
+    `numbers`: of the effect, by their names in the catalogue.
     """
     sensors: list[int | str | None] = []
     for number, name in enumerate(LAWS, 1):
@@ -299,12 +269,7 @@ def complaint_about(numbers: Mapping[str, float], signals: Sequence[str] = ()) -
 def as_numbers(content: Mapping[str, Any], signals: Sequence[str] = ()) -> dict[str, Any]:
     """The learned laws of a rig file as numbers; what is a number already stays.
 
-    Args:
-        content: of ``effects.learned`` in a file.
-        signals: names of the rig's further signals, in their order.
-
-    Raises:
-        BadInput: no such law or entry, a value of another kind, a law with a complaint.
+    `content`: of ``effects.learned`` in a file.
     """
     out: dict[str, Any] = {}
     for name, given in content.items():
@@ -373,14 +338,8 @@ def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = No
     value's variance, as if these parts were wrong together. So each value keeps its standard deviation. Where only
     standard deviations are known, all values are taken to be wrong together.
 
-    Args:
-        rig: the rig.
-        law: the law; its ``std`` is used where no covariance is given.
-        number: of the law in the rig, whose place it takes; default: the first free one.
-        covariance: of the values (N, N).
-
-    Raises:
-        BadInput: all places are taken, or a law that a file could not have.
+    `law`: the law; its ``std`` is used where no covariance is given. `number`: of the law in the rig, whose place it
+    takes; default: the first free one. `covariance`: of the values (N, N).
     """
     from pam_antagonist.rig.load import checked  # which imports this module
 

@@ -179,19 +179,11 @@ class Sensors(Strict):
     torque_step: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
 
     def reading(self, quantity: str) -> Reading:
-        """Error of one reading.
-
-        Args:
-            quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
-        """
+        """Error of one reading. `quantity`: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m]."""
         return Reading(getattr(self, f"{quantity}_std"), getattr(self, f"{quantity}_step"))
 
     def error(self, quantity: str) -> float:
-        """Standard deviation of one reading, noise and converter together.
-
-        Args:
-            quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
-        """
+        """Standard deviation of one reading, noise and converter together, of a quantity as above."""
         return self.reading(quantity).error
 
 
@@ -434,8 +426,7 @@ _BASE = {name: index for name, index in par.INDEX.items() if name not in _NEUTRA
 def limits(name: str) -> tuple[float, float]:
     """Least and largest value that a rig file may have at a dotted path; infinite where there is no limit.
 
-    Args:
-        name: such as ``friction.shaft``, or of an effect.
+    `name`: such as ``friction.shaft``, or of an effect.
     """
     if name.startswith("effects."):
         _, effect, item = name.split(".")
