@@ -74,15 +74,9 @@ class Program(ABC):
     confined = False
     seconds = math.inf
 
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        """Commands for the next sample; None at the end.
-
-        `time`: since the begin [s]. `pressure`: measured (2,) [Pa]. `angle`: measured [rad].
-        """
-        return self._commanded(time, pressure, angle)
-
     @abstractmethod
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None: ...
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+        """Commands for the next sample, from the time [s] and what is measured [Pa], [rad]; None at the end."""
 
 
 @dataclass
@@ -111,7 +105,7 @@ class FirstAir(Program):
         self.seconds = _SETTLE_S + 2.0 * (_RAMP_S + _HOLD_S + _VENT_S)
 
     @override
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         out, elapsed, own = [self._low, self._low], time - self._since, self._valve
         if self._phase == "settle":
             if elapsed < _SETTLE_S:
@@ -201,7 +195,7 @@ class Slow(_Confined):
         self.seconds = _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * len(self._turns)
 
     @override
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         self._see(time, angle)
         if self._k == len(self._turns):
             return None
@@ -245,7 +239,7 @@ class Quick(_Confined):
         return self._move_s
 
     @override
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         self._see(time, angle)
         if not self._ready:
             # Fill the muscles, with the joint in the middle, as in the beginning.

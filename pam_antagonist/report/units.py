@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
+from pam_antagonist.strict_yaml import described, fields_of
 
 
 class Unit(NamedTuple):
@@ -66,10 +67,7 @@ def unit_of(rig: Rig, name: str) -> str:
     node: object = rig
     for part in path:
         node = getattr(node, part)
-    kind = type(node)
-    fields = getattr(kind, "model_fields", None) or kind.__fields__  # type: ignore[attr-defined]
-    about = getattr(fields[last], "description", None) or fields[last].field_info.description
-    found = re.search(r"\[([^\]]*)\]", about)
+    found = re.search(r"\[([^\]]*)\]", described(fields_of(type(node))[last]))
     return found[1] if found else "-"
 
 

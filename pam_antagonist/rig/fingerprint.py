@@ -23,19 +23,11 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model import muscle
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
+from pam_antagonist.strict_yaml import fields_of
 
 _NOT_PHYSICS = (
-    "name",
-    "source",
-    "identified",
-    "encoder",
-    "calibration",
-    "uncertainty",
-    "directions",
-    "priors",
-    "bounds",
-    "tunings",
-)
+    "name", "source", "identified", "encoder", "calibration", "uncertainty", "directions", "priors", "bounds", "tunings"
+)  # fmt: skip
 """Fields of a rig file about recordings, the filter, fits, or for people: not physics of the joint."""
 _DIGITS = 16
 _LONGEST = 20_000  # of a text that is read [characters]
@@ -128,10 +120,8 @@ def fingerprint(rig: Rig) -> str:
 
 
 def _content(model: BaseModel) -> dict[str, Any]:
-    kind: Any = type(model)
-    fields: Mapping[str, Any] = getattr(kind, "model_fields", None) or kind.__fields__
     out = {}
-    for name, field in fields.items():
+    for name, field in fields_of(type(model)).items():
         value = getattr(model, name)
         if isinstance(value, BaseModel):
             out[name] = _content(value)

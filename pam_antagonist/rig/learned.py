@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 LAWS = tuple(f"law{number}" for number in range(1, learned.LAWS + 1))
 """Names of the laws of a rig."""
 _KEYS = ("place", "muscle", "argument", "operator", "time", "width", "nodes", "values")
-_OPERATORS = ("none", "lag", "high_pass", "play", "stop")
-_OWN = ("pressure", "other_pressure", "length", "length_rate")
+OPERATORS = ("none", "lag", "high_pass", "play", "stop")
+OWN = ("pressure", "other_pressure", "length", "length_rate")
 _PASSED = {"flow": ("open_rate", "valve_flow"), "leak": ("open_rate", "valve_flow"), "valve": ("open_rate",)}
-_EVERYWHERE = (
+EVERYWHERE = (
     "none", "pressure_1", "pressure_2", "pressure_difference", "pressure_sum", "angle", "velocity", "speed", "time"
 )  # fmt: skip
 _MOST_DIRECTIONS = 3
@@ -44,23 +44,6 @@ _ON = {
     "length": "its length", "length_rate": "the rate of its length", "open_rate": "the valve's open rate",
     "valve_flow": "the valve's flow", "draw": "the air that is drawn", "time": "the time since the start",
 }  # fmt: skip
-_NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}, "maxItems": learned.NODES}
-LAW_SCHEMA = {
-    "type": "object",
-    "description": "a learned law: docs/effects.md",
-    "additionalProperties": False,
-    "properties": {
-        "place": {"enum": list(learned.PLACES), "description": "where it acts"},
-        "muscle": {"enum": [1, 2, "both"], "description": "at a place of a muscle"},
-        "argument": {"type": "string", "description": "what it depends on", "examples": [*_EVERYWHERE, *_OWN]},
-        "operator": {"enum": list(_OPERATORS), "default": "none", "description": "with a memory"},
-        "time": {**_NUMBER, "description": "of lag and high_pass [s]"},
-        "width": {**_NUMBER, "description": "of play and stop, in the unit of the argument"},
-        "nodes": {**_NUMBERS, "description": "of the argument, increasing [SI]"},
-        "values": {**_NUMBERS, "description": "at the nodes, in the unit of the place"},
-    },
-}
-"""JSON schema of a law in a rig file."""
 
 
 @dataclass(frozen=True)
@@ -144,12 +127,12 @@ class Law:
         """What a law at this place may depend on."""
         if self.place == "sensor":
             return ["pressure"]
-        own = ["draw"] if self.place in learned.OF_JOINT else [*_OWN, *_PASSED.get(self.place, ())]
-        return [*_EVERYWHERE, *own, *(name for name in signals if name not in learned.ARGUMENTS)]
+        own = ["draw"] if self.place in learned.OF_JOINT else [*OWN, *_PASSED.get(self.place, ())]
+        return [*EVERYWHERE, *own, *(name for name in signals if name not in learned.ARGUMENTS)]
 
     def _wrong_operator(self) -> str:
-        if self.operator not in _OPERATORS:
-            return f"operator: {unknown(str(self.operator), _OPERATORS)}; expected one of {', '.join(_OPERATORS)}"
+        if self.operator not in OPERATORS:
+            return f"operator: {unknown(str(self.operator), OPERATORS)}; expected one of {', '.join(OPERATORS)}"
         if self.operator != "none" and (self.place == "sensor" or self.argument in ("none", "time")):
             what = "a sensor" if self.place == "sensor" else f"the argument {self.argument}"
             return f"operator: {self.operator}, expected none with {what}"

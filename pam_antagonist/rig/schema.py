@@ -18,7 +18,7 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
-from pam_antagonist.strict_yaml import Strict, unknown
+from pam_antagonist.strict_yaml import Strict, fields_of, unknown
 
 
 class Form(Strict):
@@ -206,6 +206,10 @@ class Encoder(Strict):
         return Reading(self.std, self.step).error ** 2
 
 
+def _late(what: str) -> Any:
+    return Field(default=0.0, ge=-1.0, le=1.0, description=f"by how much the stamps of the {what} are too early [s]")
+
+
 class Calibration(Strict):
     """Zeros, scale and clocks of the recordings, which are corrected by them while they are read; no node uses them."""
 
@@ -218,18 +222,10 @@ class Calibration(Strict):
     torque_scale: float = Field(
         default=1.0, ge=0.1, le=10.0, description="scale error: reading of the torque meter over the torque [-]"
     )
-    delay_voltage: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the voltages are too early [s]"
-    )
-    delay_angle: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the angle are too early [s]"
-    )
-    delay_torque: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the torque are too early [s]"
-    )
-    delay_pressure: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the pressures are too early [s]"
-    )
+    delay_voltage: float = _late("voltages")
+    delay_angle: float = _late("angle")
+    delay_torque: float = _late("torque")
+    delay_pressure: float = _late("pressures")
 
 
 _Diagonal = Tuple[float, float, float, float]  # noqa: UP006
@@ -435,7 +431,7 @@ def limits(name: str) -> tuple[float, float]:
     kind: Any = Rig
     low, high = -math.inf, math.inf
     for part in name.split("."):
-        field = (getattr(kind, "model_fields", None) or kind.__fields__)[part]
+        field = fields_of(kind)[part]
         kind = getattr(field, "annotation", None) or getattr(field, "outer_type_", None)
         # pydantic 2 has an object for each limit, pydantic 1 all of them in one.
         for each in getattr(field, "metadata", None) or [getattr(field, "field_info", field)]:
