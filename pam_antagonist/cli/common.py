@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import shlex
 import signal
 import sys
@@ -22,7 +21,7 @@ from typing import Any, NoReturn
 
 from typing_extensions import override
 
-from pam_antagonist.cli.numbers import JOBS, SEED
+from pam_antagonist.cli.numbers import JOBS, SEED, degrees
 from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.optional import available, install
 from pam_antagonist.output import check_output, output_folder
@@ -184,18 +183,7 @@ def add_joint(parser: Parser, of_recording: bool = False) -> None:
     if of_recording:
         choices, text = ("auto", *choices), "could the joint move? (default: auto, from the measured angle)"
     parser.option("--joint", text, default=choices[0], choices=choices)
-    parser.option("--lock-angle", "angle at which a locked joint is held [deg]", _angle, metavar="DEG")
-
-
-def _angle(text: str) -> float:
-    """Degrees on the command line, radians within."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= 90.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected an angle in degrees, -90 to 90")
-    return math.radians(value)
+    parser.option("--lock-angle", "angle at which a locked joint is held [deg]", degrees, metavar="DEG")
 
 
 def lock_angle(arguments: argparse.Namespace) -> float | None:

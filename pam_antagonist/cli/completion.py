@@ -6,7 +6,7 @@ import argparse
 import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
@@ -24,22 +24,23 @@ def main(argv: Sequence[str] | None, commands: Mapping[str, NamedTuple]) -> int:
     """
 
     def work() -> int:
-        with needs("completion", "--completion"):
-            import shtab
-
-        shells = list(shtab.SUPPORTED_SHELLS)
+        shells = list(_shtab().SUPPORTED_SHELLS)
         if argv is None or len(argv) != 1 or argv[0] not in shells:
             raise BadInput(f"{typed('--completion')}: expected one of {', '.join(shells)}")
-        print(shtab.complete(whole(commands), argv[0]))
+        print(_shtab().complete(whole(commands), argv[0]))
         return common.DONE
 
     return common.ended(work)
 
 
-def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
-    """One parser with a subparser for each executable."""
+def _shtab() -> Any:
     with needs("completion", "--completion"):
         import shtab
+    return shtab
+
+
+def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
+    """One parser with a subparser for each executable."""
     root = argparse.ArgumentParser(prog="pam")
     root.add_argument("--version", action="store_true", help="print the version")
     below = root.add_subparsers()
@@ -53,5 +54,5 @@ def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
                 made.add_argument(option, action="store_true")
         for action in made._actions:
             if action.type is Path or action.dest in _FILES:
-                action.complete = shtab.FILE  # type: ignore[attr-defined]
+                action.complete = _shtab().FILE  # type: ignore[attr-defined]
     return root

@@ -14,10 +14,13 @@ import argparse
 from pathlib import Path
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import real
 from pam_antagonist.control import Box
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
 from pam_antagonist.report.reachable import ReachableResult
 from pam_antagonist.rig import load_rig
+
+_NUMBER = real(0.0, 1e8, "a number", ", 0 or more")
 
 
 def parser() -> common.Parser:
@@ -26,24 +29,14 @@ def parser() -> common.Parser:
     common.add_rig(out)
     out.option("--out", "folder of report.html and report.json; a new one", Path, metavar="DIR")
     lowest = "least pressure of a muscle, absolute [Pa] (default: a sixth of the supply's gauge pressure)"
-    out.option("--lowest-pressure", lowest, _number, metavar="PA")
+    out.option("--lowest-pressure", lowest, _NUMBER, metavar="PA")
     for name, default, unit, text in (
         ("--supply-margin", SUPPLY_MARGIN, "PA", "how far the pressures stay below the supply's pressure [Pa]"),
         ("--least-force", LEAST_FORCE, "N", "least contraction force of a muscle [N]"),
     ):
-        out.option(name, f"{text} (default: {default:g})", _number, default, unit)
+        out.option(name, f"{text} (default: {default:g})", _NUMBER, default, unit)
     common.add_page(out)
     return out
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1e8:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number, 0 or more")
-    return value
 
 
 def _main(arguments: argparse.Namespace) -> int:

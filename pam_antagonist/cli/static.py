@@ -22,6 +22,7 @@ from pathlib import Path
 
 from pam_antagonist.api.static import StaticResult, static
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import real
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import QUANTITIES, Choice
 from pam_antagonist.model import parameters as par
@@ -45,7 +46,7 @@ def parser() -> common.Parser:
     reference = "what the pressures are, where the column's name does not say it"
     out.option("--pressure", reference, default="", choices=("gauge", "absolute"))
     slack = "largest force that means a slack muscle, for sensors whose zero wanders [N] (default: 0)"
-    out.option("--slack-below", slack, _newton, 0.0, "N")
+    out.option("--slack-below", slack, real(0.0, 1e4, "a force in N", ", 0 or more"), 0.0, "N")
     out.option(
         "--length", "muscle length at angle 0 [m], in place of the rig's geometry.length; without a rig the muscle's "
         "nominal length, without pressure and load", float, metavar="L_0",
@@ -70,16 +71,6 @@ def _column(text: str) -> tuple[str, Choice]:
             f"{text!r}: {reference!r} after the unit, expected gauge or absolute, of a pressure"
         )
     return quantity, Choice(name, unit, reference)
-
-
-def _newton(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1e4:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a force in N, 0 or more")
-    return value
 
 
 def _run(arguments: argparse.Namespace) -> int:

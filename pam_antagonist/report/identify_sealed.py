@@ -18,6 +18,7 @@ from pam_antagonist.report.held_out import entry, held_out_table
 from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.report.identify_findings import do_not_use, rejection
 from pam_antagonist.report.replay_figures import replay_figures
+from pam_antagonist.report.result import picked
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
@@ -97,13 +98,7 @@ class SealedIdentifyResult(IdentifyResult):
         return {
             "held_out": [entry(held) for held in self.held],
             "stages": [
-                {
-                    "name": stage.name,
-                    "values": self._values_of(stage),
-                    "residual": stage.residual,
-                    "unit": stage.unit,
-                    "note": stage.note,
-                }
+                picked(stage, "name", "residual", "unit", "note") | {"values": self._values_of(stage)}
                 for stage in self.sealed.stages
             ],
             "tuning": self.tuning,

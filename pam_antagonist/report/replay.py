@@ -17,7 +17,7 @@ from pam_antagonist.report.document import Block, Columns, Document, Findings, S
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.replay_findings import findings, overall_verdict, verdict
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import Result, frame_of, picked
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import plain
@@ -100,12 +100,8 @@ def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
         "sample_period_s": rig.sample_period,
         "tuning": {
             "name": first.tuning,
-            "initial": tuning.initial,
-            "process": tuning.process,
-            "measurement": tuning.measurement,
-            "kappa": tuning.kappa,
+            **picked(tuning, "initial", "process", "measurement", "kappa", "gate"),
             "consider": rig.uncertainty if tuning.consider else {},
-            "gate": tuning.gate,
         },
         "assumption": assumption(rig, first.tuning),
     }
