@@ -33,17 +33,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.cli import common
-from pam_antagonist.cli.driving import (
-    Owner,
-    add_limits,
-    add_source,
-    drive,
-    how_to_watch,
-    limits_of,
-    stay_apart,
-    write_plan,
-)
+from pam_antagonist.cli import common, driving
+from pam_antagonist.cli.driving import Owner
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
@@ -61,7 +52,7 @@ def parser() -> common.Parser:
     length = "length of the experiment [s]; with --tell-apart, the longest one (default: 60)"
     out.option("--duration", length, float, 60.0, "S")
     common.add_joint(out)
-    add_limits(out)
+    driving.add_limits(out)
     common.add_seed(out, "the search", "N")
     out.option(
         "--tell-apart", "folder that close_loop wrote: design an experiment that distinguishes the found effect from "
@@ -69,7 +60,7 @@ def parser() -> common.Parser:
     )  # fmt: skip
     out.repeated("--without", "design without this sensor", None, choices=("angle", "torque"))
     out.flag("--plan-only", "design and write the plan, drive nothing")
-    add_source(out)
+    driving.add_source(out)
     return out
 
 
@@ -84,7 +75,7 @@ def _main(arguments: argparse.Namespace) -> int:
         needs_ros("excite")
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig)
-    limits = limits_of(arguments, rig)
+    limits = driving.limits_of(arguments, rig)
     angle = common.lock_angle(arguments) or 0.0
     promise = ""
     with counted(arguments.duration, "design") as advance:
@@ -99,7 +90,7 @@ def _main(arguments: argparse.Namespace) -> int:
         out.mkdir(parents=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
-    document = write_plan(out, plan, rig)
+    document = driving.write_plan(out, plan, rig)
     print(_summary(document))
     if arguments.plan_only:
         print(common.next_command("simulate", [], f"--rig {arguments.rig} --profile {out}/voltages.csv --out BAG"))
@@ -163,10 +154,10 @@ def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path) 
     from pam_antagonist.nodes.processes import ProcessFailed
 
     if owner.source in ("plant", "bridge"):
-        stay_apart()
-        print(how_to_watch(), flush=True)
+        driving.stay_apart()
+        print(driving.how_to_watch(), flush=True)
     try:
-        ended = drive(owner, plan, out).ended
+        ended = driving.drive(owner, plan, out).ended
     except ProcessFailed as error:
         print(f"error: {error} (logs: {out / 'logs'})", file=sys.stderr)
         return common.FAILED

@@ -180,37 +180,35 @@ class Demo(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return document(self, figures)
-
-
-def document(demo: Demo, with_figures: bool = True) -> Document:
-    """An overview figure, the numbers of the loop, and the replay's report below."""
-    replayed = replay_document([demo.replay], with_figures)
-    what = demo.mode.quantity.name.lower()
-    task = "yielded to pushes" if demo.yielding is not None else f"followed steps of its {what}"
-    if demo.stopped:
-        task = f"was to follow steps of its {what}"
-    lede = (
-        f"A simulated joint {task}. The controller had no {what} sensor: it saw only the "
-        "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
-        "report."
-    )
-    # Lede and verdict of the replay are in the section on the estimate.
-    verdict, estimate, ends = replayed.blocks[1], replayed.blocks[2:-2], replayed.blocks[-2:]
-    blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(demo), "verdict")]
-    if demo.stopped:
-        blocks.reverse()
-    if with_figures:
-        blocks.append(_figure(demo))
-        blocks += [_stiffness_figure(demo)] if demo.stiffness is not None else []
-    blocks += [
-        Tiles(_tiles(demo)),
-        Section("Control and pipeline", (control_table(demo),), 2, "loop"),
-        Section("How these numbers are defined", (Text(_definitions(demo)),), folded=True),
-        Section("The estimate", (verdict, *estimate), 2, "estimate"),
-        *ends,
-    ]
-    return Document(f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", tuple(blocks))
+        """An overview figure, the numbers of the loop, and the replay's report below."""
+        replayed = replay_document([self.replay], figures)
+        what = self.mode.quantity.name.lower()
+        task = "yielded to pushes" if self.yielding is not None else f"followed steps of its {what}"
+        if self.stopped:
+            task = f"was to follow steps of its {what}"
+        lede = (
+            f"A simulated joint {task}. The controller had no {what} sensor: it saw only the "
+            "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
+            "report."
+        )
+        # Lede and verdict of the replay are in the section on the estimate.
+        verdict, estimate, ends = replayed.blocks[1], replayed.blocks[2:-2], replayed.blocks[-2:]
+        blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(self), "verdict")]
+        if self.stopped:
+            blocks.reverse()
+        if figures:
+            blocks.append(_figure(self))
+            blocks += [_stiffness_figure(self)] if self.stiffness is not None else []
+        blocks += [
+            Tiles(_tiles(self)),
+            Section("Control and pipeline", (control_table(self),), 2, "loop"),
+            Section("How these numbers are defined", (Text(_definitions(self)),), folded=True),
+            Section("The estimate", (verdict, *estimate), 2, "estimate"),
+            *ends,
+        ]
+        return Document(
+            f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", tuple(blocks)
+        )
 
 
 def _slowest(demo: Demo) -> float:

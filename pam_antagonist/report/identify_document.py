@@ -78,9 +78,6 @@ def _tiles(found: IdentifyResult) -> tuple[Tile, ...]:
     return tuple(out)
 
 
-# ------------------------------------------------------------------ sections
-
-
 def _held_out(found: IdentifyResult, with_figures: bool) -> Section:
     content: list[Block] = [Text("Errors on data that were neither fitted nor used for tuning. The best is bold.")]
     for held in found.held:
@@ -169,9 +166,6 @@ def _provenance(found: IdentifyResult) -> list[tuple[str, str]]:
         rows.append(("Its length", f"{item['duration_s']:.1f} s, {until}"))
         rows += [("Remark", issue) for issue in item["issues"][:3]]
     return rows
-
-
-# ------------------------------------------------------------------ tables
 
 
 def change(value: float) -> str:

@@ -58,7 +58,34 @@ class StaticResult(StaticFits, Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return document(self, figures)
+        names = " and ".join(table.name for table in self.tables)
+        whose = "both muscles" if len(self.muscles) == 2 else f"muscle {self.muscles[0]}"
+        rig = f"for {whose} of rig {self.fitted.name}" if self.fitted else "without a rig to put them into"
+        lede = f"Static measurements of a muscle, fitted {rig}."
+        starts = tuple(table.name for table in self.tables)
+        begun = (text if text.startswith(starts) else f"{text[:1].upper()}{text[1:]}" for text in self.warnings)
+        findings = [_warning(text) for text in begun]
+        if len(self.muscles) == 2 and self.fitted is not None:
+            text = (
+                "Both muscles get the same coefficients. If you have a table of each, run once with --muscle 1, then "
+                "with --muscle 2 on the rig that came out."
+            )
+            findings.append(note(text))
+        drawn = static_figures(self) if figures else ()
+        parts: list[Block] = [
+            Text(lede, "lede"), Text(verdict(self), "verdict"), *drawn[:1], Tiles(_tiles(self)),
+            Findings(tuple(findings)), coefficients_table(self),
+        ]  # fmt: skip
+        if self.force_map is not None:
+            parts += [forms_table(self), lengths_table(self.forms)]
+            parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in self.forms.items()
+                      if isinstance(fit, Undetermined)]  # fmt: skip
+            for name, fit in self.forms.items():
+                if isinstance(fit, StaticFit) and name != self.form:
+                    parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
+        parts += drawn[1:]
+        parts += background("static", _provenance(self))
+        return Document("Static data of a pneumatic muscle", names, tuple(parts))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each coefficient: value, standard deviation and unit (needs pandas)."""
@@ -142,38 +169,6 @@ def verdict(result: StaticResult) -> str:
 
 def _known(error: float, unit: str) -> str:
     return f"a root mean square error of {number(error)} {unit}" if np.isfinite(error) else ""
-
-
-def document(result: StaticResult, with_figures: bool = True) -> Document:
-    """The page."""
-    names = " and ".join(table.name for table in result.tables)
-    whose = "both muscles" if len(result.muscles) == 2 else f"muscle {result.muscles[0]}"
-    rig = f"for {whose} of rig {result.fitted.name}" if result.fitted else "without a rig to put them into"
-    lede = f"Static measurements of a muscle, fitted {rig}."
-    starts = tuple(table.name for table in result.tables)
-    begun = (text if text.startswith(starts) else f"{text[:1].upper()}{text[1:]}" for text in result.warnings)
-    findings = [_warning(text) for text in begun]
-    if len(result.muscles) == 2 and result.fitted is not None:
-        text = (
-            "Both muscles get the same coefficients. If you have a table of each, run once with --muscle 1, then with "
-            "--muscle 2 on the rig that came out."
-        )
-        findings.append(note(text))
-    figures = static_figures(result) if with_figures else ()
-    parts: list[Block] = [
-        Text(lede, "lede"), Text(verdict(result), "verdict"), *figures[:1], Tiles(_tiles(result)),
-        Findings(tuple(findings)), coefficients_table(result),
-    ]  # fmt: skip
-    if result.force_map is not None:
-        parts += [forms_table(result), lengths_table(result.forms)]
-        parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in result.forms.items()
-                  if isinstance(fit, Undetermined)]  # fmt: skip
-        for name, fit in result.forms.items():
-            if isinstance(fit, StaticFit) and name != result.form:
-                parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
-    parts += figures[1:]
-    parts += background("static", _provenance(result))
-    return Document("Static data of a pneumatic muscle", names, tuple(parts))
 
 
 def _tiles(result: StaticResult) -> tuple[Tile, ...]:
