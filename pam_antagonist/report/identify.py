@@ -175,8 +175,9 @@ class IdentifyResult(Result):
             "errors_deg": self.errors_deg,
             "parameters": [item._asdict() for item in self.parameters],
             "stages": [
-                picked(step, "name", "source", "before", "after", "note")
+                picked(step, "name", "source")
                 | {"values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()}}
+                | picked(step, "before", "after", "note")
                 for step in found.steps
             ],
             "correlations": [{"first": a, "second": b, "correlation": value} for a, b, value in self.correlations],

@@ -177,4 +177,4 @@ class EpisodesIdentifyResult(Result):
 def regulators_numbers(found: RegulatorsFound) -> dict[str, Any]:
     """Content of ``report.json`` about regulators."""
     errors = {"errors_pa": found.errors, "command_errors_pa": found.command_errors}
-    return picked(found, "values", "tried", "gains", "resonance") | errors
+    return picked(found, "values", "tried") | errors | picked(found, "gains", "resonance")

@@ -98,7 +98,7 @@ class SealedIdentifyResult(IdentifyResult):
         return {
             "held_out": [entry(held) for held in self.held],
             "stages": [
-                picked(stage, "name", "residual", "unit", "note") | {"values": self._values_of(stage)}
+                {"name": stage.name, "values": self._values_of(stage), **picked(stage, "residual", "unit", "note")}
                 for stage in self.sealed.stages
             ],
             "tuning": self.tuning,

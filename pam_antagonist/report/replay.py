@@ -100,8 +100,9 @@ def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
         "sample_period_s": rig.sample_period,
         "tuning": {
             "name": first.tuning,
-            **picked(tuning, "initial", "process", "measurement", "kappa", "gate"),
+            **picked(tuning, "initial", "process", "measurement", "kappa"),
             "consider": rig.uncertainty if tuning.consider else {},
+            "gate": tuning.gate,
         },
         "assumption": assumption(rig, first.tuning),
     }
