@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import real
+from pam_antagonist.cli.recordings import announce
 from pam_antagonist.control import Box
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
 from pam_antagonist.report.reachable import ReachableResult
@@ -46,11 +47,10 @@ def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     box = Box.of(rig.parameters(), arguments.lowest_pressure, arguments.supply_margin, arguments.least_force)
     found = ReachableResult.of(rig, box)
-    if arguments.out is not None:
-        found.save(arguments.out, figures=not arguments.no_figures)
-    print(found.summary())
-    if arguments.out is not None:
-        common.announce_report(arguments, arguments.out)
+    if arguments.out is None:
+        print(found.summary())
+    else:
+        announce(arguments, found, None)
     return common.DONE
 
 

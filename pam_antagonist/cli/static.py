@@ -23,6 +23,7 @@ from pathlib import Path
 from pam_antagonist.api.static import StaticResult, static
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import real
+from pam_antagonist.cli.recordings import announce
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import QUANTITIES, Choice
 from pam_antagonist.model import parameters as par
@@ -77,11 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     result = _worked_out(arguments)
-    result.save(arguments.out, figures=not arguments.no_figures)
-    print(f"{result.summary()}\n")
-    if result.fitted is not None:
-        print(f"rig: {arguments.out / 'rig.yaml'}")
-    common.announce_report(arguments, arguments.out)
+    announce(arguments, result, None if result.fitted is None else "rig.yaml", apart=True)
     if result.fitted is not None:
         print(common.next_command("identify", (), f"BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE

@@ -190,8 +190,7 @@ def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> lis
         off = float(np.median(recording.pressure[-max(round(_END_S / rig.sample_period), 1) :, i]))
         off -= rig.command_limits[0] if rig.drive == "regulator" else rig.atmosphere.pressure
         if abs(off) > _ZERO:
-            text = f"pressure sensor {i + 1} is {off / 1e3:+.0f} kPa off while its muscle is vented: its zero is wrong"
-            zeros.append(Fault(f"zero_{i + 1}", f"{text}, or gauge pressures are taken for absolute ones"))
+            zeros.append(_zero(i, off))
     flipped = _encoder(shown) if np.all(np.abs(turned) > _TURNS) else []
     return [*found, *zeros, *flipped]
 
@@ -238,13 +237,13 @@ def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[Fault]:
     for i in (0, 1):
         off = float(vented[i] - rig.atmosphere.pressure)
         if abs(vented[i] - before[i]) < _STILL and abs(off) > _ZERO:
-            text = (
-                f"pressure sensor {i + 1} shows {off / 1e3:+.0f} kPa against the atmosphere while its muscle is vented"
-            )
-            out.append(
-                Fault(f"zero_{i + 1}", f"{text}: its zero is wrong, or gauge pressures are taken for absolute ones")
-            )
+            out.append(_zero(i, off))
     return out
+
+
+def _zero(i: int, off: float) -> Fault:
+    text = f"pressure sensor {i + 1} is {off / 1e3:+.0f} kPa off while its muscle is vented: its zero is wrong"
+    return Fault(f"zero_{i + 1}", f"{text}, or gauge pressures are taken for absolute ones")
 
 
 def _lost(full: Floats) -> list[Fault]:
