@@ -69,10 +69,7 @@ def usage(commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] 
 def main(
     argv: Sequence[str] | None = None, commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] = _PLACES
 ) -> int:
-    """Run the executable that the first argument names.
-
-    Returns exit status of the executable; 2 for an unknown name.
-    """
+    """Run the executable that the first argument names; gives its exit status, 2 for an unknown name."""
     from pam_antagonist.program import piped
 
     arguments = list(sys.argv[1:] if argv is None else argv)

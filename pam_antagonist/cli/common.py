@@ -286,10 +286,7 @@ def give_json(where: str, text: str) -> None:
 
 
 def show(text: str, content: object, where: str | None) -> None:
-    """Print the result of a command, and give it as JSON where ``--json`` says.
-
-    `text`: for people, may be empty; it goes to standard error where JSON goes to standard output.
-    """
+    """Print the result of a command, if there is a text, and give it as JSON where ``--json`` says."""
     if text:
         with json_alone(where):
             print(text)

@@ -18,10 +18,7 @@ _FILES = ("rig", "map")  # options without a type that take a file's name as wel
 
 
 def main(argv: Sequence[str] | None, commands: Mapping[str, NamedTuple]) -> int:
-    """Print the script; returns the exit status.
-
-    `commands`: name of each executable -> its ``target`` and ``summary``.
-    """
+    """Print the script that completes these commands; gives the exit status."""
 
     def work() -> int:
         shells = list(_shtab().SUPPORTED_SHELLS)

@@ -36,7 +36,7 @@ _REST = 1.0  # at the reference 0 before the first step [s]
 class Task(NamedTuple):
     """What a demo asks of its joint."""
 
-    # time [s], value [rad] or [N m], and stiffness [N m/rad] of each step; NaN where none is asked for.
+    # Time [s], value [rad] or [N m], and stiffness [N m/rad] of each step; NaN where none is asked for.
     references: list[tuple[float, float, float]]
     pushes: list[tuple[float, float]]  # time [s] and torque [N m] from then on
     damping: float  # [N m s/rad]; NaN where none is asked for

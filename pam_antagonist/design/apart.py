@@ -119,10 +119,7 @@ class Question:
         return self._work.along(self._states, voltage)
 
     def stable(self, bounds: tuple[float, float], step: float) -> bool:
-        """Whether integration steps of this length are stable over the whole range of the voltages.
-
-        `bounds`: least and largest voltage [V].
-        """
+        """Whether integration steps [s] of this length are stable over the whole range of the voltages [V]."""
         low, high = bounds
         course = self.course(held(np.array([(high, low), (low, high), (high, high), (low, low)]), 4.0, step))
         return bool(np.isfinite(course.slopes).all() and np.isfinite(course.shown).all())
@@ -276,10 +273,7 @@ def promised(rig: Rig, effect: str, rivals: Sequence[str], plan: Plan, channels:
 def instead_of(
     rig: Rig, effect: str, rivals: Sequence[str], verdict: Verdict, channels: Sequence[int]
 ) -> tuple[str, ...]:
-    """Further sensors, or the other condition of the joint, that would decide; each is tried by a design.
-
-    `channels`: what is measured, indices of ``CHANNELS``.
-    """
+    """Further sensors, or the other condition of the joint, that would decide; each is tried by a design."""
     plan, out = verdict.plan, []
     missing = [channel for channel in _SENSORS if channel not in channels]
     if plan.joint == "locked":

@@ -148,10 +148,7 @@ def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
 
 
 def dead_sensors(pressure: Floats) -> list[Fault]:
-    """Faults of pressure sensors whose values are missing, impossible or constant; empty if there are none.
-
-    `pressure`: measured (N, 2) [Pa], also of an experiment that ended early.
-    """
+    """Faults of sensors whose pressures (N, 2) [Pa] are missing, impossible or constant; empty if there are none."""
     return [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
 
 
@@ -170,10 +167,7 @@ def _dead(i: int, values: Floats) -> list[Fault]:
 
 
 def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[Fault]:
-    """Faults that the first air of a joint shows whose rig file is a guess; empty if there are none.
-
-    `recording`: of :class:`~pam_antagonist.design.exploration.FirstAir`.
-    """
+    """Faults that the recording of :class:`FirstAir` shows, of a guessed rig file; empty if there are none."""
     if found := dead_sensors(recording.pressure):
         return found
     rise = np.array([pulse.rise for pulse in pulses])

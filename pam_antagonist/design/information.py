@@ -35,7 +35,7 @@ _SHARE = 1e-3
 class Departure(Direction):
     """A direction towards a model with further parameters."""
 
-    # parameters that only the neighbour has, by dotted path: the shapes of an effect.
+    # What only the neighbour has, by dotted path: the shapes of an effect.
     fixed: Mapping[str, float] = field(default_factory=dict)
     share: float = 0.1  # distance of the neighbour from the model, as a share of the direction
 
@@ -100,10 +100,7 @@ class Information:
                 self.vectors.append(par.changed(base, {**fixed, **moved}))
 
     def start(self, pressure: tuple[float, float], voltage: Floats) -> tuple[Floats, ...]:
-        """States of the model and of each neighbour after a long rest.
-
-        `pressure`: of both muscles [Pa]. `voltage`: on the valves (2,) [V].
-        """
+        """States after a long rest, of model and neighbours, by both pressures [Pa] and the voltages (2,) [V]."""
         out = []
         for p in self.vectors:
             angle = equilibrium.rest_angle(*pressure, p) if self._locked_at is None else self._locked_at

@@ -223,10 +223,7 @@ class Plan:
 
 
 def held(pairs: Floats, seconds: float, step: float) -> Floats:
-    """Voltages (N, 2) of pairs that follow one another in equal times.
-
-    `pairs`: (K, 2) [V]. `seconds`: of all of them [s]. `step`: from row to row [s].
-    """
+    """Voltages (N, 2) of pairs (K, 2) [V] that follow one another in equal times, a row a step [s]."""
     count = round(seconds / step)
     return np.asarray(pairs[np.minimum(np.arange(count) * len(pairs) // count, len(pairs) - 1)])
 

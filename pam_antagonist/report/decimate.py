@@ -72,10 +72,7 @@ def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[
 
 
 def stretches(x: FloatArray) -> IndexArray:
-    """Number of the uninterrupted stretch that each sample of a recording belongs to.
-
-    `x`: (N,) increasing times; a pause of more than five median steps starts a new stretch.
-    """
+    """Number of the stretch that each sample (N,) belongs to; a pause of over five median steps starts a new one."""
     if len(x) < 3:
         return np.zeros(len(x), np.int64)
     step = np.diff(x)

@@ -27,8 +27,8 @@ class Axis:
     title: str = ""
     log: bool = False
     bounds: tuple[float, float] | None = None  # values at the two ends, left or lower one first; None: from the series
-    labels: tuple[str, ...] = ()  # names at 0, 1, 2, ... instead of numbers.
-    # whether values are seconds of a recording. Figures of one link zoom together; a pause is a gap in a line.
+    labels: tuple[str, ...] = ()  # names at 0, 1, 2, ... instead of numbers
+    # Seconds of a recording: figures of one link zoom together, and a pause is a gap in a line.
     is_time: bool = False
     from_zero: bool = False  # whether the axis includes 0
 

@@ -90,10 +90,7 @@ def tracking_figure(
     signals: tuple[FloatArray, FloatArray, FloatArray],
     link: str,
 ) -> Figure:
-    """A control loop: measurement, estimate and reference over time, the tracking error below.
-
-    `signals`: measured, estimated and reference values, (N,) each, in this unit.
-    """
+    """A control loop: what was measured, estimated and wanted (N,) over time, the tracking error below."""
     (name, unit), (measured, estimated, wanted) = quantity, signals
     shown = (
         Line("measured", x, measured, MEASURED),
@@ -184,20 +181,14 @@ def matrix(
 
 
 def autocorrelation(lag: FloatArray, groups: Sequence[tuple[str, FloatArray, str]], bound: float) -> Panel:
-    """Correlation over lag, with bounds that contain 95 % of a white series' values.
-
-    `lag`: (K,) [ms]. `groups`: name, values (K,) and colour of each series.
-    """
+    """Correlation over lag (K,) [ms], with bounds that contain 95 % of a white series' values."""
     bars = [Bars(name, lag, values, color) for name, values, color in groups]
     bounds = [Reference(sign * bound) for sign in (-1.0, 1.0)]
     return Panel(Axis("Lag [ms]"), Axis("Correlation [-]"), (*bars, *bounds), 182)
 
 
 def spreads(rows: Sequence[tuple[str, FloatArray, str]], title: str, log: bool = False) -> Panel:
-    """One row of points for each name, each point a repetition, with a bar at the median.
-
-    `rows`: name, values (K,) and colour, from top to bottom.
-    """
+    """A row of points for each name, values (K,) and colour; each point a repetition, with a bar at the median."""
     parts: list[Series] = []
     for number, (name, values, color) in enumerate(rows):
         known = np.asarray(values, dtype=np.float64)

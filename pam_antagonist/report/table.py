@@ -78,10 +78,7 @@ class Comparison:
         write: Callable[[float | None], str] = number,
         best: Callable[[Sequence[float]], float] | None = min,
     ) -> None:
-        """Add a row of numbers.
-
-        `best`: picks the best of the finite values; None: no value is marked. Equal cells are not marked.
-        """
+        """Add a row of numbers; `best` picks the one that is marked (None: none is), unless all cells are equal."""
         cells = [write(value) for value in values]
         known = [value for value in values if value is not None and math.isfinite(value)]
         winner = write(best(known)) if known and best else ""
@@ -91,10 +88,7 @@ class Comparison:
         self._best.append(frozenset() if equal else frozenset(marked))
 
     def pressures(self, name: str, values: Sequence[float | None]) -> None:
-        """Add a row of pressures, all in kPa or all in Pa; the unit is added to the name.
-
-        `values`: one for each column [Pa].
-        """
+        """Add a row of pressures [Pa], all shown in kPa or all in Pa; the unit is added to the name."""
         unit = readable("Pa", min((abs(value) for value in values if value), default=math.inf))
         shown = [None if value is None else value * unit.scale for value in values]
         self.values(f"{name} [{unit.name}]", shown)

@@ -57,10 +57,7 @@ def readable(unit: str, value: float = math.inf) -> Unit:
 
 
 def unit_of(rig: Rig, name: str) -> str:
-    """The SI unit of a parameter of a rig file, ``-`` for a pure number.
-
-    `name`: dotted path, such as ``valve_1.inflow_area`` or ``effects.leak.area_1``.
-    """
+    """The SI unit of a parameter of a rig file by its dotted path, ``-`` for a pure number."""
     if name in _EFFECTS:
         return _EFFECTS[name]
     *path, last = name.split(".")

@@ -192,10 +192,7 @@ def numbers_of(law: Law, number: int, signals: Sequence[str] = ()) -> dict[str, 
 
 
 def law_of(numbers: Mapping[str, float], number: int, signals: Sequence[str] = ()) -> Law | None:
-    """A law from its numbers; None if there is no such law.
-
-    `numbers`: of the effect, by their names in the catalogue.
-    """
+    """A law from the numbers of the effect, by their names in the catalogue; None if there is no such law."""
 
     def of(name: str) -> float:
         return numbers.get(f"law{number}_{name}", 0.0)
@@ -228,10 +225,7 @@ def law_of(numbers: Mapping[str, float], number: int, signals: Sequence[str] = (
 
 
 def complaint_about(numbers: Mapping[str, float], signals: Sequence[str] = ()) -> str:
-    """What is wrong with the learned laws of a rig, in one line; empty if nothing is.
-
-    `numbers`: of the effect, by their names in the catalogue.
-    """
+    """What is wrong with the learned laws of a rig, by their numbers, in one line; empty if nothing is."""
     sensors: list[int | str | None] = []
     for number, name in enumerate(LAWS, 1):
         try:
@@ -250,10 +244,7 @@ def complaint_about(numbers: Mapping[str, float], signals: Sequence[str] = ()) -
 
 
 def as_numbers(content: Mapping[str, Any], signals: Sequence[str] = ()) -> dict[str, Any]:
-    """The learned laws of a rig file as numbers; what is a number already stays.
-
-    `content`: of ``effects.learned`` in a file.
-    """
+    """The content of ``effects.learned`` in a file as numbers; what is a number already stays."""
     out: dict[str, Any] = {}
     for name, given in content.items():
         if isinstance(given, (int, float)) and not isinstance(given, bool):

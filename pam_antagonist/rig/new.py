@@ -98,10 +98,7 @@ _BEHIND = {
 
 
 class Contradiction(BadInput):
-    """Facts that are possible one by one, but not together.
-
-    `answers`: that may have to change, as options of ``new_rig``; empty: any.
-    """
+    """Facts that are possible one by one, not together; ``answers`` are the options that may have to change."""
 
     def __init__(self, text: str, answers: Sequence[str]) -> None:
         super().__init__(text)
@@ -139,8 +136,7 @@ class Facts:
     period: float  # from sample to sample [s]
     regulator: RegulatorPart | None = None  # of both sides of a joint with pressure regulators; None: it has valves
     regulator_time: float = 0.0  # rise time of the regulator from 10 to 90 % of a small step [s]
-    # mass [kg] of a limb that the joint carries in a vertical plane, distance of its centre from the axis [m], and
-    # angle at which it hangs down [rad]; None: not told.
+    # A limb in a vertical plane: mass [kg], centre from the axis [m], angle at which it hangs [rad]; None: not told.
     limb: tuple[float, float, float] | None = None
 
     def travel(self) -> tuple[float, float]:

@@ -75,10 +75,7 @@ def regulator_parts() -> dict[str, RegulatorPart]:
 
 
 def named(what: str, name: str, parts: dict[str, Part]) -> Part:
-    """The part of a name; upper and lower case do not matter.
-
-    `what`: ``muscle``, ``valve`` or ``regulator``, for the message.
-    """
+    """The part of a name; upper and lower case do not matter. What it is is for the message."""
     bare = {known.lower(): part for known, part in parts.items()}
     if name.lower() in bare:
         return bare[name.lower()]

@@ -420,10 +420,7 @@ _BASE = {name: index for name, index in par.INDEX.items() if name not in _NEUTRA
 
 @cache
 def limits(name: str) -> tuple[float, float]:
-    """Least and largest value that a rig file may have at a dotted path; infinite where there is no limit.
-
-    `name`: such as ``friction.shaft``, or of an effect.
-    """
+    """Least and largest value that a rig file may have at a dotted path; infinite where there is no limit."""
     if name.startswith("effects."):
         _, effect, item = name.split(".")
         known = next(entry for entry in CATALOGUE[effect].parameters if entry.name == item)
