@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -33,19 +34,8 @@ class Finding:
     text: str
 
 
-def good(text: str) -> Finding:
-    """A finding that is as expected."""
-    return Finding("good", text)
-
-
-def warn(text: str) -> Finding:
-    """A finding that is a problem."""
-    return Finding("warn", text)
-
-
-def note(text: str) -> Finding:
-    """A finding that is information."""
-    return Finding("note", text)
+good, warn, note = partial(Finding, "good"), partial(Finding, "warn"), partial(Finding, "note")
+"""A finding of this status, from its text."""
 
 
 @dataclass(frozen=True)

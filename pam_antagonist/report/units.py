@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from operator import attrgetter
 from typing import NamedTuple
 
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
@@ -60,11 +61,9 @@ def unit_of(rig: Rig, name: str) -> str:
     """The SI unit of a parameter of a rig file by its dotted path, ``-`` for a pure number."""
     if name in _EFFECTS:
         return _EFFECTS[name]
-    *path, last = name.split(".")
-    node: object = rig
-    for part in path:
-        node = getattr(node, part)
-    found = re.search(r"\[([^\]]*)\]", described(fields_of(type(node))[last]))
+    part, _, last = name.rpartition(".")
+    kind = type(attrgetter(part)(rig) if part else rig)
+    found = re.search(r"\[([^\]]*)\]", described(fields_of(kind)[last]))
     return found[1] if found else "-"
 
 

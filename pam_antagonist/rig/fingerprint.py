@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -49,22 +50,15 @@ class Fact:
 
 
 def _path(name: str, unit: str = "", tolerance: float = 0.0) -> Fact:
-    def value(rig: Rig) -> Value:
-        node: Any = rig
-        for part in name.split("."):
-            node = getattr(node, part)
-        return node  # type: ignore[no-any-return]
-
-    return Fact(name, unit, tolerance, value)
+    return Fact(name, unit, tolerance, attrgetter(name))
 
 
 def _strength(index: int) -> Fact:
     """Force of a muscle at angle 0 and the supply's pressure."""
-
-    def value(rig: Rig) -> Value:
-        return float(muscle.force(index, rig.geometry.length, rig.supply.pressure, rig.parameters()))
-
-    return Fact(f"force of muscle {index + 1} at angle 0 and supply pressure", "N", _MAP, value)
+    return Fact(
+        f"force of muscle {index + 1} at angle 0 and supply pressure", "N", _MAP,
+        lambda rig: float(muscle.force(index, rig.geometry.length, rig.supply.pressure, rig.parameters())),
+    )  # fmt: skip
 
 
 def _opening(number: int) -> Fact:
