@@ -15,13 +15,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+from rig_schema import rig_json_schema
+
 import pam_antagonist
 from pam_antagonist.__main__ import COMMANDS
 from pam_antagonist.nodes import bridge, controller, estimator, joints, plant
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter
 from pam_antagonist.program import VARIABLE
 from pam_antagonist.recording.topics import TOPICS
-from pam_antagonist.rig.json_schema import rig_json_schema
 from validation.__main__ import COMMANDS as MEASUREMENTS
 
 ROOT = Path(__file__).resolve().parents[1]

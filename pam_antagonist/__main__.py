@@ -10,68 +10,43 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """An executable.
+    """An executable."""
 
-    Attributes:
-        target: ``module:function``; the function takes the arguments and returns an exit status.
-    """
-
-    target: str
+    target: str  # ``module:function``; the function takes the arguments and returns an exit status
     summary: str
 
 
-COMMANDS: dict[str, Command] = {
-    "demo": Command("pam_antagonist.cli.demo:main", "control a simulated joint live, record, replay and report it"),
-    "watch": Command("pam_antagonist.cli.watch:main", "show a running joint in the browser, 30 times a second"),
-    "new_rig": Command(
-        "pam_antagonist.cli.new_rig:main", "write the rig file of a new joint, from ruler, scale and data sheets"
-    ),
-    "excite": Command("pam_antagonist.cli.excite:main", "design an experiment, drive the joint with it and record it"),
-    "commission": Command(
-        "pam_antagonist.cli.commission:main", "lead from a rig file to a controlled joint, step by step"
-    ),
-    "check": Command("pam_antagonist.cli.check:main", "is this a recording of this rig, in the right units?"),
-    "replay": Command(
-        "pam_antagonist.cli.replay:main", "run recordings through the estimator again, report its errors"
-    ),
-    "identify": Command(
-        "pam_antagonist.cli.identify:main", "find a rig's parameters, noise and tuning from recordings"
-    ),
-    "close_loop": Command(
-        "pam_antagonist.cli.close_loop:main",
-        "find the physical effect that the model lacks, with errors before and after",
-    ),
-    "simulate": Command("pam_antagonist.cli.simulate:main", "make a recording of a simulated joint"),
-    "import_csv": Command(
-        "pam_antagonist.cli.import_csv:main", "convert a CSV, MATLAB, numpy or Parquet file to a recording"
-    ),
-    "reachable": Command(
-        "pam_antagonist.cli.reachable:main",
-        "compute which angles and torques a joint can reach, and with which stiffness",
-    ),
-    "static": Command(
-        "pam_antagonist.cli.static:main", "fit volume and force map of a muscle to tables of measurements"
-    ),
-    "device_emulator": Command(
-        "pam_antagonist.cli.device_emulator:main", "emulate a rig's microcontroller, with a simulated joint"
-    ),
-    "plant": Command("pam_antagonist.nodes.plant:main", "a simulated joint that publishes what its sensors show"),
-    "bridge": Command("pam_antagonist.nodes.bridge:main", "connect a microcontroller on a serial port with ROS topics"),
-    "estimator": Command(
-        "pam_antagonist.nodes.estimator:main", "estimate the joint's angle and torque from two pressures"
-    ),
-    "controller": Command(
-        "pam_antagonist.nodes.controller:main", "control the joint's angle or torque by the estimate"
-    ),
-    "joints": Command("pam_antagonist.nodes.joints:main", "run the nodes of several joints in one process"),
-    "record": Command("pam_antagonist.nodes.recorder:main", "write all topics into a rosbag2 (MCAP) bag"),
+_COMMANDS = {
+    "demo": "control a simulated joint live, record, replay and report it",
+    "watch": "show a running joint in the browser, 30 times a second",
+    "new_rig": "write the rig file of a new joint, from ruler, scale and data sheets",
+    "excite": "design an experiment, drive the joint with it and record it",
+    "commission": "lead from a rig file to a controlled joint, step by step",
+    "check": "is this a recording of this rig, in the right units?",
+    "replay": "run recordings through the estimator again, report its errors",
+    "identify": "find a rig's parameters, noise and tuning from recordings",
+    "close_loop": "find the physical effect that the model lacks, with errors before and after",
+    "simulate": "make a recording of a simulated joint",
+    "import_csv": "convert a CSV, MATLAB, numpy or Parquet file to a recording",
+    "reachable": "compute which angles and torques a joint can reach, and with which stiffness",
+    "static": "fit volume and force map of a muscle to tables of measurements",
+    "device_emulator": "emulate a rig's microcontroller, with a simulated joint",
+}
+_NODES = {
+    "plant": "a simulated joint that publishes what its sensors show",
+    "bridge": "connect a microcontroller on a serial port with ROS topics",
+    "estimator": "estimate the joint's angle and torque from two pressures",
+    "controller": "control the joint's angle or torque by the estimate",
+    "joints": "run the nodes of several joints in one process",
+    "record": "write all topics into a rosbag2 (MCAP) bag",
+}
+COMMANDS = {name: Command(f"pam_antagonist.cli.{name}:main", text) for name, text in _COMMANDS.items()} | {
+    name: Command(f"pam_antagonist.nodes.{'recorder' if name == 'record' else name}:main", text)
+    for name, text in _NODES.items()
 }
 """Name of an executable -> description. In a ROS workspace, ``setup.py`` installs one script for each."""
 
-_PLACES = {
-    "Commands": "pam_antagonist.cli.",
-    "ROS 2 nodes": "pam_antagonist.nodes.",
-}
+_PLACES = {"Commands": "pam_antagonist.cli.", "ROS 2 nodes": "pam_antagonist.nodes."}
 """Title in the help -> package of its executables."""
 
 
@@ -86,24 +61,15 @@ def usage(commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] 
         for name, command in commands.items():
             if command.target.startswith(package):
                 lines.append(f"  {name.ljust(width)}  {command.summary}")
-    return "\n".join(
-        [
-            *lines,
-            "",
-            "NAME --help explains one command. --version prints the version.",
-            "--completion SHELL prints a script with which a shell (bash, zsh, fish, ...) completes names and options.",
-        ]
-    )
+    lines += ["", "NAME --help explains one command. --version prints the version."]
+    shells = "prints a script with which a shell (bash, zsh, fish, ...) completes names and options."
+    return "\n".join([*lines, f"--completion SHELL {shells}"])
 
 
 def main(
     argv: Sequence[str] | None = None, commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] = _PLACES
 ) -> int:
-    """Run the executable that the first argument names.
-
-    Returns:
-        Exit status of the executable; 2 for an unknown name.
-    """
+    """Run the executable that the first argument names; gives its exit status, 2 for an unknown name."""
     from pam_antagonist.program import piped
 
     arguments = list(sys.argv[1:] if argv is None else argv)

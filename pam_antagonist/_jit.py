@@ -197,9 +197,8 @@ class Compiling(event.Listener):  # type: ignore[misc]
 
     Compiling takes about a minute; a terminal shows its progress.
 
-    Attributes:
-        seconds: time that this process has spent compiling, to be excluded when speed is measured [s].
-        tell: called with one sentence at the first compilation; None: not called.
+    `seconds`: time that this process has spent compiling, to be excluded when speed is measured [s]. `tell`: called
+    with one sentence at the first compilation; None: not called.
     """
 
     def __init__(self) -> None:

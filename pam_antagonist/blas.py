@@ -19,11 +19,7 @@ _Result = TypeVar("_Result")
 
 
 def one_blas_thread(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """Decorator: BLAS has one thread while the function runs; afterwards the former number is restored.
-
-    Args:
-        function: a whole calculation; numpy and scipy must be imported before it is called.
-    """
+    """Decorator of a whole calculation: BLAS has one thread meanwhile. numpy and scipy must be imported before."""
 
     @functools.wraps(function)
     def limited(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:

@@ -38,11 +38,7 @@ def available(module: str) -> bool:
 
 @contextmanager
 def needs(extra: str, what: str) -> Iterator[None]:
-    """Context manager for imports of an extra's libraries.
-
-    Args:
-        extra: of ``setup.py``, such as ``reports``.
-    """
+    """Context manager for imports of an extra's libraries. `extra`: of ``setup.py``, such as ``reports``."""
     try:
         yield
     except ImportError as error:

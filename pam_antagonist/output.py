@@ -13,11 +13,7 @@ from pam_antagonist.errors import BadInput
 
 
 def check_output(path: Path, overwrite: bool = False) -> Path:
-    """Refuse an output path that exists, before any work is done.
-
-    Args:
-        overwrite: whether it may be the folder of an earlier result, which has a ``report.json``.
-    """
+    """Refuse an output path that exists, before any work; with overwrite, unless it has a ``report.json``."""
     earlier = overwrite and (path / "report.json").is_file() and not path.is_symlink()
     if not earlier and (path.exists() or path.is_symlink()):
         raise BadInput(f"{path}: exists; expected the name of a new folder, nothing is overwritten")
@@ -31,11 +27,7 @@ def check_output(path: Path, overwrite: bool = False) -> Path:
 
 @contextmanager
 def output_folder(path: Path, make: bool = True, overwrite: bool = False) -> Iterator[Path]:
-    """A new folder that appears only after everything in it is written without an error.
-
-    Args:
-        path: of a new folder, see :func:`check_output`.
-    """
+    """A new folder, see :func:`check_output`, that appears only after all in it is written without an error."""
     check_output(path, overwrite)
     target = path.resolve()
     try:

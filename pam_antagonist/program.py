@@ -25,11 +25,7 @@ def program() -> str:
 
 
 def piped(work: Callable[[], int]) -> int:
-    """Do some work and flush what it printed; a reader of the output that has gone (``| head``) is no error.
-
-    Returns:
-        That status; 0 where the reader had gone.
-    """
+    """The status of some work, whose output is flushed; 0 where its reader had gone (``| head``)."""
     try:
         status = work()
     except BrokenPipeError:
@@ -45,9 +41,5 @@ def piped(work: Callable[[], int]) -> int:
 
 
 def typed(command: str) -> str:
-    """A command as the user would type it.
-
-    Args:
-        command: name and arguments, such as ``replay --help``.
-    """
+    """A command, with its arguments, as the user would type it."""
     return f"{program()} {command}"

@@ -26,10 +26,13 @@ _DEEPEST = 5
 _LONGEST_NUMBER = 1000  # characters; the largest float has 309 digits
 _MOST_NODES = 100_000  # values of a file with its aliases expanded
 
-if pydantic.VERSION.startswith("1."):
+_OLD = pydantic.VERSION.startswith("1.")
 
-    class Strict(BaseModel):
-        """Values that cannot be changed, all of them finite, and no keys beside the declared ones."""
+
+class Strict(BaseModel):
+    """Values that cannot be changed, all of them finite, and no keys beside the declared ones."""
+
+    if _OLD:
 
         class Config:
             """Settings of pydantic 1."""
@@ -45,36 +48,20 @@ if pydantic.VERSION.startswith("1."):
                 raise ValueError("expected finite numbers")
             return value
 
-        def unchecked(self, **fields: Any) -> Self:
-            """A copy with some fields replaced, whose values are not checked: for trials of a fit."""
-            return self.copy(update=fields)
-
-        def replaced(self, **fields: Any) -> Self:
-            """A copy with some fields replaced, checked as :func:`replaced` says."""
-            return replaced(self, fields)
-
-        def plain(self) -> dict[str, Any]:
-            """The content as plain values, as a file has it."""
-            return self.dict()
-
-else:
-
-    class Strict(BaseModel):  # type: ignore[no-redef]
-        """Values that cannot be changed, all of them finite, and no keys beside the declared ones."""
-
+    else:
         model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-        def unchecked(self, **fields: Any) -> Self:
-            """A copy with some fields replaced, whose values are not checked: for trials of a fit."""
-            return self.model_copy(update=fields)
+    def unchecked(self, **fields: Any) -> Self:
+        """A copy with some fields replaced, whose values are not checked: for trials of a fit."""
+        return self.copy(update=fields) if _OLD else self.model_copy(update=fields)
 
-        def replaced(self, **fields: Any) -> Self:
-            """A copy with some fields replaced, checked as :func:`replaced` says."""
-            return replaced(self, fields)
+    def replaced(self, **fields: Any) -> Self:
+        """A copy with some fields replaced, checked as :func:`replaced` says."""
+        return replaced(self, fields)
 
-        def plain(self) -> dict[str, Any]:
-            """The content as plain values, as a file has it."""
-            return self.model_dump()
+    def plain(self) -> dict[str, Any]:
+        """The content as plain values, as a file has it."""
+        return self.dict() if _OLD else self.model_dump()
 
 
 Schema = TypeVar("Schema", bound=BaseModel)
@@ -98,7 +85,17 @@ def replaced(part: Checked, fields: Mapping[str, Any]) -> Checked:
 
 def field_names(schema: type[BaseModel]) -> tuple[str, ...]:
     """Names of a schema's fields."""
-    return tuple(getattr(schema, "model_fields", None) or getattr(schema, "__fields__", {}))
+    return tuple(fields_of(schema))
+
+
+def fields_of(schema: Any) -> Mapping[str, Any]:
+    """A schema's fields by name; none where it is no schema."""
+    return getattr(schema, "model_fields", None) or getattr(schema, "__fields__", {})
+
+
+def described(field: Any) -> str:
+    """What the schema says of a field."""
+    return getattr(getattr(field, "field_info", field), "description", None) or ""
 
 
 def names(content: Mapping[str, Any], prefix: str = "") -> list[str]:
@@ -234,7 +231,7 @@ def _first_complaint(error: ValidationError, schema: type[BaseModel]) -> str:
         loc = loc[:-1]
         complaints = [item for item in complaints if item is first or item["loc"][: len(loc)] != loc]
     where = ".".join(str(part) for part in loc)
-    description = _description(loc, schema)
+    description = _at(loc, schema)[1]
     if kind == "invalid_key" or ("extra" in kind and not isinstance(loc[-1], str)):
         text = f"{where}: expected a name and a value there; decimals are written after a point, as 1.5"
     elif "extra" in kind:
@@ -255,9 +252,7 @@ def _expected(complaint: Mapping[str, Any], location: tuple[Any, ...], schema: t
     """The value that pydantic expected, in words without its class names."""
     kind, message = str(complaint["type"]), str(complaint["msg"])
     if kind in ("model_type", "type_error.dict", "model_attributes_type"):
-        part = _at(location, schema)[0]
-        fields = getattr(part, "model_fields", None) or getattr(part, "__fields__", {})
-        return f"expected entries {', '.join(fields)}"
+        return f"expected entries {', '.join(fields_of(_at(location, schema)[0]))}"
     text = f"{message[:1].lower()}{message[1:]}"
     # pydantic 1 does not report the input.
     if "float" in kind and re.fullmatch(r"[-+]?\d+,\d+", str(complaint.get("input", "0,0"))):
@@ -265,22 +260,15 @@ def _expected(complaint: Mapping[str, Any], location: tuple[Any, ...], schema: t
     return text
 
 
-def _description(location: tuple[Any, ...], schema: type[BaseModel]) -> str:
-    """The schema's description of the value at a location."""
-    return _at(location, schema)[1]
-
-
 def _at(location: tuple[Any, ...], schema: type[BaseModel]) -> tuple[Any, str]:
     """The part of a schema at a location, and its description; empty where the schema has no such part."""
     node: Any = schema
     text = ""
     for part in location:
-        fields = getattr(node, "model_fields", None) or getattr(node, "__fields__", {})
-        field = fields.get(part)
+        field = fields_of(node).get(part)
         if field is None:
             return None, ""
-        info = getattr(field, "field_info", field)
-        text = info.description or ""
+        text = described(field)
         node = getattr(field, "annotation", None) or getattr(field, "outer_type_", None)
         # An optional part of a file is a union of its schema and None.
         node = next((part for part in get_args(node) if isinstance(part, type) and issubclass(part, BaseModel)), node)

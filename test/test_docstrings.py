@@ -1,8 +1,8 @@
 """Docstrings are complete where others rely on them: the Python API, and what a room's ``__init__`` exports.
 
-Every public module, class, function and method has a docstring. A section names only arguments and fields that exist,
-and gives quantities their units. Inside a room a docstring needs no sections: it says what name and type do not. For
-names in an ``__all__`` the rule is:
+Every public module, class, function and method has a docstring; a method that overrides another may have that one's.
+A section names only arguments and fields that exist, and gives quantities their units. Inside a room a docstring needs
+no sections: it says what name and type do not. For names in an ``__all__`` the rule is:
 
 * A function with three or more arguments has a section ``Args`` that names all of them. With one or two arguments the
   sentence may say what they are. A section ``Args`` always names all of them. Arguments of a class stand in the
@@ -106,7 +106,7 @@ def of_function(function: Function, method: bool) -> Iterator[str]:
     """What the docstring of a function leaves out."""
     text = ast.get_docstring(function)
     if text is None:
-        yield "no docstring"
+        yield from () if _decorated(function, "override") else ("no docstring",)
         return
     if _decorated(function, "property", "setter", "cached_property"):
         return
@@ -159,7 +159,7 @@ def of_inner(node: Function | ast.ClassDef, method: bool) -> Iterator[str]:
     """What is wrong with the docstring of a name that stays inside its room."""
     text = ast.get_docstring(node)
     if text is None:
-        yield "no docstring"
+        yield from () if _decorated(node, "override") else ("no docstring",)
         return
     found = sections(text)
     if isinstance(node, ast.ClassDef):
@@ -258,6 +258,7 @@ def test_names_that_a_room_exports_need_all_sections(tmp_path: Path) -> None:
         'def f(a: np.ndarray):\n    """F.\n\n    Args:\n        a: values (N, 2) [Pa].\n    """',
         'def f(dt, length: int):\n    """F.\n\n    Args:\n        dt: step [s].\n        length: of a list.\n    """',
         "def _f(a, b): ...",
+        'class A(B):\n    """A."""\n    @override\n    def f(self): ...',
         'class A:\n    """A."""\n    @property\n    def f(self):\n        """F."""\n        raise BadInput("x")',
     ],
 )

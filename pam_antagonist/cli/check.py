@@ -1,4 +1,18 @@
-"""``check``: is this a recording of this rig, in the units and with the wiring that the package expects?"""
+"""Check recordings before anything is computed from them (seconds).
+
+The model of the rig is driven by the recorded voltages and compared with what was measured. This finds gauge
+pressures and other units, exchanged pressure lines or valves, an encoder or a torque meter that counts the wrong way
+round, voltages that are stamped early, topics with different clocks, channels that never move, and recordings of
+another rig. For each finding it says how sure it is and what to type. replay, identify and close_loop make the same
+check and refuse a recording that is certainly wrong.
+
+Status: 0 nothing is certainly wrong, 2 something is certainly wrong, or bad input.
+
+examples:
+  {run} check my_bag --rig my_rig.yaml
+  {run} check free_bag locked_bag --rig my_rig.yaml --json -
+  {run} replay my_bag --rig my_rig.yaml --out result --gauge --swap-pressures
+"""
 
 from __future__ import annotations
 
@@ -15,29 +29,12 @@ if TYPE_CHECKING:
     from pam_antagonist.recording import Recording
     from pam_antagonist.rig import Rig
 
-_DESCRIPTION = """\
-Check recordings before anything is computed from them (seconds).
-
-The model of the rig is driven by the recorded voltages and compared with what was measured. This finds gauge
-pressures and other units, exchanged pressure lines or valves, an encoder or a torque meter that counts the wrong way
-round, voltages that are stamped early, topics with different clocks, channels that never move, and recordings of
-another rig. For each finding it says how sure it is and what to type. replay, identify and close_loop make the same
-check and refuse a recording that is certainly wrong.
-
-Status: 0 nothing is certainly wrong, 2 something is certainly wrong, or bad input.
-"""
-_EXAMPLES = """\
-examples:
-  {run} check my_bag --rig my_rig.yaml
-  {run} check free_bag locked_bag --rig my_rig.yaml --json -
-  {run} replay my_bag --rig my_rig.yaml --out result --gauge --swap-pressures
-"""
 _MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("check", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("check", __doc__)
     common.add_bags(out)
     common.add_rig(out)
     common.add_joint(out, of_recording=True)
@@ -48,11 +45,6 @@ def parser() -> common.Parser:
     out.option("--json", "write the findings there as well; - for standard output alone", metavar="FILE")
     add_options(out)
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -101,3 +93,6 @@ def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> st
     if options and checked.wrong:
         lines.append(f"With these options every command corrects this recording: {' '.join(options)}")
     return "\n".join(lines)
+
+
+main = common.command(parser, _main)

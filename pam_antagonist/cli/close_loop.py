@@ -1,4 +1,25 @@
-"""``close_loop``: residual of recordings -> physical effect -> extended model -> error before and after."""
+"""Trace what the model of a rig lacks to a physical effect, add it, and report the error before and after.
+
+Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured. The
+base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
+catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a separate
+recording (--holdout), is held out: no fit uses it, and the result is judged on it. A rig whose valves are sealed needs
+a recording of its joint driven to and fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure
+regulators (drive: regulator) takes such recordings as well, or many short episodes in one recording (import_csv), of
+which whole ones are held out.
+
+Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
+recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. A file is left out if it would be
+worse on held-out data than the rig given. The last lines name the one file to use next (it may be
+DIR/rig_recalibrated.yaml, without effects), or say that you keep the rig given.
+Status: 0 done (whatever the verdict), 2 bad input (one line says what and where).
+
+examples:
+  {run} close_loop free_bag locked_bag --rig shin2022 --out found
+  {run} close_loop free_bag locked_bag --rig my_rig.yaml --out found --resume
+  {run} close_loop free_bag locked_bag --holdout another_bag --rig my_rig.yaml --out found
+  {run} replay another_bag --rig found/rig_extended.yaml --out check
+"""
 
 from __future__ import annotations
 
@@ -27,36 +48,12 @@ if TYPE_CHECKING:
     from pam_antagonist.recording import Recording
     from pam_antagonist.rig import Rig
 
-_DESCRIPTION = """\
-Trace what the model of a rig lacks to a physical effect, add it, and report the error before and after.
-
-Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured. The
-base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
-catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a separate
-recording (--holdout), is held out: no fit uses it, and the result is judged on it. A rig whose valves are sealed needs
-a recording of its joint driven to and fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure
-regulators (drive: regulator) takes such recordings as well, or many short episodes in one recording (import_csv), of
-which whole ones are held out.
-
-Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes; of several
-recordings also DIR/rig_extended_1.yaml ..., each with one recording's own values. A file is left out if it would be
-worse on held-out data than the rig given. The last lines name the one file to use next (it may be
-DIR/rig_recalibrated.yaml, without effects), or say that you keep the rig given.
-Status: 0 done (whatever the verdict), 2 bad input (one line says what and where).
-"""
-_EXAMPLES = """\
-examples:
-  {run} close_loop free_bag locked_bag --rig shin2022 --out found
-  {run} close_loop free_bag locked_bag --rig my_rig.yaml --out found --resume
-  {run} close_loop free_bag locked_bag --holdout another_bag --rig my_rig.yaml --out found
-  {run} replay another_bag --rig found/rig_extended.yaml --out check
-"""
 _SHARE = 1.0 / 3.0
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("close_loop", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("close_loop", __doc__)
     given.add_bags(out)
     out.repeated(
         "--holdout", "what is held out, so that no fit uses it: a share at the end of each recording (default: a "

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import shlex
 import signal
 import sys
@@ -22,7 +21,7 @@ from typing import Any, NoReturn
 
 from typing_extensions import override
 
-from pam_antagonist.cli.numbers import JOBS, SEED
+from pam_antagonist.cli.numbers import JOBS, SEED, degrees
 from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.optional import available, install
 from pam_antagonist.output import check_output, output_folder
@@ -36,15 +35,16 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 class Parser(argparse.ArgumentParser):
     """An argument parser whose complaints are one line, like those about any other input."""
 
-    def __init__(self, name: str, description: str, epilog: str = "") -> None:
-        """Make a parser; in the examples, ``{run}`` stands for the words that start a command where this runs."""
+    def __init__(self, name: str, about: str | None, epilog: str = "") -> None:
+        """Make a parser from a command's docstring: what it does, then ``examples:``, which may stand apart as well.
+
+        In the examples ``{run}`` stands for the words that start a command where this runs.
+        """
+        description, begin, examples = (about or "").partition("\nexamples:\n")
         super().__init__(
-            prog=typed(name),
-            description=description,
-            epilog=epilog.replace("{run}", program()),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-        )
+            prog=typed(name), description=description, epilog=(begin + examples + epilog).replace("{run}", program()),
+            formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+        )  # fmt: skip
 
     def option(
         self,
@@ -70,7 +70,6 @@ class Parser(argparse.ArgumentParser):
 
     @override
     def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
         raise BadInput(f"{message} (see {self.prog} --help)")
 
 
@@ -79,8 +78,7 @@ def run(
 ) -> int:
     """Read a command's arguments, do its work, and give what ``--json`` of :func:`add_json` asks for.
 
-    Args:
-        argv: arguments without the program's name; default: those of the process.
+    `argv`: arguments without the program's name; default: those of the process.
     """
 
     def work() -> int:
@@ -89,6 +87,11 @@ def run(
             return command(arguments)
 
     return ended(work)
+
+
+def command(parser: Callable[[], Parser], work: Callable[[argparse.Namespace], int]) -> Callable[..., int]:
+    """``main`` of a command: takes the words after its name, by default those of the process; gives the exit status."""
+    return lambda argv=None: run(parser, work, argv)
 
 
 def ended(work: Callable[[], int]) -> int:
@@ -180,18 +183,7 @@ def add_joint(parser: Parser, of_recording: bool = False) -> None:
     if of_recording:
         choices, text = ("auto", *choices), "could the joint move? (default: auto, from the measured angle)"
     parser.option("--joint", text, default=choices[0], choices=choices)
-    parser.option("--lock-angle", "angle at which a locked joint is held [deg]", _angle, metavar="DEG")
-
-
-def _angle(text: str) -> float:
-    """Degrees on the command line, radians within."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= 90.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected an angle in degrees, -90 to 90")
-    return math.radians(value)
+    parser.option("--lock-angle", "angle at which a locked joint is held [deg]", degrees, metavar="DEG")
 
 
 def lock_angle(arguments: argparse.Namespace) -> float | None:
@@ -294,11 +286,7 @@ def give_json(where: str, text: str) -> None:
 
 
 def show(text: str, content: object, where: str | None) -> None:
-    """Print the result of a command, and give it as JSON where ``--json`` says.
-
-    Args:
-        text: for people, may be empty; it goes to standard error where JSON goes to standard output.
-    """
+    """Print the result of a command, if there is a text, and give it as JSON where ``--json`` says."""
     if text:
         with json_alone(where):
             print(text)

@@ -6,7 +6,7 @@ import argparse
 import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
@@ -18,33 +18,26 @@ _FILES = ("rig", "map")  # options without a type that take a file's name as wel
 
 
 def main(argv: Sequence[str] | None, commands: Mapping[str, NamedTuple]) -> int:
-    """Print the script; returns the exit status.
-
-    Args:
-        commands: name of each executable -> its ``target`` and ``summary``.
-    """
+    """Print the script that completes these commands; gives the exit status."""
 
     def work() -> int:
-        with needs("completion", "--completion"):
-            import shtab
-
-        shells = list(shtab.SUPPORTED_SHELLS)
+        shells = list(_shtab().SUPPORTED_SHELLS)
         if argv is None or len(argv) != 1 or argv[0] not in shells:
             raise BadInput(f"{typed('--completion')}: expected one of {', '.join(shells)}")
-        print(shtab.complete(whole(commands), argv[0]))
+        print(_shtab().complete(whole(commands), argv[0]))
         return common.DONE
 
     return common.ended(work)
 
 
-def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
-    """One parser with a subparser for each executable.
-
-    Args:
-        commands: as of :func:`main`.
-    """
+def _shtab() -> Any:
     with needs("completion", "--completion"):
         import shtab
+    return shtab
+
+
+def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
+    """One parser with a subparser for each executable."""
     root = argparse.ArgumentParser(prog="pam")
     root.add_argument("--version", action="store_true", help="print the version")
     below = root.add_subparsers()
@@ -58,5 +51,5 @@ def whole(commands: Mapping[str, NamedTuple]) -> argparse.ArgumentParser:
                 made.add_argument(option, action="store_true")
         for action in made._actions:
             if action.type is Path or action.dest in _FILES:
-                action.complete = shtab.FILE  # type: ignore[attr-defined]
+                action.complete = _shtab().FILE  # type: ignore[attr-defined]
     return root

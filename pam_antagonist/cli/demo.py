@@ -1,4 +1,28 @@
-"""``demo``: a sensor-less closed loop, live, recorded, replayed and judged."""
+"""Run a sensor-less closed loop live and judge it.
+
+Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
+recorder. The reference of the joint's angle steps to both sides and back, by four fifths of the joint's range (20° of
+shin2022), or that of its torque by five eighths of the largest (2 N m) with the joint locked at 0°. With --mode
+stiffness the controller's law goes through the model: angle and stiffness step together, in smaller steps, for 30 s.
+With --mode impedance somebody pushes the joint, which yields as a spring and damper; it knows the torque by its
+estimate alone, for 30 s. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the
+estimator. The results are printed as tables and written to DIR/report.html and DIR/report.json. Limits are those of
+the rig file. A stop for safety ends the demo, and its reason is the first line of what is printed and written.
+
+The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
+same: only a recording of a real joint shows how well a real joint does (see replay).
+
+Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed, or
+stopped for safety.
+
+examples:
+  {run} demo
+  {run} demo --mode torque --duration 20 --out torque_demo
+  {run} demo --mode stiffness
+  {run} demo --mode impedance
+  {run} demo --rig shin2022_regulators --no-pressures
+  {run} demo --rig commissioned/rig.yaml --gains commissioned/parameters.yaml
+"""
 
 from __future__ import annotations
 
@@ -27,33 +51,6 @@ from pam_antagonist.rig.limits import angle_range
 if TYPE_CHECKING:
     from pam_antagonist.nodes.client import ReferenceClient
 
-_DESCRIPTION = """\
-Run a sensor-less closed loop live and judge it.
-
-Starts a simulated joint, the estimator and the controller as three processes at the rig's sample rate (1 kHz), and a
-recorder. The reference of the joint's angle steps to both sides and back, by four fifths of the joint's range (20° of
-shin2022), or that of its torque by five eighths of the largest (2 N m) with the joint locked at 0°. With --mode
-stiffness the controller's law goes through the model: angle and stiffness step together, in smaller steps, for 30 s.
-With --mode impedance somebody pushes the joint, which yields as a spring and damper; it knows the torque by its
-estimate alone, for 30 s. Everything is recorded into a rosbag2 bag (MCAP), which is then replayed through the
-estimator. The results are printed as tables and written to DIR/report.html and DIR/report.json. Limits are those of
-the rig file. A stop for safety ends the demo, and its reason is the first line of what is printed and written.
-
-The simulated joint differs a little from the rig file (--mismatch), as a real one does. It is a simulator all the
-same: only a recording of a real joint shows how well a real joint does (see replay).
-
-Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed, or
-stopped for safety.
-"""
-_EXAMPLES = """\
-examples:
-  {run} demo
-  {run} demo --mode torque --duration 20 --out torque_demo
-  {run} demo --mode stiffness
-  {run} demo --mode impedance
-  {run} demo --rig shin2022_regulators --no-pressures
-  {run} demo --rig commissioned/rig.yaml --gains commissioned/parameters.yaml
-"""
 
 _MODES = {
     "angle": Mode.ANGLE, "torque": Mode.TORQUE, "stiffness": Mode.ANGLE_STIFFNESS, "impedance": Mode.IMPEDANCE,
@@ -69,7 +66,7 @@ _AFTER_STOP = 0.5  # for so long a demo goes on that was stopped for safety [s]
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("demo", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("demo", __doc__)
     length = "length of the experiment [s] (default: 12, stiffness and impedance 30)"
     out.option("--duration", length, real(1.0, 3600.0, "seconds"), metavar="S")
     out.option("--mode", "what is controlled (default: angle)", default="angle", choices=tuple(_MODES))
@@ -95,11 +92,6 @@ def parser() -> common.Parser:
     out.flag("--no-figures", "leave the figures out of report.html")
     common.add_open(out)
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -282,3 +274,6 @@ def _seen(watch: ReferenceClient, mode: Mode, reference: float) -> str:
             *(math.degrees(value) for value in (reference, estimate, measured))
         )
     return f"reference {reference:+4.1f} N m  estimate {estimate:+6.3f} N m  measured {measured:+6.3f} N m"
+
+
+main = common.command(parser, _main)

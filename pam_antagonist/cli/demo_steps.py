@@ -34,25 +34,16 @@ _REST = 1.0  # at the reference 0 before the first step [s]
 
 
 class Task(NamedTuple):
-    """What a demo asks of its joint.
+    """What a demo asks of its joint."""
 
-    Attributes:
-        references: time [s], value [rad] or [N m], and stiffness [N m/rad] of each step; NaN where none is asked for.
-        pushes: time [s] and torque [N m] from then on.
-        damping: [N m s/rad]; NaN where none is asked for.
-    """
-
+    # Time [s], value [rad] or [N m], and stiffness [N m/rad] of each step; NaN where none is asked for.
     references: list[tuple[float, float, float]]
-    pushes: list[tuple[float, float]]
-    damping: float
+    pushes: list[tuple[float, float]]  # time [s] and torque [N m] from then on
+    damping: float  # [N m s/rad]; NaN where none is asked for
 
 
 def found_gains(gains: str | None) -> dict[str, Any]:
-    """Parameters of the controller in the file that ``--gains`` names; none for the name of a law.
-
-    Raises:
-        BadInput: neither a law nor a file with parameters of the controller.
-    """
+    """Parameters of the controller in the file that ``--gains`` names; none for the name of a law."""
     if gains in (None, MODEL, *GAINS):
         return {}
     path = Path(str(gains))
@@ -73,8 +64,7 @@ def found_gains(gains: str | None) -> dict[str, Any]:
 def law_of(rig: Rig, mode: Mode, gains: str | None) -> str:
     """The law: one of :data:`GAINS`, or :data:`MODEL`.
 
-    Args:
-        gains: that were asked for; None: the fast ones for the joint that they were chosen for, else the other law.
+    `gains`: that were asked for; None: the fast ones for the joint that they were chosen for, else the other law.
     """
     if mode.has_stiffness or rig.drive == "regulator":
         if gains in GAINS:
@@ -93,9 +83,7 @@ def task(rig: Rig, mode: Mode, law: str, duration: float) -> Task:
 
     A joint that yields is asked for one angle all the time, with one stiffness after the other.
 
-    Args:
-        law: as of :func:`law_of`.
-        duration: of the experiment [s].
+    `duration`: of the experiment [s].
     """
     reach = None
     if law == MODEL:

@@ -1,4 +1,16 @@
-"""``device_emulator``: a microcontroller on a serial port that is not there, with a simulated joint behind it."""
+"""Stand in for the microcontroller of a rig: the reference firmware on a pseudo-terminal, with the physics behind it.
+
+It prints the path of its port, then speaks the protocol of docs/reference/protocol.md at the rig's sample rate, until
+Ctrl-C or SIGTERM stops it. The bridge node, or your own host program, opens that path as any serial port.
+
+examples:
+  {run} device_emulator --rig shin2022 --link /tmp/pam_device
+  {run} device_emulator --rig shin2022 --link /tmp/pam_device --fault flip=0.01 --fault unplug@5-7 --log voltages.csv
+then, in another terminal:
+  {run} bridge --ros-args -p port:=/tmp/pam_device
+
+faults, KIND[=VALUE][@BEGIN[-END]] with times in s after the first command:
+"""
 
 from __future__ import annotations
 
@@ -17,29 +29,13 @@ from pam_antagonist.errors import BadInput
 if TYPE_CHECKING:
     from pam_antagonist.hardware.line_faults import LineFault
 
-_DESCRIPTION = """\
-Stand in for the microcontroller of a rig: the reference firmware on a pseudo-terminal, with the physics behind it.
-
-It prints the path of its port, then speaks the protocol of docs/reference/protocol.md at the rig's sample rate, until
-Ctrl-C or SIGTERM stops it. The bridge node, or your own host program, opens that path as any serial port.
-"""
-_EXAMPLES = """\
-examples:
-  {run} device_emulator --rig shin2022 --link /tmp/pam_device
-  {run} device_emulator --rig shin2022 --link /tmp/pam_device --fault flip=0.01 --fault unplug@5-7 --log voltages.csv
-then, in another terminal:
-  {run} bridge --ros-args -p port:=/tmp/pam_device
-
-faults, KIND[=VALUE][@BEGIN[-END]] with times in s after the first command:
-"""
-
 
 def parser() -> common.Parser:
     """The arguments."""
     from pam_antagonist.hardware.line_faults import KINDS
 
     kinds = "\n".join(f"  {kind.ljust(12)} {meaning}" for kind, meaning in KINDS.items())
-    out = common.Parser("device_emulator", _DESCRIPTION, _EXAMPLES + kinds)
+    out = common.Parser("device_emulator", __doc__, kinds)
     common.add_rig(out)
     common.add_joint(out)
     out.option("--hardware", "calibration of its sensors (default: example)", None, "example", "FILE")
@@ -61,11 +57,6 @@ def parser() -> common.Parser:
     out.option("--silent-after", "the same as --fault silent@S", float, metavar="S")
     out.option("--freeze-sensor", "the same as --fault freeze=MUSCLE@S, such as 1@2.5", metavar="MUSCLE@S")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -171,3 +162,6 @@ def _faults(arguments: argparse.Namespace) -> list[LineFault]:
     texts += [f"silent@{arguments.silent_after!r}"] if arguments.silent_after is not None else []
     texts += [f"freeze={arguments.freeze_sensor}"] if arguments.freeze_sensor is not None else []
     return [parse_fault(text) for text in texts]
+
+
+main = common.command(parser, _main)

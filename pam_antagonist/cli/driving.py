@@ -41,17 +41,12 @@ _KPA = 1e3
 
 @dataclass(frozen=True)
 class Owner:
-    """Who owns the valves.
+    """Who owns the valves."""
 
-    Attributes:
-        source: ``plant``, ``bridge``, ``none`` (a node that runs already), or ``rehearsal`` (no node at all).
-        mismatch: of a simulated joint's parameters from the rig file [-].
-    """
-
-    source: str
+    source: str  # ``plant``, ``bridge``, ``none`` (a node that runs already), or ``rehearsal`` (no node at all)
     rig: str
     seed: int = 0
-    mismatch: float = 0.0
+    mismatch: float = 0.0  # of a simulated joint's parameters from the rig file [-]
     port: str | None = None
     hardware: str | None = None
     parameters: Path | None = None
@@ -92,14 +87,10 @@ class Owner:
 
 @dataclass(frozen=True)
 class Driven:
-    """What came of a plan.
-
-    Attributes:
-        begun_ns: stamp at which the plan began [ns].
-    """
+    """What came of a plan."""
 
     bag: Path
-    begun_ns: int
+    begun_ns: int  # stamp at which the plan began [ns]
     ended: str
 
 

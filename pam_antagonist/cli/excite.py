@@ -1,36 +1,4 @@
-"""``excite``: drive a joint so that its recording tells most, within limits."""
-
-from __future__ import annotations
-
-import argparse
-import json
-import math
-import sys
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from pam_antagonist.cli import common
-from pam_antagonist.cli.driving import (
-    Owner,
-    add_limits,
-    add_source,
-    drive,
-    how_to_watch,
-    limits_of,
-    stay_apart,
-    write_plan,
-)
-from pam_antagonist.cli.progress import counted
-from pam_antagonist.errors import BadInput
-from pam_antagonist.optional import needs_ros
-
-if TYPE_CHECKING:
-    from pam_antagonist.design import Limits, Plan
-    from pam_antagonist.rig import Rig
-
-_DESCRIPTION = """\
-Design an experiment that determines the parameters of a rig well, drive the joint with it and record it.
+"""Design an experiment that determines the parameters of a rig well, drive the joint with it and record it.
 
 The voltages are designed beforehand with the rig's model. Of many candidates, the command takes the one with the
 largest determinant of the parameters' information (D-optimal), for all parameters that identify fits. The joint stays
@@ -47,8 +15,7 @@ beyond a limit, the experiment ends by itself, with the joint at rest.
 
 DIR holds voltages.csv (what is planned, for simulate --profile as well), plan.json and the bag.
 Status: 0 done, 2 bad input (one line says what and where), 130 interrupted (the bag up to then is kept), 1 failed.
-"""
-_EXAMPLES = """\
+
 examples:
   {run} excite --rig shin2022 --out excited --plan-only
   {run} excite --rig my_rig.yaml --out free --source bridge --port /dev/ttyACM0 --max-angle 15
@@ -56,16 +23,36 @@ examples:
   {run} excite --rig my_rig.yaml --out apart --tell-apart found --plan-only
 """
 
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pam_antagonist.cli import common, driving
+from pam_antagonist.cli.driving import Owner
+from pam_antagonist.cli.progress import counted
+from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs_ros
+
+if TYPE_CHECKING:
+    from pam_antagonist.design import Limits, Plan
+    from pam_antagonist.rig import Rig
+
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("excite", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("excite", __doc__)
     common.add_rig(out)
     common.add_out(out, "folder of plan and bag; a new one")
     length = "length of the experiment [s]; with --tell-apart, the longest one (default: 60)"
     out.option("--duration", length, float, 60.0, "S")
     common.add_joint(out)
-    add_limits(out)
+    driving.add_limits(out)
     common.add_seed(out, "the search", "N")
     out.option(
         "--tell-apart", "folder that close_loop wrote: design an experiment that distinguishes the found effect from "
@@ -73,13 +60,8 @@ def parser() -> common.Parser:
     )  # fmt: skip
     out.repeated("--without", "design without this sensor", None, choices=("angle", "torque"))
     out.flag("--plan-only", "design and write the plan, drive nothing")
-    add_source(out)
+    driving.add_source(out)
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -93,7 +75,7 @@ def _main(arguments: argparse.Namespace) -> int:
         needs_ros("excite")
     common.check_output(arguments.out)
     rig = load_rig(arguments.rig)
-    limits = limits_of(arguments, rig)
+    limits = driving.limits_of(arguments, rig)
     angle = common.lock_angle(arguments) or 0.0
     promise = ""
     with counted(arguments.duration, "design") as advance:
@@ -108,7 +90,7 @@ def _main(arguments: argparse.Namespace) -> int:
         out.mkdir(parents=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
-    document = write_plan(out, plan, rig)
+    document = driving.write_plan(out, plan, rig)
     print(_summary(document))
     if arguments.plan_only:
         print(common.next_command("simulate", [], f"--rig {arguments.rig} --profile {out}/voltages.csv --out BAG"))
@@ -138,11 +120,7 @@ def _between(
 
 
 def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
-    """What a diagnosis left undecided.
-
-    Args:
-        folder: of ``close_loop``.
-    """
+    """What is undecided in a folder of ``close_loop``."""
     from pam_antagonist.model.effects import CATALOGUE
     from pam_antagonist.rig import load_rig
 
@@ -176,10 +154,10 @@ def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path) 
     from pam_antagonist.nodes.processes import ProcessFailed
 
     if owner.source in ("plant", "bridge"):
-        stay_apart()
-        print(how_to_watch(), flush=True)
+        driving.stay_apart()
+        print(driving.how_to_watch(), flush=True)
     try:
-        ended = drive(owner, plan, out).ended
+        ended = driving.drive(owner, plan, out).ended
     except ProcessFailed as error:
         print(f"error: {error} (logs: {out / 'logs'})", file=sys.stderr)
         return common.FAILED
@@ -207,3 +185,6 @@ def _summary(document: dict[str, Any]) -> str:
         f"planned: {document['duration_s']:g} s, joint {document['joint']}, {low:.0f} to {high:.0f} kPa, "
         f"up to {angle} deg and {limits['rate_rad_s']:g} rad/s\n{table}"
     )
+
+
+main = common.command(parser, _main)

@@ -25,18 +25,6 @@ _RIG, _WITH_EFFECTS = "shin2022", "shin2022_external_torque"
 """Any plain rig, and any other: their numbers change no machine code."""
 
 
-def _filter() -> None:
-    Estimator(load_rig(_RIG))
-
-
-def _filter_with_effects() -> None:
-    Estimator(load_rig(_WITH_EFFECTS))
-
-
-def _model() -> None:
-    simulate_model(load_rig(_RIG), np.full((2, 2), 5.0), np.full(2, 4e5))
-
-
 def _lanes() -> None:
     if lanes.step(plain=False) is None:
         return  # models run one by one on this machine
@@ -50,10 +38,10 @@ REPLAY = "filter", "model"
 """Parts that a replay needs."""
 FITS = "filter", "model", "lanes"
 """Parts that fits need."""
-_PARTS: dict[str, Callable[[], None]] = {
-    "filter": _filter,
-    "filter with effects": _filter_with_effects,
-    "model": _model,
+_PARTS: dict[str, Callable[[], object]] = {
+    "filter": lambda: Estimator(load_rig(_RIG)),
+    "filter with effects": lambda: Estimator(load_rig(_WITH_EFFECTS)),
+    "model": lambda: simulate_model(load_rig(_RIG), np.full((2, 2), 5.0), np.full(2, 4e5)),
     "lanes": _lanes,
 }
 """What takes seconds to compile, and what compiles it."""
@@ -64,8 +52,7 @@ def compile_first(parts: Sequence[str], rig: Rig) -> None:
 
     Those of a plain rig are fewer. What others need is compiled when a rig has effects.
 
-    Args:
-        parts: ``REPLAY`` or ``FITS``.
+    `parts` are ``REPLAY`` or ``FITS``.
     """
     if not (_missing(kernels.process_all) and _missing(integration.simulate)):
         return

@@ -1,17 +1,4 @@
-"""``identify``: a rig's parameters, noise and tuning from its recordings."""
-
-from __future__ import annotations
-
-import argparse
-
-from pam_antagonist.cli import cluster, common
-from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.numbers import real, whole
-from pam_antagonist.cli.progress import phases
-from pam_antagonist.errors import BadInput
-
-_DESCRIPTION = """\
-Identify a rig from its recordings: parameters with error bars, sensor noise, filter tuning.
+"""Identify a rig from its recordings: parameters with error bars, sensor noise, filter tuning.
 
 Give recordings of a joint that moves (free) and of one that is held (locked), with angle and torque measured
 where you can. The end of each is not fitted but kept to judge the result by. A rig with pressure regulators (drive:
@@ -27,8 +14,7 @@ recordings also DIR/rig_1.yaml, rig_2.yaml ..., each with one recording's own va
 model diverges with it, the search ended at a bound, or it is worse on held-out data than the rig file) is written as
 DIR/rig_rejected.yaml alone; the first sentence says why.
 Status: 0 done, 1 the rig was rejected, 2 bad input (one line says what and where).
-"""
-_EXAMPLES = """\
+
 examples:
   {run} identify free_bag locked_bag --rig shin2022 --out identified
   {run} identify my_bag --rig my_rig.yaml --out identified --freeze muscle_1.force --freeze muscle_2.force
@@ -38,10 +24,20 @@ examples:
   {run} replay another_bag --rig identified/rig.yaml --out check
 """
 
+from __future__ import annotations
+
+import argparse
+
+from pam_antagonist.cli import cluster, common
+from pam_antagonist.cli import recordings as given
+from pam_antagonist.cli.numbers import real, whole
+from pam_antagonist.cli.progress import phases
+from pam_antagonist.errors import BadInput
+
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("identify", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("identify", __doc__)
     given.add_bags(out)
     out.repeated(
         "--free", "fit this parameter as well: its name, such as supply.pressure, or the beginning of its name; may be "
@@ -57,11 +53,6 @@ def parser() -> common.Parser:
     cluster.add_dask(out)
     given.add_names_and_report(out)
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _run, argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -106,3 +97,6 @@ def _refuse_choice(arguments: argparse.Namespace, what: str) -> None:
     for name in ("free", "freeze"):
         if getattr(arguments, name):
             raise BadInput(f"--{name}: which parameters {what} cannot be chosen; leave --{name} out")
+
+
+main = common.command(parser, _run)

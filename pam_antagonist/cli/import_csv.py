@@ -1,4 +1,17 @@
-"""``import_csv``: a lab's file as a recording: CSV, MATLAB, numpy or Parquet."""
+"""Convert a file with columns to a recording: a rosbag2 (MCAP) with the topics of a live joint for replay and identify.
+
+The file is CSV text, MATLAB (.mat of both kinds), numpy (.npz) or Parquet.
+
+A map, a short YAML file, says which column is what and in which unit; --example prints one that explains
+itself. Pressures may be gauge or absolute, valves columns, constant or sealed. Values that are implausible in
+their unit are refused with the unit that they look like. Missing cells stay missing.
+
+examples:
+  {run} import_csv --example > my_map.yaml          then change it to fit your file
+  {run} import_csv trial_7.csv --map my_map.yaml --out trial_7
+  {run} import_csv trial_8.mat --map my_map.yaml --out trial_8
+  {run} import_csv data.mat --map sealed_joint_mat --out sealed
+"""
 
 from __future__ import annotations
 
@@ -18,39 +31,18 @@ from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map_names
 
-_DESCRIPTION = """\
-Convert a file with columns to a recording: a rosbag2 (MCAP) with the topics of a live joint, for replay and identify.
-
-The file is CSV text, MATLAB (.mat of both kinds), numpy (.npz) or Parquet.
-
-A map, a short YAML file, says which column is what and in which unit; --example prints one that explains
-itself. Pressures may be gauge or absolute, valves columns, constant or sealed. Values that are implausible in
-their unit are refused with the unit that they look like. Missing cells stay missing.
-"""
-_EXAMPLES = """\
-examples:
-  {run} import_csv --example > my_map.yaml          then change it to fit your file
-  {run} import_csv trial_7.csv --map my_map.yaml --out trial_7
-  {run} import_csv trial_8.mat --map my_map.yaml --out trial_8
-  {run} import_csv data.mat --map sealed_joint_mat --out sealed
-"""
 _LONG = 100_000  # samples that take long enough to write to be worth a word
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("import_csv", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("import_csv", __doc__)
     out.option("file", "the file", Path, metavar="FILE", nargs="?")
     names = ", ".join(map_names())
     out.option("--map", f"a YAML file, or the name of a map of the package: {names}", metavar="MAP")
     out.option("--out", "folder of the bag; a new one", Path, metavar="BAG")
     out.flag("--example", "print a map that explains itself, and do nothing else")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -118,3 +110,6 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
         )
     lines.append(common.next_command("check", [arguments.out], "--rig RIG"))
     return "\n".join(lines)
+
+
+main = common.command(parser, _main)

@@ -1,4 +1,17 @@
-"""``new_rig``: a rig file from what a ruler, a scale and data sheets tell."""
+"""Write the rig file of a new joint.
+
+Asks for what a person can measure with a ruler, a scale and data sheets. Every answer can also be given as an option;
+then it is not asked for. Lengths, pressures and so on are given with their unit, such as 36.5mm or 6bar. What nobody
+can measure by hand is filled in, marked as assumed, and has a wide prior: identify moves it.
+
+Muscles, valves and regulators by name: {parts}.
+Status: 0 done, 2 bad input (one line says what and where).
+
+examples:
+  {run} new_rig --out my_rig.yaml
+  {run} new_rig --out my_rig.yaml --radius 36.5mm --muscle DMSP-10 --supply 6bar --valve MPYE-5-M5
+  {run} new_rig --out my_rig.yaml --drive regulator --regulator ITV2050
+"""
 
 from __future__ import annotations
 
@@ -20,28 +33,11 @@ from pam_antagonist.rig.new import Contradiction, Facts, starting_point
 from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
 from pam_antagonist.rig.write import write_rig
 
-_DESCRIPTION = """\
-Write the rig file of a new joint.
-
-Asks for what a person can measure with a ruler, a scale and data sheets. Every answer can also be given as an option;
-then it is not asked for. Lengths, pressures and so on are given with their unit, such as 36.5mm or 6bar. What nobody
-can measure by hand is filled in, marked as assumed, and has a wide prior: identify moves it.
-
-Muscles, valves and regulators by name: {parts}.
-Status: 0 done, 2 bad input (one line says what and where).
-"""
-_EXAMPLES = """\
-examples:
-  {run} new_rig --out my_rig.yaml
-  {run} new_rig --out my_rig.yaml --radius 36.5mm --muscle DMSP-10 --supply 6bar --valve MPYE-5-M5
-  {run} new_rig --out my_rig.yaml --drive regulator --regulator ITV2050
-"""
-
 
 def parser() -> common.Parser:
     """The arguments."""
     parts = ", ".join((*muscle_parts(), *valve_parts(), *regulator_parts()))
-    out = common.Parser("new_rig", _DESCRIPTION.format(parts=parts), _EXAMPLES)
+    out = common.Parser("new_rig", (__doc__ or "").replace("{parts}", parts))
     out.option("--out", "the rig file to write (.yaml), a new one", Path, metavar="FILE", required=True)
     for question in QUESTIONS:
         default = "" if question.default is None else f" (default: {question.default})"
@@ -49,11 +45,6 @@ def parser() -> common.Parser:
         text = f"{question.text[0].lower()}{question.text[1:]}: {question.how}{own}{default}"
         out.option(f"--{question.option}", text.replace("%", "%%"), metavar="ANSWER")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -183,3 +174,6 @@ class _Answers:
             if question.name in self._texts:
                 words += [f"--{question.option}", self._texts[question.name]]
         return typed(shlex.join(words))
+
+
+main = common.command(parser, _main)

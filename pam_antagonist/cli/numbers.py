@@ -7,12 +7,8 @@ import math
 from collections.abc import Callable
 
 
-def real(low: float, high: float, what: str = "a number") -> Callable[[str], float]:
-    """Type of an argument that is a number between two bounds.
-
-    Args:
-        what: it is, for the message: ``a share``.
-    """
+def real(low: float, high: float, what: str = "a number", bounds: str = "") -> Callable[[str], float]:
+    """Type of an argument that is a number between two bounds; what it is and its bounds in words, for the message."""
 
     def convert(text: str) -> float:
         try:
@@ -20,7 +16,7 @@ def real(low: float, high: float, what: str = "a number") -> Callable[[str], flo
         except ValueError:
             value = math.nan
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r}: expected {what} from {low:g} to {high:g}")
+            raise argparse.ArgumentTypeError(f"{text!r}: expected {what}{bounds or f' from {low:g} to {high:g}'}")
         return value
 
     return convert
@@ -35,6 +31,11 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         return int(text)
 
     return convert
+
+
+def degrees(text: str) -> float:
+    """Degrees on the command line, radians within."""
+    return math.radians(real(-90.0, 90.0, "an angle in degrees", ", -90 to 90")(text))
 
 
 SEED = whole(0, 2**31 - 1)

@@ -19,8 +19,7 @@ _PHASES = "{desc}, {elapsed}"
 class _Shown:
     """Draws progress from a thread of its own, so that it goes on while a fit computes.
 
-    Args:
-        total: units to do; 0: what is done comes in phases that nobody can count.
+    `total`: units to do; 0: what is done comes in phases that nobody can count.
     """
 
     def __init__(self, what: str, total: float = 0.0) -> None:

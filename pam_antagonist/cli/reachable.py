@@ -1,4 +1,12 @@
-"""``reachable``: which angles and torques a joint can have together with which stiffness."""
+"""Compute which angles at rest and which torques a joint can reach, and which stiffness it can have there.
+
+The rig's model is evaluated at the declared supply pressure, within the bounds below. The controller has parameters of
+the same names. With --out, a page with figures is written as well.
+
+examples:
+  {run} reachable --rig shin2022
+  {run} reachable --rig my_rig.yaml --lowest-pressure 150e3 --out reach
+"""
 
 from __future__ import annotations
 
@@ -6,53 +14,30 @@ import argparse
 from pathlib import Path
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import real
+from pam_antagonist.cli.recordings import announce
 from pam_antagonist.control import Box
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
 from pam_antagonist.report.reachable import ReachableResult
 from pam_antagonist.rig import load_rig
 
-_DESCRIPTION = """\
-Compute which angles at rest and which torques a joint can reach, and which stiffness it can have there.
-
-The rig's model is evaluated at the declared supply pressure, within the bounds below. The controller has parameters of
-the same names. With --out, a page with figures is written as well.
-"""
-_EXAMPLES = """\
-examples:
-  {run} reachable --rig shin2022
-  {run} reachable --rig my_rig.yaml --lowest-pressure 150e3 --out reach
-"""
+_NUMBER = real(0.0, 1e8, "a number", ", 0 or more")
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("reachable", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("reachable", __doc__)
     common.add_rig(out)
     out.option("--out", "folder of report.html and report.json; a new one", Path, metavar="DIR")
     lowest = "least pressure of a muscle, absolute [Pa] (default: a sixth of the supply's gauge pressure)"
-    out.option("--lowest-pressure", lowest, _number, metavar="PA")
+    out.option("--lowest-pressure", lowest, _NUMBER, metavar="PA")
     for name, default, unit, text in (
         ("--supply-margin", SUPPLY_MARGIN, "PA", "how far the pressures stay below the supply's pressure [Pa]"),
         ("--least-force", LEAST_FORCE, "N", "least contraction force of a muscle [N]"),
     ):
-        out.option(name, f"{text} (default: {default:g})", _number, default, unit)
+        out.option(name, f"{text} (default: {default:g})", _NUMBER, default, unit)
     common.add_page(out)
     return out
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1e8:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number, 0 or more")
-    return value
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -62,9 +47,11 @@ def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig, regulators=True)
     box = Box.of(rig.parameters(), arguments.lowest_pressure, arguments.supply_margin, arguments.least_force)
     found = ReachableResult.of(rig, box)
-    if arguments.out is not None:
-        found.save(arguments.out, figures=not arguments.no_figures)
-    print(found.summary())
-    if arguments.out is not None:
-        common.announce_report(arguments, arguments.out)
+    if arguments.out is None:
+        print(found.summary())
+    else:
+        announce(arguments, found, None)
     return common.DONE
+
+
+main = common.command(parser, _main)

@@ -44,11 +44,7 @@ def add_corrections(parser: common.Parser) -> None:
 
 
 def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:
-    """A bag, corrected as asked and checked against the rig; ``--no-check`` goes on although it is wrong.
-
-    Args:
-        how: how it is read, as for ``read_bag``.
-    """
+    """A bag, read as by ``read_bag``, corrected as asked and checked; ``--no-check`` goes on although it is wrong."""
     from pam_antagonist.checks import SHORTEST, check_recording
     from pam_antagonist.recording import read_bag
 

@@ -23,13 +23,9 @@ _FIRST_STAMP_NS = 1_000_000_000_000_000_000
 
 
 def rehearse(rig: Rig, plan: Plan, seed: int, mismatch: float, bag: Path) -> tuple[int, str]:
-    """Drive a simulated joint by a plan, and write the recording.
+    """Drive a simulated joint by a plan, and write the recording: when it began [ns], and in words why it ended early.
 
-    Args:
-        mismatch: standard deviation of the parameters from the rig's [-].
-
-    Returns:
-        Stamp at which the plan began [ns], and in words why it ended early; empty where it did not.
+    ``mismatch`` is the standard deviation of the joint's parameters from the rig's [-].
     """
     start = (plan.pressure, plan.pressure)
     plant = Plant(rig, plan.joint, plan.lock_angle, seed, mismatch=mismatch, initial_pressure=start)
@@ -52,11 +48,7 @@ def rehearse(rig: Rig, plan: Plan, seed: int, mismatch: float, bag: Path) -> tup
 def explore(
     rig: Rig, program: Program, limits: Limits, seed: int, mismatch: float, bag: Path
 ) -> tuple[list[PlantSample], str]:
-    """Drive a simulated joint by what is measured of it, from muscles without air on, and write the recording.
-
-    Args:
-        mismatch: standard deviation of the parameters from the rig's [-].
-    """
+    """Drive a simulated joint by what is measured of it, from muscles without air on, and write the recording."""
     least, command = vented(rig)
     plant = Plant(rig, seed=seed, mismatch=mismatch, initial_pressure=(least, least))
     samples: list[PlantSample] = []

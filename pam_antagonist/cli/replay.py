@@ -1,4 +1,19 @@
-"""``replay``: recordings once more through the estimator that runs live."""
+"""Run recordings through the estimator again and report its errors.
+
+The unscented Kalman filter gets the recorded pressures and valve voltages, and with --angle-sensor encoder the
+encoder's angle, by the code that runs live; the model alone gets the voltages. Both are compared with the measured
+angle and torque, where the bag has them. Where it has the estimate that was published live, the two are compared bit
+by bit. If a bag holds several joints, each is replayed, all with the same rig; --namespace selects one.
+
+Writes DIR/report.json and DIR/report.html. Status: 0 done, 2 bad input (one line says what and where).
+
+examples:
+  {run} replay my_bag --rig shin2022 --out result
+  {run} replay free_bag locked_bag --rig my_rig.yaml --out result --tuning published
+  {run} replay my_bag --rig shin2022 --out result --save estimate.mcap
+  {run} replay my_bag --rig shin2022 --out result --from 3540
+  {run} replay my_bag --rig shin2022 --out result --topic pressure_1=/arm/p1 --topic pressure_2=/arm/p2
+"""
 
 from __future__ import annotations
 
@@ -17,29 +32,10 @@ if TYPE_CHECKING:
     from pam_antagonist.api.replay import ReplayResult
     from pam_antagonist.rig import Rig
 
-_DESCRIPTION = """\
-Run recordings through the estimator again and report its errors.
-
-The unscented Kalman filter gets the recorded pressures and valve voltages, and with --angle-sensor encoder the
-encoder's angle, by the code that runs live; the model alone gets the voltages. Both are compared with the measured
-angle and torque, where the bag has them. Where it has the estimate that was published live, the two are compared bit
-by bit. If a bag holds several joints, each is replayed, all with the same rig; --namespace selects one.
-
-Writes DIR/report.json and DIR/report.html. Status: 0 done, 2 bad input (one line says what and where).
-"""
-_EXAMPLES = """\
-examples:
-  {run} replay my_bag --rig shin2022 --out result
-  {run} replay free_bag locked_bag --rig my_rig.yaml --out result --tuning published
-  {run} replay my_bag --rig shin2022 --out result --save estimate.mcap
-  {run} replay my_bag --rig shin2022 --out result --from 3540
-  {run} replay my_bag --rig shin2022 --out result --topic pressure_1=/arm/p1 --topic pressure_2=/arm/p2
-"""
-
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("replay", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("replay", __doc__)
     common.add_bags(out)
     common.add_rig(out)
     tuning = "the rig's filter tuning: default, published, ... (default: default)"
@@ -72,11 +68,6 @@ def parser() -> common.Parser:
     common.add_json(out)
     common.add_page(out)
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _run, argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -137,3 +128,6 @@ def _replay(bag: Path, namespace: str | None, rig: Rig, arguments: argparse.Name
             recording, rig, arguments.tuning, arguments.joint, arguments.lock_angle, done, read_seconds,
             arguments.begin, arguments.angle_sensor,
         )  # fmt: skip
+
+
+main = common.command(parser, _run)

@@ -1,4 +1,14 @@
-"""``simulate``: a recording of a simulated joint, for trials without hardware."""
+"""Make a recording of a simulated joint: a rosbag2 (MCAP) with the topics of a live one.
+
+The model runs at a finer step than the estimator's. Its sensors are noisy and quantised. With --mismatch, its
+parameters differ from the declared ones. It is this package's own model: agreement with it says nothing about a real
+joint. The same arguments give the same recording.
+
+examples:
+  {run} simulate --rig shin2022 --out my_bag --duration 30
+  {run} simulate --rig shin2022 --out my_bag --profile steps --seed 7 --mismatch 0.01 --joint locked
+  {run} simulate --rig my_rig.yaml --out my_bag --profile voltages.csv
+"""
 
 from __future__ import annotations
 
@@ -16,24 +26,10 @@ from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
 
-_DESCRIPTION = """\
-Make a recording of a simulated joint: a rosbag2 (MCAP) with the topics of a live one.
-
-The model runs at a finer step than the estimator's. Its sensors are noisy and quantised. With --mismatch, its
-parameters differ from the declared ones. It is this package's own model: agreement with it says nothing about a real
-joint. The same arguments give the same recording.
-"""
-_EXAMPLES = """\
-examples:
-  {run} simulate --rig shin2022 --out my_bag --duration 30
-  {run} simulate --rig shin2022 --out my_bag --profile steps --seed 7 --mismatch 0.01 --joint locked
-  {run} simulate --rig my_rig.yaml --out my_bag --profile voltages.csv
-"""
-
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("simulate", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("simulate", __doc__)
     common.add_rig(out)
     common.add_out(out, "folder of the bag; a new one")
     out.option(
@@ -48,11 +44,6 @@ def parser() -> common.Parser:
     out.option("--mismatch", mismatch, float, 0.0, "X")
     out.flag("--no-noise", "exact sensors")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -101,3 +92,6 @@ def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> s
         f"  angle {span(recording.angle, np.degrees(1.0), 'deg')}, torque {span(recording.torque, 1.0, 'N m')}\n"
         f"{common.next_command('replay', [arguments.out], f'--rig {arguments.rig} --out DIR')}"
     )
+
+
+main = common.command(parser, _main)

@@ -1,19 +1,4 @@
-"""``static``: volume and force map of a muscle from CSV tables, with error bars, as a rig file."""
-
-from __future__ import annotations
-
-import argparse
-from pathlib import Path
-
-from pam_antagonist.api.static import StaticResult, static
-from pam_antagonist.cli import common
-from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.static_table import QUANTITIES, Choice
-from pam_antagonist.model import parameters as par
-from pam_antagonist.program import typed
-
-_DESCRIPTION = """\
-Fit a muscle's volume and force map to static measurements.
+"""Fit a muscle's volume and force map to static measurements.
 
 The table of --volume holds length and volume, that of --force-map length, pressure and force. Units stand in the
 columns' names (length_mm, volume_cm3, pressure_kPa_gauge, force_N) or are given with --column; a pressure is gauge or
@@ -22,8 +7,7 @@ A column force_std_N or volume_std_cm3 is the standard deviation of each value. 
 
 Writes DIR/rig.yaml (the given rig with the fitted coefficients, their standard deviations as priors for identify),
 DIR/report.html and DIR/report.json. Status: 0 done, 2 bad input (one line says what and where).
-"""
-_EXAMPLES = """\
+
 examples:
   {run} static --volume cylinder.csv --force-map map.csv --rig my_rig.yaml --out result
   {run} static --force-map left.csv --muscle 1 --form sarosi --rig my_rig.yaml --out result
@@ -31,10 +15,24 @@ examples:
   {run} static --force-map one_muscle.csv --out result --report-only
 """
 
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from pam_antagonist.api.static import StaticResult, static
+from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import real
+from pam_antagonist.cli.recordings import announce
+from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.static_table import QUANTITIES, Choice
+from pam_antagonist.model import parameters as par
+from pam_antagonist.program import typed
+
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("static", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("static", __doc__)
     out.option("--volume", "CSV of length and volume", Path, metavar="FILE")
     out.option("--force-map", "CSV of length, pressure and force", Path, metavar="FILE")
     muscle = "muscle that gets the fitted coefficients (default: both get the same)"
@@ -49,7 +47,7 @@ def parser() -> common.Parser:
     reference = "what the pressures are, where the column's name does not say it"
     out.option("--pressure", reference, default="", choices=("gauge", "absolute"))
     slack = "largest force that means a slack muscle, for sensors whose zero wanders [N] (default: 0)"
-    out.option("--slack-below", slack, _newton, 0.0, "N")
+    out.option("--slack-below", slack, real(0.0, 1e4, "a force in N", ", 0 or more"), 0.0, "N")
     out.option(
         "--length", "muscle length at angle 0 [m], in place of the rig's geometry.length; without a rig the muscle's "
         "nominal length, without pressure and load", float, metavar="L_0",
@@ -76,30 +74,11 @@ def _column(text: str) -> tuple[str, Choice]:
     return quantity, Choice(name, unit, reference)
 
 
-def _newton(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1e4:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a force in N, 0 or more")
-    return value
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _run, argv)
-
-
 def _run(arguments: argparse.Namespace) -> int:
     common.check_output(arguments.out)
     common.only_available_figures(arguments)
     result = _worked_out(arguments)
-    result.save(arguments.out, figures=not arguments.no_figures)
-    print(f"{result.summary()}\n")
-    if result.fitted is not None:
-        print(f"rig: {arguments.out / 'rig.yaml'}")
-    common.announce_report(arguments, arguments.out)
+    announce(arguments, result, None if result.fitted is None else "rig.yaml", apart=True)
     if result.fitted is not None:
         print(common.next_command("identify", (), f"BAG --rig {arguments.out / 'rig.yaml'} --out DIR"))
     return common.DONE
@@ -139,3 +118,6 @@ def _columns(arguments: argparse.Namespace) -> dict[str, Choice]:
             )
         chosen[quantity] = choice
     return chosen
+
+
+main = common.command(parser, _run)

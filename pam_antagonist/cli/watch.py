@@ -1,4 +1,17 @@
-"""``watch``: a page in the browser that shows a running joint."""
+"""Show a running joint in the browser, 30 times a second.
+
+The page shows the estimate with its 95 % interval beside reference and encoder, pressures and valve voltages
+within their limits, NIS, and what the nodes report: safety, faults, losses. It is for this machine alone unless
+--host says otherwise, and it commands nothing without --allow-commands. It subscribes to topics only while a page is
+open.
+
+Status: 0 ended by Ctrl-C, 2 bad input (one line says what).
+
+examples:
+  {run} watch
+  {run} watch --namespace /left/elbow --port 8766
+  {run} watch --allow-commands
+"""
 
 from __future__ import annotations
 
@@ -15,29 +28,13 @@ from pam_antagonist.cli.numbers import whole
 from pam_antagonist.optional import needs, needs_ros
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 
-_DESCRIPTION = """\
-Show a running joint in the browser, 30 times a second.
-
-The page shows the estimate with its 95 % interval beside reference and encoder, pressures and valve voltages
-within their limits, NIS, and what the nodes report: safety, faults, losses. It is for this machine alone unless
---host says otherwise, and it commands nothing without --allow-commands. It subscribes to topics only while a page is
-open.
-
-Status: 0 ended by Ctrl-C, 2 bad input (one line says what).
-"""
-_EXAMPLES = """\
-examples:
-  {run} watch
-  {run} watch --namespace /left/elbow --port 8766
-  {run} watch --allow-commands
-"""
 _LOOK_S = 4.0
 """[s] Between two looks for the joint; discovery takes a second or two."""
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("watch", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("watch", __doc__)
     out.option("--namespace", "namespace of the joint (default: %(default)s)", None, DEFAULT_NAMESPACE, "/NS")
     out.option("--joint-name", "joint in measured/joint_states (default: the first)", metavar="NAME")
     out.option("--port", "port of the page; 0: any free one (default: %(default)s)", whole(0, 65535), 8765)
@@ -49,11 +46,6 @@ def parser() -> common.Parser:
     )  # fmt: skip
     out.flag("--open", "open the page in the browser")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -109,3 +101,6 @@ def _loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+main = common.command(parser, _main)

@@ -16,7 +16,7 @@ distribution with mean d² and variance 4 d². The experiment decides if the evi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,28 +24,9 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import norm
 
-from pam_antagonist.design.information import (
-    GAUGE_1,
-    GAUGE_2,
-    TANK,
-    Course,
-    Departure,
-    Information,
-    predicted_std,
-    unknowns,
-)
-from pam_antagonist.design.optimal import (
-    BLOCK,
-    FORBIDDEN,
-    REST,
-    STEP,
-    TAIL,
-    Limits,
-    Plan,
-    best_block,
-    held,
-    uncertainty_of,
-)
+from pam_antagonist.design import information, optimal
+from pam_antagonist.design.information import Course, Departure, Information, predicted_std, unknowns
+from pam_antagonist.design.optimal import FORBIDDEN, STEP, Limits, Plan, held
 from pam_antagonist.diagnosis.thresholds import STRONG
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Candidate, moved
@@ -73,9 +54,9 @@ _STEPS = (STEP, 2e-3, 1e-3, 5e-4)
 _SENSORS = {
     ANGLE: "an encoder on the shaft",
     TORQUE: "a torque meter",
-    GAUGE_1: "a third pressure sensor at muscle 1",
-    GAUGE_2: "a third pressure sensor at muscle 2",
-    TANK: "a third pressure sensor at the supply's tank",
+    information.GAUGE_1: "a third pressure sensor at muscle 1",
+    information.GAUGE_2: "a third pressure sensor at muscle 2",
+    information.TANK: "a third pressure sensor at the supply's tank",
 }
 
 
@@ -89,11 +70,7 @@ class Verdict:
 
 
 def chance(distance: float) -> float:
-    """Probability that the evidence is strong.
-
-    Args:
-        distance: d², as ``close_loop`` counts it.
-    """
+    """Probability that the evidence is strong. `distance`: d², as ``close_loop`` counts it."""
     return float(norm.cdf((distance - STRONG) / (2.0 * math.sqrt(max(distance, 1e-9)))))
 
 
@@ -103,43 +80,29 @@ def without(rig: Rig, effect: str) -> Rig:
 
 
 class Question:
-    """Whether one effect can be distinguished from another, updated as an experiment grows.
+    """Whether one effect can be distinguished from another, updated as an experiment grows from the begin of a plan.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad], of a locked joint.
-        pressure: of both muscles at the start [Pa].
-        rest: voltages there (2,) [V].
-        channels: what is measured, indices of ``CHANNELS``.
-        step: of the integration [s].
+    `channels` are those that are measured, indices of ``CHANNELS`` or of the gauges; `step` of the integration [s].
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        effect: str,
-        rival: str,
-        joint: str,
-        lock_angle: float,
-        pressure: float,
-        rest: Floats,
-        channels: Sequence[int],
-        step: float = STEP,
+        self, rig: Rig, effect: str, rival: str, start: Plan, channels: Sequence[int], step: float = STEP
     ) -> None:
         sizes = {parameter_path(effect, item.name) for item in CATALOGUE[effect].parameters if item.is_size}
         size = Departure(effect, {path: rig.value(path) for path in sizes if rig.value(path)}, share=-0.1)
         base = [item for item in unknowns(without(rig, effect)) if not item.name.startswith("effects.")]
         others = _departures(rig, rival)
-        further, self._spread = uncertainty_of(rig, base)
+        further, self._spread = optimal.uncertainty_of(rig, base)
         placed = [*base, *further, *others, size]
         # The uncertain directions come first; a prediction takes the others as certain.
         self._spread = np.vstack([self._spread, np.zeros((len(others) + 1, self._spread.shape[1]))])
-        self._work = Information(rig, placed, joint, lock_angle, channels=_seen(joint, channels), step=step)
+        seen = tuple(channel for channel in channels if start.joint == "free" or channel != ANGLE)
+        self._work = Information(rig, placed, start.joint, start.lock_angle, channels=seen, step=step)
         prior = np.ones(len(placed) - 1)
         prior[len(base) + len(further) :] = _WIDE**-2
         self._prior = np.diag(np.append(prior, 0.0))
         self._matrix = np.zeros((len(placed), len(placed)))
-        self._states = self._work.start((pressure, pressure), rest)
+        self._states = self._work.start((start.pressure, start.pressure), np.array(start.rest))
 
     def _distance(self, matrix: Floats) -> float:
         known = matrix / BLOCKS_PER_ERROR + self._prior
@@ -156,12 +119,7 @@ class Question:
         return self._work.along(self._states, voltage)
 
     def stable(self, bounds: tuple[float, float], step: float) -> bool:
-        """Whether integration steps of this length are stable over the whole range of the voltages.
-
-        Args:
-            bounds: least and largest voltage [V].
-            step: [s].
-        """
+        """Whether integration steps [s] of this length are stable over the whole range of the voltages [V]."""
         low, high = bounds
         course = self.course(held(np.array([(high, low), (low, high), (high, high), (low, low)]), 4.0, step))
         return bool(np.isfinite(course.slopes).all() and np.isfinite(course.shown).all())
@@ -178,10 +136,6 @@ class Question:
         """Add a course, and continue from its end."""
         self._matrix = self._matrix + self._work.matrix(course)
         self._states = course.ends
-
-
-def _seen(joint: str, channels: Sequence[int]) -> tuple[int, ...]:
-    return tuple(channel for channel in channels if joint == "free" or channel != ANGLE)
 
 
 def _departures(rig: Rig, rival: str) -> list[Departure]:
@@ -253,25 +207,19 @@ def told_apart(
 ) -> Verdict:
     """The experiment that best distinguishes an effect from its rivals, no longer than needed.
 
-    Args:
-        seconds: longest time [s]; :data:`SHORTEST` at least.
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad], of a locked joint.
-        channels: what is measured, indices of ``CHANNELS``.
+    `seconds` is its longest time [s], :data:`SHORTEST` at least; `channels` are those that are measured.
     """
     for name in (effect, *rivals):
         if name not in CATALOGUE:
             raise BadInput(f"effect {name!r}: expected one of {', '.join(CATALOGUE)}")
-    pressure = 0.5 * (limits.pressure[0] + limits.pressure[1])
-    rest = np.array(steady_voltage(rig, pressure))
-    rng = np.random.default_rng(seed)
-    questions, step = _questions(rig, effect, rivals, limits, joint, lock_angle, pressure, rest, channels)
-    all_questions = [question for pair in questions.values() for question in pair]
+    start = Plan.at_rest(rig, limits, joint, lock_angle)
+    by_rival, step = _questions(rig, effect, rivals, start, channels)
+    questions = [question for pair in by_rival.values() for question in pair]
+    tail = held(np.array(start.rest)[None], optimal.TAIL, step)
 
     def merit(rows: Floats) -> float:
-        whole = np.concatenate([rows, held(rest[None], TAIL, step)])
-        least = math.inf
-        for question in all_questions:
+        whole, least = np.concatenate([rows, tail]), math.inf
+        for question in questions:
             course = question.course(whole)
             over = limits.excess(course.states, question.std(course))
             if over > 0.0:
@@ -279,77 +227,53 @@ def told_apart(
             least = min(least, question.with_course(course, len(rows)))
         return -least if math.isfinite(least) else 2.0 * FORBIDDEN
 
-    def go_on(rows: Floats) -> None:
-        for question in all_questions:
+    def take(rows: Floats) -> None:
+        for question in questions:
             question.take(question.course(rows))
-        taken.append(rows)
 
-    taken: list[Floats] = []
-    go_on(held(rest[None], REST, step))
-    while (length := sum(map(len, taken)) * step) + BLOCK + REST <= max(seconds, SHORTEST) and (
-        length + REST < SHORTEST or min(chance(question.distance) for question in all_questions) < SURE
-    ):
-        rows = best_block(merit, limits.voltage, rest, BLOCK, step, rng)
-        go_on(held(rest[None], BLOCK, step) if rows is None else rows)
-        if progress is not None:
-            progress(BLOCK)
-    go_on(held(rest[None], REST, step))
-    chosen = np.concatenate(taken)
-    samples = np.arange(round(len(chosen) * step / rig.sample_period)) * rig.sample_period
-    voltage = chosen[np.minimum((samples / step + 1e-6).astype(np.int64), len(chosen) - 1)]
-    first, second = float(rest[0]), float(rest[1])
-    plan = Plan(voltage, rig.sample_period, joint, lock_angle, limits, pressure, (first, second))
-    by_rival = {rival: min(chance(question.distance) for question in pair) for rival, pair in questions.items()}
-    return Verdict(plan, min(by_rival.values()), by_rival)
+    def blocks() -> Iterator[float]:
+        length = optimal.REST
+        while length + optimal.BLOCK + optimal.REST <= max(seconds, SHORTEST) and (
+            length + optimal.REST < SHORTEST or _surest(questions) < SURE
+        ):
+            yield optimal.BLOCK
+            length += optimal.BLOCK
+
+    plan = optimal.grown(start, merit, take, blocks(), step, seed, progress)
+    chances = {rival: _surest(pair) for rival, pair in by_rival.items()}
+    return Verdict(plan, min(chances.values()), chances)
+
+
+def _surest(questions: Sequence[Question]) -> float:
+    """Chance that the evidence decides, whichever effect is present."""
+    return min(chance(question.distance) for question in questions)
 
 
 def _questions(
-    rig: Rig,
-    effect: str,
-    rivals: Sequence[str],
-    limits: Limits,
-    joint: str,
-    lock_angle: float,
-    pressure: float,
-    rest: Floats,
-    channels: Sequence[int],
+    rig: Rig, effect: str, rivals: Sequence[str], start: Plan, channels: Sequence[int]
 ) -> tuple[dict[str, list[Question]], float]:
     """For each rival both questions (effect or rival present), and the integration step [s]."""
     pairs = {rival: ((rig, effect, rival), (imitation(rig, effect, rival), rival, effect)) for rival in rivals}
     for step in _STEPS:
-        questions = {
-            rival: [Question(*one, joint, lock_angle, pressure, rest, channels, step) for one in pair]
-            for rival, pair in pairs.items()
-        }
-        if all(question.stable(limits.voltage, step) for pair in questions.values() for question in pair):
+        questions = {rival: [Question(*one, start, channels, step) for one in pair] for rival, pair in pairs.items()}
+        if all(question.stable(start.limits.voltage, step) for pair in questions.values() for question in pair):
             break
     return questions, step
 
 
 def promised(rig: Rig, effect: str, rivals: Sequence[str], plan: Plan, channels: Sequence[int]) -> float:
-    """Chance that a recording of a plan decides.
-
-    Args:
-        channels: what is measured, indices of ``CHANNELS`` or of the further gauges.
-    """
-    given = (plan.limits, plan.joint, plan.lock_angle, plan.pressure, np.array(plan.rest))
-    questions, step = _questions(rig, effect, rivals, *given, channels)
-    times = np.arange(round(plan.duration / step)) * step
-    rows = plan.voltage[np.minimum((times / plan.period + 1e-6).astype(np.int64), len(plan.voltage) - 1)]
-    all_questions = [question for pair in questions.values() for question in pair]
-    for question in all_questions:
-        question.take(question.course(rows))
-    return min(chance(question.distance) for question in all_questions)
+    """Chance that a recording of a plan decides, with the channels that are measured."""
+    by_rival, step = _questions(rig, effect, rivals, plan, channels)
+    questions = [question for pair in by_rival.values() for question in pair]
+    for question in questions:
+        question.take(question.course(optimal.resampled(plan.voltage, plan.period, step, plan.duration)))
+    return _surest(questions)
 
 
 def instead_of(
     rig: Rig, effect: str, rivals: Sequence[str], verdict: Verdict, channels: Sequence[int]
 ) -> tuple[str, ...]:
-    """Further sensors, or the other condition of the joint, that would decide; each is tried by a design.
-
-    Args:
-        channels: what is measured, indices of ``CHANNELS``.
-    """
+    """Further sensors, or the other condition of the joint, that would decide; each is tried by a design."""
     plan, out = verdict.plan, []
     missing = [channel for channel in _SENSORS if channel not in channels]
     if plan.joint == "locked":
@@ -369,10 +293,6 @@ def instead_of(
 
 
 def no_motion_decides(instead: Sequence[str]) -> str:
-    """That no experiment within the limits decides, and what would.
-
-    Args:
-        instead: of :func:`instead_of`.
-    """
+    """That no experiment within the limits decides, and what would."""
     text = "No motion within the limits distinguishes them"
     return text + (f"; this would: {'; '.join(instead)}" if instead else ", nor does another sensor or a lock")

@@ -67,43 +67,26 @@ _SWING = 0.12
 class Program(ABC):
     """What drives a joint, sample by sample, by what was measured.
 
-    Attributes:
-        confined: whether the angle has to be within its limit by now; a joint without air hangs as it likes.
-        seconds: length at most [s].
+    `confined`: whether the angle has to be within its limit by now; a joint without air hangs as it likes. `seconds`:
+    length at most [s].
     """
 
     confined = False
     seconds = math.inf
 
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        """Commands for the next sample; None at the end.
-
-        Args:
-            time: since the begin [s].
-            pressure: measured (2,) [Pa].
-            angle: measured [rad].
-        """
-        return self._commanded(time, pressure, angle)
-
     @abstractmethod
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None: ...
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+        """Commands for the next sample, from the time [s] and what is measured [Pa], [rad]; None at the end."""
 
 
 @dataclass
 class Pulse:
-    """What :class:`FirstAir` saw of one valve.
+    """What :class:`FirstAir` saw of one valve."""
 
-    Attributes:
-        rise: of both sensors (2,) [Pa].
-        turned: by how much the joint turned [rad].
-        lost: part of the rise that was gone after the hold [-]; NaN where the valve's own pressure did not rise.
-        level: both pressures before (2,) [Pa].
-    """
-
-    rise: Floats
-    turned: float
-    lost: float
-    level: Floats
+    rise: Floats  # of both sensors (2,) [Pa]
+    turned: float  # by how much the joint turned [rad]
+    lost: float  # part of the rise that was gone after the hold [-]; NaN where the valve's own pressure did not rise
+    level: Floats  # both pressures before (2,) [Pa]
 
 
 class FirstAir(Program):
@@ -122,7 +105,7 @@ class FirstAir(Program):
         self.seconds = _SETTLE_S + 2.0 * (_RAMP_S + _HOLD_S + _VENT_S)
 
     @override
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         out, elapsed, own = [self._low, self._low], time - self._since, self._valve
         if self._phase == "settle":
             if elapsed < _SETTLE_S:
@@ -212,7 +195,7 @@ class Slow(_Confined):
         self.seconds = _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * len(self._turns)
 
     @override
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         self._see(time, angle)
         if self._k == len(self._turns):
             return None
@@ -235,9 +218,7 @@ class Slow(_Confined):
 class Quick(_Confined):
     """Move the joint to random angles under random mean pressures, from move to move a little faster.
 
-    Args:
-        slow: recording of :class:`Slow`, which says which difference holds which angle.
-        seconds: length [s].
+    `slow`: recording of :class:`Slow`, which says which difference holds which angle. `seconds`: length [s].
     """
 
     def __init__(
@@ -258,7 +239,7 @@ class Quick(_Confined):
         return self._move_s
 
     @override
-    def _commanded(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         self._see(time, angle)
         if not self._ready:
             # Fill the muscles, with the joint in the middle, as in the beginning.
@@ -321,9 +302,8 @@ class Quick(_Confined):
 def _held_by(slow: Recording, limit: float) -> tuple[Floats, tuple[float, float]]:
     """What a slow recording says of the joint.
 
-    Returns:
-        Half the difference of the pressures that holds an angle [Pa], as coefficients of 1, ψ, mean, ψ mean and ψ², and
-        the range of angles that was reached [rad].
+    Returns half the difference of the pressures that holds an angle [Pa], as coefficients of 1, ψ, mean, ψ mean and ψ²,
+    and the range of angles that was reached [rad].
     """
     assert slow.angle is not None
     known = np.isfinite(slow.angle) & (np.abs(slow.angle) < limit)

@@ -58,11 +58,7 @@ class Fault:
 
 
 def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
-    """Plan of the experiment.
-
-    Args:
-        highest: upper limit of the pressures [Pa], absolute, if lower than the usual one.
-    """
+    """Plan of the experiment. `highest`: upper limit of the pressures [Pa], absolute, if lower than the usual one."""
     air, supply = rig.atmosphere.pressure, rig.supply.pressure
     low, high, most = (air + share * (supply - air) for share in (_LOW_SHARE, _HIGH_SHARE, _MOST_SHARE))
     if highest < low + 2.0 * _LEAST_RISE:
@@ -89,10 +85,8 @@ def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
 def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None = None) -> list[Fault]:
     """Faults that a recording of the experiment shows; empty if there are none.
 
-    Args:
-        pressure: measured (N, 2) [Pa], one row a sample period from the start of the experiment.
-        angle: measured (N,) [rad]; None if it was not measured.
-        plan: the experiment; default: that of :func:`first_fill` without a limit.
+    `pressure`: measured (N, 2) [Pa], one row a sample period from the start of the experiment. `angle`: measured (N,)
+    [rad]; None if it was not measured. `plan`: the experiment; default: that of :func:`first_fill` without a limit.
     """
     if found := dead_sensors(pressure):
         return found
@@ -154,11 +148,7 @@ def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
 
 
 def dead_sensors(pressure: Floats) -> list[Fault]:
-    """Faults of pressure sensors whose values are missing, impossible or constant; empty if there are none.
-
-    Args:
-        pressure: measured (N, 2) [Pa], also of an experiment that ended early.
-    """
+    """Faults of sensors whose pressures (N, 2) [Pa] are missing, impossible or constant; empty if there are none."""
     return [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
 
 
@@ -177,11 +167,7 @@ def _dead(i: int, values: Floats) -> list[Fault]:
 
 
 def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[Fault]:
-    """Faults that the first air of a joint shows whose rig file is a guess; empty if there are none.
-
-    Args:
-        recording: of :class:`~pam_antagonist.design.exploration.FirstAir`.
-    """
+    """Faults that the recording of :class:`FirstAir` shows, of a guessed rig file; empty if there are none."""
     if found := dead_sensors(recording.pressure):
         return found
     rise = np.array([pulse.rise for pulse in pulses])
@@ -198,8 +184,7 @@ def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> lis
         off = float(np.median(recording.pressure[-max(round(_END_S / rig.sample_period), 1) :, i]))
         off -= rig.command_limits[0] if rig.drive == "regulator" else rig.atmosphere.pressure
         if abs(off) > _ZERO:
-            text = f"pressure sensor {i + 1} is {off / 1e3:+.0f} kPa off while its muscle is vented: its zero is wrong"
-            zeros.append(Fault(f"zero_{i + 1}", f"{text}, or gauge pressures are taken for absolute ones"))
+            zeros.append(_zero(i, off))
     flipped = _encoder(shown) if np.all(np.abs(turned) > _TURNS) else []
     return [*found, *zeros, *flipped]
 
@@ -246,13 +231,13 @@ def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[Fault]:
     for i in (0, 1):
         off = float(vented[i] - rig.atmosphere.pressure)
         if abs(vented[i] - before[i]) < _STILL and abs(off) > _ZERO:
-            text = (
-                f"pressure sensor {i + 1} shows {off / 1e3:+.0f} kPa against the atmosphere while its muscle is vented"
-            )
-            out.append(
-                Fault(f"zero_{i + 1}", f"{text}: its zero is wrong, or gauge pressures are taken for absolute ones")
-            )
+            out.append(_zero(i, off))
     return out
+
+
+def _zero(i: int, off: float) -> Fault:
+    text = f"pressure sensor {i + 1} is {off / 1e3:+.0f} kPa off while its muscle is vented: its zero is wrong"
+    return Fault(f"zero_{i + 1}", f"{text}, or gauge pressures are taken for absolute ones")
 
 
 def _lost(full: Floats) -> list[Fault]:

@@ -33,15 +33,11 @@ _SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Departure(Direction):
-    """A direction towards a model with further parameters.
+    """A direction towards a model with further parameters."""
 
-    Attributes:
-        fixed: parameters that only the neighbour has, by dotted path: the shapes of an effect.
-        share: distance of the neighbour from the model, as a share of the direction.
-    """
-
+    # What only the neighbour has, by dotted path: the shapes of an effect.
     fixed: Mapping[str, float] = field(default_factory=dict)
-    share: float = 0.1
+    share: float = 0.1  # distance of the neighbour from the model, as a share of the direction
 
 
 def block_noise(rig: Rig) -> Floats:
@@ -59,32 +55,20 @@ def unknowns(rig: Rig) -> tuple[Direction, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A piece of a simulated experiment.
+    """A piece of a simulated experiment."""
 
-    Attributes:
-        states: of the model (N, n).
-        shown: what its sensors show (N, 4), in the order of ``CHANNELS``; (N, 7) with the gauges.
-        slopes: derivatives of these by each direction's amount (N, 4, K) or (N, 7, K).
-        rate_slopes: of the angle's rate (N, K).
-        ends: last state of the model and of each neighbour (1 + 2 K or 1 + K of them).
-    """
-
-    states: Floats
-    shown: Floats
-    slopes: Floats
-    rate_slopes: Floats
-    ends: tuple[Floats, ...]
+    states: Floats  # of the model (N, n)
+    shown: Floats  # what its sensors show (N, 4), in the order of ``CHANNELS``; (N, 7) with the gauges
+    slopes: Floats  # derivatives of these by each direction's amount (N, 4, K) or (N, 7, K)
+    rate_slopes: Floats  # of the angle's rate (N, K)
+    ends: tuple[Floats, ...]  # last state of the model and of each neighbour (1 + 2 K or 1 + K of them)
 
 
 class Information:
     """A model with its neighbours, and the information in their differences.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad], of a locked joint.
-        central: whether neighbours lie on both sides: twice the work, smaller errors.
-        channels: what is measured, indices of ``CHANNELS`` or of the gauges; default: all of a recording.
-        step: of the integration [s].
+    `central`: whether neighbours lie on both sides: twice the work, smaller errors. `channels`: what is measured,
+    indices of ``CHANNELS`` or of the gauges; default: all of a recording.
     """
 
     def __init__(
@@ -116,12 +100,7 @@ class Information:
                 self.vectors.append(par.changed(base, {**fixed, **moved}))
 
     def start(self, pressure: tuple[float, float], voltage: Floats) -> tuple[Floats, ...]:
-        """States of the model and of each neighbour after a long rest.
-
-        Args:
-            pressure: of both muscles [Pa].
-            voltage: on the valves (2,) [V].
-        """
+        """States after a long rest, of model and neighbours, by both pressures [Pa] and the voltages (2,) [V]."""
         out = []
         for p in self.vectors:
             angle = equilibrium.rest_angle(*pressure, p) if self._locked_at is None else self._locked_at
@@ -131,9 +110,7 @@ class Information:
     def along(self, starts: Sequence[Floats], voltage: Floats) -> Course:
         """Simulate a piece of an experiment.
 
-        Args:
-            starts: states (n,) at its beginning, of the model and of each neighbour.
-            voltage: (N, 2) [V], a row a step.
+        `starts`: states (n,) at its beginning, of the model and of each neighbour. `voltage`: (N, 2) [V], a row a step.
         """
         given = np.concatenate([voltage[:1], voltage])
         runs = [integration.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
@@ -183,8 +160,7 @@ def _share(direction: Direction) -> float:
 def predicted_std(course: Course, spread: Floats) -> Floats:
     """Standard deviations of angle, rate and pressures along a course (N, 4) by the uncertain directions.
 
-    Args:
-        spread: independent ways (K, U) in which the directions' amounts may be off by one standard deviation.
+    `spread`: independent ways (K, U) in which the directions' amounts may be off by one standard deviation.
     """
     slopes = np.stack(
         [course.slopes[:, ANGLE], course.rate_slopes, course.slopes[:, PRESSURE_1], course.slopes[:, PRESSURE_1 + 1]],

@@ -43,21 +43,13 @@ _MOST_CORNER = 10.0
 
 @dataclass(frozen=True)
 class LoopGains:
-    """Gains of one mode, and bandwidth and margins of the linearised loop.
+    """Gains of one mode, and bandwidth and margins of the linearised loop."""
 
-    Attributes:
-        proportional: [V/rad] or [V/(N m)].
-        integral: [V/(rad s)] or [V/(N m s)].
-        bandwidth: frequency at which the loop's gain is 1 the last time [Hz]; None if it never reaches 1.
-        gain_margin: factor by which the gain may grow; infinite where no phase reaches −180 degrees.
-        phase_margin: at the bandwidth [rad]; None likewise.
-    """
-
-    proportional: float
-    integral: float
-    bandwidth: float | None
-    gain_margin: float
-    phase_margin: float | None
+    proportional: float  # [V/rad] or [V/(N m)]
+    integral: float  # [V/(rad s)] or [V/(N m s)]
+    bandwidth: float | None  # frequency at which the loop's gain is 1 the last time [Hz]; None if it never reaches 1
+    gain_margin: float  # factor by which the gain may grow; infinite where no phase reaches −180 degrees
+    phase_margin: float | None  # at the bandwidth [rad]; None likewise
 
     def in_words(self) -> str:
         """Bandwidth and margins."""
@@ -70,11 +62,7 @@ class LoopGains:
 
 
 def loop_gains(rig: Rig, mode: str) -> LoopGains:
-    """Gains of the PI controller for a rig.
-
-    Args:
-        mode: ``angle`` or ``torque``.
-    """
+    """Gains of the PI controller for a rig. `mode`: ``angle`` or ``torque``."""
     a, b, c = _linear(rig, mode)
     slowest = float(np.min(np.abs(np.linalg.eigvals(a).real)))
     omega = np.geomspace(1e-2, np.pi / rig.sample_period, 1500)

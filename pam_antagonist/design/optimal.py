@@ -12,7 +12,7 @@ during the block and during the rest that may follow.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from pam_antagonist.design.information import Information, predicted_std, unknowns
+from pam_antagonist.design.information import Course, Information, predicted_std, unknowns
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Direction, free_parameters
 from pam_antagonist.rig import Rig
@@ -202,6 +202,20 @@ class Plan:
     pressure: float
     rest: tuple[float, float]
 
+    @classmethod
+    def at_rest(cls, rig: Rig, limits: Limits, joint: str = "free", lock_angle: float = 0.0) -> Plan:
+        """A plan without voltages yet, in the middle of the pressures [Pa], where experiments begin and end.
+
+        Args:
+            rig: the joint.
+            limits: limits that it keeps.
+            joint: ``free`` or ``locked``.
+            lock_angle: [rad], of a locked joint.
+        """
+        pressure = 0.5 * (limits.pressure[0] + limits.pressure[1])
+        rest = steady_voltage(rig, pressure)
+        return cls(np.empty((0, 2)), rig.sample_period, joint, lock_angle, limits, pressure, rest)
+
     @property
     def duration(self) -> float:
         """Length [s]."""
@@ -209,38 +223,19 @@ class Plan:
 
 
 def held(pairs: Floats, seconds: float, step: float) -> Floats:
-    """Voltages (N, 2) of pairs that follow one another in equal times.
-
-    Args:
-        pairs: (K, 2) [V].
-        seconds: of all of them [s].
-        step: from row to row [s].
-    """
+    """Voltages (N, 2) of pairs (K, 2) [V] that follow one another in equal times, a row a step [s]."""
     count = round(seconds / step)
     return np.asarray(pairs[np.minimum(np.arange(count) * len(pairs) // count, len(pairs) - 1)])
 
 
 def best_block(
-    merit: Callable[[Floats], float],
-    bounds: tuple[float, float],
-    rest: Floats,
-    seconds: float,
-    step: float,
-    rng: np.random.Generator,
-) -> Floats | None:
-    """The block with the least merit that a short differential evolution finds.
+    merit: Callable[[Floats], float], start: Plan, seconds: float, step: float, rng: np.random.Generator
+) -> Floats:
+    """The block (N, 2) [V] with the least merit that a short differential evolution finds.
 
-    Args:
-        merit: takes voltages (N, 2) [V]; :data:`FORBIDDEN` or more where they leave the limits.
-        bounds: least and largest voltage [V].
-        rest: voltages of both valves at rest (2,) [V].
-        seconds: length of the block [s].
-        step: from row to row [s].
-
-    Returns:
-        Voltages (N, 2) [V]; None where every block that was tried leaves the limits.
+    `merit` takes a block; :data:`FORBIDDEN` or more where it leaves the limits. Where all do, the joint stays at rest.
     """
-    low, high = bounds
+    (low, high), rest = start.limits.voltage, np.array(start.rest)
 
     def block(choice: Floats) -> Floats:
         pairs = choice[1:].reshape(2, 2)
@@ -255,88 +250,45 @@ def best_block(
         lambda choice: merit(block(choice)), [(0.0, 1.0), *[(low, high)] * 4], init=first, maxiter=_GENERATIONS,
         polish=False, tol=0.0, rng=rng,
     )  # fmt: skip
-    return None if found.fun >= FORBIDDEN else block(found.x)
+    return held(rest[None], seconds, step) if found.fun >= FORBIDDEN else block(found.x)
 
 
-class Design:
-    """The search for an excitation.
+def grown(
+    start: Plan,
+    merit: Callable[[Floats], float],
+    take: Callable[[Floats], None],
+    blocks: Iterable[float],
+    step: float,
+    seed: int,
+    progress: Callable[[float], None] | None,
+    seconds: float | None = None,
+) -> Plan:
+    """The plan of a rest, the best blocks one after the other, and a rest.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad], of a locked joint.
-
-    Attributes:
-        pressure: of both muscles at rest [Pa].
-        rest: voltages of both valves that hold this pressure [V].
-        step: time between two rows of voltages [s].
+    `merit` judges a block with a rest behind it, of which only the block counts; `take` adds what was chosen to what is
+    known; `blocks` are their lengths [s], each asked for when it is its turn; `seconds` is the length of the whole
+    plan, by default what the blocks add up to.
     """
+    rng, rest, chosen = np.random.default_rng(seed), np.array(start.rest)[None], list[Floats]()
 
-    def __init__(
-        self,
-        rig: Rig,
-        limits: Limits,
-        joint: str = "free",
-        lock_angle: float = 0.0,
-        seed: int = 0,
-    ) -> None:
-        self._rig, self._limits = rig, limits
-        sought = unknowns(rig)
-        self._count = len(sought)
-        further, self._spread = uncertainty_of(rig, sought)
-        self._work = Information(rig, (*sought, *further), joint, lock_angle, step=STEP)
-        self._rng = np.random.default_rng(seed)
-        self.pressure = 0.5 * (limits.pressure[0] + limits.pressure[1])
-        self.rest = steady_voltage(rig, self.pressure)
-        self.step = self._work.dt
-        self._rest = np.array(self.rest)
-        self._states = self._work.start((self.pressure, self.pressure), self._rest)
-        self._information = np.eye(self._count)
-        tail = self._work.along(self._states, held(self._rest[None], TAIL, self.step))
-        if limits.excess(tail.states, predicted_std(tail, self._spread)) > 0.0:
-            raise BadInput(
-                "with the uncertainties of the rig file, the joint may leave the limits even at rest: expected wider "
-                "limits, or a rig file with smaller uncertainties (identify)"
-            )
+    def go_on(rows: Floats) -> None:
+        take(rows)
+        chosen.append(rows)
 
-    def _merit(self, rows: Floats) -> float:
-        """Negative gain of a block, so that less is better; far above 0 if the block leaves the limits."""
-        tail = held(self._rest[None], TAIL, self.step)
-        course = self._work.along(self._states, np.concatenate([rows, tail]))
-        over = self._limits.excess(course.states, predicted_std(course, self._spread))
-        if over > 0.0:
-            return FORBIDDEN * (1.0 + over)
-        inside = self._work.matrix(replace(course, slopes=course.slopes[: len(rows)]), self._count)
-        before, after = (np.linalg.slogdet(matrix)[1] for matrix in (self._information, self._information + inside))
-        return float(before - after)
+    go_on(held(rest, REST, step))
+    for length in blocks:
+        go_on(best_block(merit, start, length, step, rng))
+        if progress is not None:
+            progress(length)
+    go_on(held(rest, REST, step))
+    voltage = np.concatenate(chosen)
+    return replace(start, voltage=resampled(voltage, step, start.period, seconds or len(voltage) * step))
 
-    def add(self, seconds: float = BLOCK) -> Floats:
-        """Choose one more block.
 
-        Args:
-            seconds: its length [s].
-
-        Returns:
-            Its voltages (N, 2) [V], a row a step.
-        """
-        rows = best_block(self._merit, self._limits.voltage, self._rest, seconds, self.step, self._rng)
-        return self.at_rest(seconds) if rows is None else self._taken(rows)
-
-    def at_rest(self, seconds: float) -> Floats:
-        """Let the joint rest for a while.
-
-        Args:
-            seconds: how long [s].
-
-        Returns:
-            The voltages (N, 2) [V], a row a step.
-        """
-        return self._taken(held(self._rest[None], seconds, self.step))
-
-    def _taken(self, rows: Floats) -> Floats:
-        course = self._work.along(self._states, rows)
-        self._information = self._information + self._work.matrix(course, self._count)
-        self._states = course.ends
-        return rows
+def resampled(voltage: Floats, step: float, period: float, seconds: float) -> Floats:
+    """Voltages (N, 2), a row a step, as rows a period [s]."""
+    times = np.arange(round(seconds / period)) * period
+    return np.asarray(voltage[np.minimum((times / step + 1e-6).astype(np.int64), len(voltage) - 1)])
 
 
 def designed(
@@ -364,16 +316,34 @@ def designed(
     """
     if seconds < SHORTEST:
         raise BadInput(f"{seconds:g} s: expected {SHORTEST:g} s or more")
-    search = Design(rig, limits, joint, lock_angle, seed)
-    rows = [search.at_rest(REST)]
+    start, sought = Plan.at_rest(rig, limits, joint, lock_angle), unknowns(rig)
+    further, spread = uncertainty_of(rig, sought)
+    work, count = Information(rig, (*sought, *further), joint, lock_angle, step=STEP), len(sought)
+    rest = np.array(start.rest)
+    tail = held(rest[None], TAIL, STEP)
+    states, known = work.start((start.pressure, start.pressure), rest), np.eye(count)
+
+    def excess(course: Course) -> float:
+        return limits.excess(course.states, predicted_std(course, spread))
+
+    def merit(rows: Floats) -> float:
+        course = work.along(states, np.concatenate([rows, tail]))
+        if (over := excess(course)) > 0.0:
+            return FORBIDDEN * (1.0 + over)
+        inside = work.matrix(replace(course, slopes=course.slopes[: len(rows)]), count)
+        before, after = (np.linalg.slogdet(matrix)[1] for matrix in (known, known + inside))
+        return float(before - after)
+
+    def take(rows: Floats) -> None:
+        nonlocal states, known
+        course = work.along(states, rows)
+        known, states = known + work.matrix(course, count), course.ends
+
+    if excess(work.along(states, tail)) > 0.0:
+        raise BadInput(
+            "with the uncertainties of the rig file, the joint may leave the limits even at rest: expected wider "
+            "limits, or a rig file with smaller uncertainties (identify)"
+        )
     left = seconds - 2.0 * REST
-    count = max(1, round(left / BLOCK))
-    for _ in range(count):
-        rows.append(search.add(left / count))
-        if progress is not None:
-            progress(seconds / count)
-    rows.append(search.at_rest(REST))
-    chosen = np.concatenate(rows)
-    samples = np.arange(round(seconds / rig.sample_period)) * rig.sample_period
-    index = np.minimum((samples / search.step + 1e-6).astype(np.int64), len(chosen) - 1)
-    return Plan(chosen[index], rig.sample_period, joint, lock_angle, limits, search.pressure, search.rest)
+    blocks = max(1, round(left / BLOCK))
+    return grown(start, merit, take, [left / blocks] * blocks, STEP, seed, progress, seconds)

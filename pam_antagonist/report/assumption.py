@@ -8,11 +8,7 @@ from pam_antagonist.rig import Rig
 
 
 def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> str | None:
-    """Sentence about the uncertainty that a rig file claims without proof; None for an identified rig.
-
-    Args:
-        identified: whether the report also has a rig that was identified from this one.
-    """
+    """The uncertainty that a rig file claims without proof, in a sentence; None for an identified rig."""
     if rig.identified:
         return None
     considered = rig.tuning(tuning).consider

@@ -16,44 +16,27 @@ from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import MEASURED, MODEL, SECOND
 from pam_antagonist.report.table import Table
 
-_DEFINITIONS = (
-    ("Rig time", "How long the joint was driven. The remaining time is design, fits and waiting."),
-    (
-        "Margins",
-        "They are those of the loop with the linearised model. Nonlinear behaviour of the joint is not included.",
-    ),
-)
-
 
 @dataclass(frozen=True)
 class Step:
-    """A step of a commissioning; `rig_seconds` is the part of its duration in which the joint was driven [s].
-
-    Attributes:
-        folder: of a report of its own, beside this one.
-    """
+    """A step of a commissioning; `rig_seconds` is the part of its duration in which the joint was driven [s]."""
 
     name: str
     done: bool
     said: str
     seconds: float
     rig_seconds: float
-    folder: str = ""
+    folder: str = ""  # of a report of its own, beside this one
 
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """A recording of a step in which the joint was driven.
-
-    Attributes:
-        pressure_limits: least and largest [Pa].
-        angle_limit: [rad].
-    """
+    """A recording of a step in which the joint was driven."""
 
     name: str
     recording: Recording
-    pressure_limits: tuple[float, float]
-    angle_limit: float
+    pressure_limits: tuple[float, float]  # least and largest [Pa]
+    angle_limit: float  # [rad]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -69,20 +52,17 @@ class CommissionResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         driven = sum(step.rig_seconds for step in self.steps)
         return {"rig": self.rig, "steps": self.steps, "rig_seconds": driven, "left": self.left}
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         found = tuple((good if step.done else warn)(f"{step.name}: {step.said}") for step in self.steps)
         rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in self.steps)
         return Findings(found), Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows."""
         findings, table = self.blocks()
         blocks: list[Block] = [Text(self._lede(), "lede"), findings]
         if self.next_line and not self.left and all(step.done for step in self.steps):
@@ -91,7 +71,7 @@ class CommissionResult(Result):
         if pages:
             blocks.append(Links(pages))
         blocks += [table, *map(figure_of, self.driven if figures else ())]
-        ends = background(_DEFINITIONS, [("Rig", self.rig), ("Command", self.command)])
+        ends = background("commission", [("Rig", self.rig), ("Command", self.command)])
         return Document("Commissioning", self.rig, (*blocks, *ends))
 
     def _lede(self) -> str:

@@ -58,11 +58,8 @@ def envelope(lower: FloatArray, upper: FloatArray, limit: int = LIMIT) -> tuple[
 def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[IndexArray, FloatArray]:
     """Share of each stretch of time that is spent in each category.
 
-    Args:
-        category: (N,) values 0..categories - 1.
-
-    Returns:
-        Index of each stretch's middle sample (C,), and the shares (categories, C), each column adding up to 1.
+    `category`: (N,) values 0..categories - 1. Returns index of each stretch's middle sample (C,), and the shares
+    (categories, C), each column adding up to 1.
     """
     samples = len(category)
     width = max(1, -(-samples // columns))
@@ -75,11 +72,7 @@ def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[
 
 
 def stretches(x: FloatArray) -> IndexArray:
-    """Number of the uninterrupted stretch that each sample of a recording belongs to.
-
-    Args:
-        x: (N,) increasing times; a pause of more than five median steps starts a new stretch.
-    """
+    """Number of the stretch that each sample (N,) belongs to; a pause of over five median steps starts a new one."""
     if len(x) < 3:
         return np.zeros(len(x), np.int64)
     step = np.diff(x)
@@ -87,11 +80,7 @@ def stretches(x: FloatArray) -> IndexArray:
 
 
 def curve(x: FloatArray, y: FloatArray, with_pauses: bool) -> tuple[FloatArray, FloatArray]:
-    """A curve with at most about `LIMIT` points.
-
-    Args:
-        with_pauses: whether `x` is the time of a recording, whose pauses become gaps.
-    """
+    """A curve with at most about `LIMIT` points; `with_pauses`: those in a recording's time become gaps."""
     index = min_max_indices(y)
     if not with_pauses:
         return x[index], y[index]
@@ -102,11 +91,7 @@ def curve(x: FloatArray, y: FloatArray, with_pauses: bool) -> tuple[FloatArray, 
 def band(
     x: FloatArray, lower: FloatArray, upper: FloatArray, with_pauses: bool
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """The uninterrupted stretches of a decimated band: x, lower and upper edge of each.
-
-    Args:
-        with_pauses: whether `x` is the time of a recording, whose pauses become gaps.
-    """
+    """The uninterrupted stretches of a decimated band: x, lower and upper edge of each; as :func:`curve`."""
     index, low, high = envelope(lower, upper)
     group = stretches(x)[index] if with_pauses else np.zeros(len(index), np.int64)
     key = np.where(np.isfinite(low), group, -1)

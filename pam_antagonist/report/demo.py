@@ -55,20 +55,12 @@ def spring_and_damper(recording: Recording, damped: bool = True) -> FloatArray:
 
 @dataclass(frozen=True)
 class Yielding:
-    """Comparison of the joint with the commanded spring and damper.
+    """Comparison of the joint with the commanded spring and damper."""
 
-    Attributes:
-        rmse_deg: RMS difference of the measured angle from that of spring and damper [°].
-        largest_deg: largest difference [°].
-        moved_deg: root mean square of the motion of spring and damper [°].
-        within: share of the samples with a difference within the 95 % interval, from the covariance of angle and
-            external torque [-].
-    """
-
-    rmse_deg: float
-    largest_deg: float
-    moved_deg: float
-    within: float
+    rmse_deg: float  # RMS difference of the measured angle from that of spring and damper [°]
+    largest_deg: float  # largest difference [°]
+    moved_deg: float  # root mean square of the motion of spring and damper [°]
+    within: float  # share of the samples in the 95 % interval, by the covariance of angle and external torque [-]
 
     @classmethod
     def of(cls, replay: Replay) -> Yielding:
@@ -122,47 +114,29 @@ class Yielding:
 
 @dataclass(frozen=True)
 class Simulated:
-    """The simulated joint.
+    """The simulated joint."""
 
-    Attributes:
-        mismatch: relative standard deviation of its parameters from the rig's [-].
-    """
-
-    mismatch: float
+    mismatch: float  # relative standard deviation of its parameters from the rig's [-]
     seed: int
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Demo(Result):
-    """A finished demo; angles in degrees, torques in N m, times in ms.
-
-    Attributes:
-        gains: of the controller, ``fast`` or ``published``; ``model`` for the law through the model; ``found`` for
-            gains of a file.
-        stiffness: tracking of the estimated stiffness [N m/rad]; None without a reference for it.
-        yielding: motion under pushes; None in other modes than IMPEDANCE.
-        accounting: account of the samples; None where a stage is missing in the recording.
-        stopped: why the joint was stopped for safety, in words; empty where it was not.
-    """
+    """A finished demo; angles in degrees, torques in N m, times in ms."""
 
     replay: Replay
     mode: Mode
     simulated: Simulated
-    gains: str
+    gains: str  # of the controller: ``fast`` or ``published``, ``model`` for that law, ``found`` for those of a file
     tracking: Tracking
-    stiffness: Tracking | None
-    yielding: Yielding | None
-    accounting: Accounting | None
-    stopped: str = ""
+    stiffness: Tracking | None  # tracking of the estimated stiffness [N m/rad]; None without a reference for it
+    yielding: Yielding | None  # motion under pushes; None in other modes than IMPEDANCE
+    accounting: Accounting | None  # account of the samples; None where a stage is missing in the recording
+    stopped: str = ""  # why the joint was stopped for safety, in words; empty where it was not
 
     @classmethod
     def of(cls, replay: Replay, mode: Mode, simulated: Simulated, gains: str = "fast", stopped: str = "") -> Demo:
-        """Evaluate the recording of a demo.
-
-        Args:
-            gains: of the controller, ``fast``, ``published`` or ``model``.
-            stopped: why the joint was stopped for safety, in words; empty where it was not.
-        """
+        """Evaluate the recording of a demo."""
         yielding = Yielding.of(replay) if mode is Mode.IMPEDANCE else None
         followed = follow(replay.recording, mode)
         stiffness = tracking(replay.run.stamp_ns, *_stiffness(replay)) if mode.has_stiffness else None
@@ -171,7 +145,6 @@ class Demo(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``: of the replay, and the key ``demo``, whose keys contain a unit."""
         unit, followed = _UNIT[self.mode.quantity], self.tracking
         about = {
             "mode": self.mode.name.lower(),
@@ -203,43 +176,39 @@ class Demo(Result):
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         return Text(_verdict(self)), errors_table(self.replay.report), control_table(self)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
-        return document(self, figures)
-
-
-def document(demo: Demo, with_figures: bool = True) -> Document:
-    """An overview figure, the numbers of the loop, and the replay's report below."""
-    replayed = replay_document([demo.replay], with_figures)
-    what = demo.mode.quantity.name.lower()
-    task = "yielded to pushes" if demo.yielding is not None else f"followed steps of its {what}"
-    if demo.stopped:
-        task = f"was to follow steps of its {what}"
-    lede = (
-        f"A simulated joint {task}. The controller had no {what} sensor: it saw only the "
-        "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
-        "report."
-    )
-    # Lede and verdict of the replay are in the section on the estimate.
-    verdict, estimate, ends = replayed.blocks[1], replayed.blocks[2:-2], replayed.blocks[-2:]
-    blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(demo), "verdict")]
-    if demo.stopped:
-        blocks.reverse()
-    if with_figures:
-        blocks.append(_figure(demo))
-        blocks += [_stiffness_figure(demo)] if demo.stiffness is not None else []
-    blocks += [
-        Tiles(_tiles(demo)),
-        Section("Control and pipeline", (control_table(demo),), 2, "loop"),
-        Section("How these numbers are defined", (Text(_definitions(demo)),), folded=True),
-        Section("The estimate", (verdict, *estimate), 2, "estimate"),
-        *ends,
-    ]
-    return Document(f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", tuple(blocks))
+        """An overview figure, the numbers of the loop, and the replay's report below."""
+        replayed = replay_document([self.replay], figures)
+        what = self.mode.quantity.name.lower()
+        task = "yielded to pushes" if self.yielding is not None else f"followed steps of its {what}"
+        if self.stopped:
+            task = f"was to follow steps of its {what}"
+        lede = (
+            f"A simulated joint {task}. The controller had no {what} sensor: it saw only the "
+            "estimate from two pressure sensors. All of it ran live at 1 kHz, was recorded, and was replayed for this "
+            "report."
+        )
+        # Lede and verdict of the replay are in the section on the estimate.
+        verdict, estimate, ends = replayed.blocks[1], replayed.blocks[2:-2], replayed.blocks[-2:]
+        blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(self), "verdict")]
+        if self.stopped:
+            blocks.reverse()
+        if figures:
+            blocks.append(_figure(self))
+            blocks += [_stiffness_figure(self)] if self.stiffness is not None else []
+        blocks += [
+            Tiles(_tiles(self)),
+            Section("Control and pipeline", (control_table(self),), 2, "loop"),
+            Section("How these numbers are defined", (Text(_definitions(self)),), folded=True),
+            Section("The estimate", (verdict, *estimate), 2, "estimate"),
+            *ends,
+        ]
+        return Document(
+            f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", tuple(blocks)
+        )
 
 
 def _slowest(demo: Demo) -> float:

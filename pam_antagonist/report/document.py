@@ -7,7 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import Literal, TypeAlias
+
+import yaml
 
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.table import Table
@@ -16,41 +20,22 @@ from pam_antagonist.software import versions
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph of plain text.
-
-    Attributes:
-        kind: ``lede`` and ``verdict`` are the first two paragraphs of a document.
-    """
+    """A paragraph of plain text."""
 
     text: str
-    kind: Literal["", "lede", "verdict"] = ""
+    kind: Literal["", "lede", "verdict"] = ""  # ``lede`` and ``verdict`` are the first two paragraphs of a document
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One statement that the numbers support.
+    """One statement that the numbers support."""
 
-    Attributes:
-        status: ``good`` (as expected), ``warn`` (a problem) or ``note`` (information).
-    """
-
-    status: Literal["good", "warn", "note"]
+    status: Literal["good", "warn", "note"]  # ``good`` (as expected), ``warn`` (a problem) or ``note`` (information)
     text: str
 
 
-def good(text: str) -> Finding:
-    """A finding that is as expected."""
-    return Finding("good", text)
-
-
-def warn(text: str) -> Finding:
-    """A finding that is a problem."""
-    return Finding("warn", text)
-
-
-def note(text: str) -> Finding:
-    """A finding that is information."""
-    return Finding("note", text)
+good, warn, note = partial(Finding, "good"), partial(Finding, "warn"), partial(Finding, "note")
+"""A finding of this status, from its text."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +63,9 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Links:
-    """Other files beside the page.
+    """Other files beside the page."""
 
-    Attributes:
-        items: what is there, and its path relative to the page.
-    """
-
-    items: tuple[tuple[str, str], ...]
+    items: tuple[tuple[str, str], ...]  # what is there, and its path relative to the page
 
 
 @dataclass(frozen=True)
@@ -104,16 +85,12 @@ class Columns:
 
 @dataclass(frozen=True)
 class Section:
-    """A titled group of blocks.
-
-    Attributes:
-        anchor: target of the navigation; without one the section is not in the navigation.
-    """
+    """A titled group of blocks."""
 
     title: str
     blocks: tuple[Block, ...]
     level: Literal[2, 3] = 3
-    anchor: str = ""
+    anchor: str = ""  # target of the navigation; without one the section is not in the navigation
     folded: bool = False
 
 
@@ -145,9 +122,16 @@ class Document:
     footer: str = field(default_factory=_software)
 
 
-def background(definitions: Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]) -> tuple[Section, ...]:
-    """The two folded sections at the end of every report."""
+def words(page: str) -> tuple[tuple[str, str], ...]:
+    """What the words of a page mean, from ``templates/words.yaml``."""
+    text = (Path(__file__).parent / "templates" / "words.yaml").read_text(encoding="utf-8")
+    return tuple(yaml.safe_load(text)[page].items())
+
+
+def background(meaning: str | Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]) -> tuple[Section, ...]:
+    """The two folded sections at the end of every report; the words are those of a page, or given themselves."""
+    known = words(meaning) if isinstance(meaning, str) else tuple(meaning)
     return (
-        Section("What the words mean", (Definitions(tuple(definitions)),), folded=True),
+        Section("What the words mean", (Definitions(known),), folded=True),
         Section("How this report was made", (Table(("What", "Which"), tuple(provenance), prose=True),), folded=True),
     )

@@ -18,7 +18,7 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import Result, frame_of, picked
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
@@ -80,6 +80,25 @@ def unit(rig: Rig, name: str) -> tuple[str, float]:
     return shown, factor / inertia
 
 
+def value_name(rig: Rig, name: str) -> str:
+    """Name of a value in a report."""
+    title = name.removeprefix("effects.")
+    effect = title.partition(".")[0]
+    return f"{effect}, {list(rig.signals)[int(title[-1]) - 1]}" if effect in _BY_SIGNAL else title
+
+
+def shown(rig: Rig, name: str, value: Interval, digits: int = 3) -> tuple[str, str, str]:
+    """A number of the model as a report has it: its name, the value with its interval, and the unit."""
+    written, factor = unit(rig, name)
+    return value_name(rig, name), interval(times(factor, value), digits), written
+
+
+def removes(value: Interval) -> str:
+    """How much of the error an effect removes, in words."""
+    low, high = percent(value.low), percent(value.high)
+    return f"removes {percent(value.value)} of the squared error of unseen episodes ({low} to {high})"
+
+
 def verdict(found: EpisodeDiagnosis) -> str:
     """The result in one or two sentences."""
     given, before, *_, after = (number(row.forecast.value) for row in found.rows)
@@ -119,10 +138,9 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
     last = max(item.round for item in found.tried)
     for item in found.tried:
         if item.round == last and not item.taken:
-            how = "was not fitted, since its score is lower than those of the others" if item.removed is None else (
-                f"removes {percent(item.removed.value)} of the squared error of unseen episodes "
-                f"({percent(item.removed.low)} to {percent(item.removed.high)})"
-            )  # fmt: skip
+            how = "was not fitted, since its score is lower than those of the others"
+            if item.removed is not None:
+                how = removes(item.removed)
             name = in_words(item.name)
             out.append(note(f"{name[:1].upper()}{name[1:]} is not needed beside these: it {how}."))
     whole, recent = found.rows[-1].later, found.rows[-1].recent
@@ -186,8 +204,8 @@ def _moved(found: EpisodeDiagnosis, rig: Rig) -> list[str]:
     out = []
     for name, change in found.drift.changes.items():
         if change.low > 0.0 or change.high < 0.0:
-            shown, factor = unit(rig, name)
-            out.append(f"{value_name(rig, name)} by {interval(times(factor, change), 2)} {shown}")
+            title, text, written = shown(rig, name, change, 2)
+            out.append(f"{title} by {text} {written}")
     return out
 
 
@@ -201,30 +219,22 @@ def errors_table(found: EpisodeDiagnosis) -> Table:
         "RMSE of the angle [°], 95 % interval by episode", "later, all before fitted",
         f"later, last {percent(found.window)} before", "interleaved",
     )  # fmt: skip
-    fitted, later, between = found.counts
-    return Table(
-        head, rows,
+    return Table(head, rows, about_episodes(*found.counts))
+
+
+def about_episodes(fitted: int, later: int, between: int) -> str:
+    """How errors of episodes were computed, by the numbers of episodes."""
+    return (
         f"Free runs of whole episodes from their first row; {fitted} episodes may be fitted, {later} later and "
-        f"{between} interleaved ones are held out",
-    )  # fmt: skip
-
-
-def value_name(rig: Rig, name: str) -> str:
-    """Name of a value in a report."""
-    title = name.removeprefix("effects.")
-    effect = title.partition(".")[0]
-    return f"{effect}, {list(rig.signals)[int(title[-1]) - 1]}" if effect in _BY_SIGNAL else title
+        f"{between} interleaved ones are held out"
+    )
 
 
 def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
     """Numbers of the extended model, and their changes over the recording."""
     rows = []
     for name, value in found.values.items():
-        shown, factor = unit(rig, name)
-        rows.append((
-            value_name(rig, name), interval(times(factor, value)), shown,
-            interval(times(factor, found.drift.changes[name]), 2),
-        ))  # fmt: skip
+        rows.append((*shown(rig, name, value), shown(rig, name, found.drift.changes[name], 2)[1]))
     return Table(
         ("Value", "95 % interval by episode", "Unit", "Change over the recording, corrected 95 % interval"),
         tuple(rows),
@@ -237,11 +247,9 @@ def drift_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
     """Numbers of the extended model in each part of the recording, and its errors there."""
     rows = []
     for name, parts in found.drift.values.items():
-        shown, factor = unit(rig, name)
-        rows.append((
-            f"{value_name(rig, name)} [{shown}]",
-            *(interval(times(factor, part), 2) for part in parts),
-        ))  # fmt: skip
+        texts = [shown(rig, name, part, 2) for part in parts]
+        title, _, written = texts[0]
+        rows.append((f"{title} [{written}]", *(text for _, text, _ in texts)))
     for k, fit in enumerate(("fitted to all that may be fitted", "fitted to the part")):
         rows.append((f"RMSE [°], {fit}", *(number(pair[k]) for pair in found.drift.errors)))
     return Table(
@@ -252,17 +260,13 @@ def drift_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
 
 def tried_table(found: EpisodeDiagnosis) -> Table:
     """All candidates, by rounds."""
-    rows = tuple(
-        (
-            f"{item.round}. {item.name}", percent(item.score),
-            MISSING if item.removed is None
-            else f"{percent(item.removed.value)} ({percent(item.removed.low)} to {percent(item.removed.high)})",
-            "taken" if item.taken else "",
-        )
-        for item in found.tried
-    )  # fmt: skip
+    rows = []
+    for item in found.tried:
+        removed = MISSING if item.removed is None else " to ".join(map(percent, item.removed[1:]))
+        removed = removed if item.removed is None else f"{percent(item.removed.value)} ({removed})"
+        rows.append((f"{item.round}. {item.name}", percent(item.score), removed, "taken" if item.taken else ""))
     return Table(
-        ("Candidate", "Score", "Squared error removed, corrected interval", ""), rows,
+        ("Candidate", "Score", "Squared error removed, corrected interval", ""), tuple(rows),
         "Score: to first order, of fitted episodes; removed: of episodes that the fit has not seen. Intervals are "
         "wider by as many candidates as were offered",
     )  # fmt: skip
@@ -303,33 +307,24 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
         tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
         "Forecasts within the fitted episodes, by which the share was chosen",
     )
-    definitions = (
-        ("Later", "Episodes at the end of the recording, or of another one; no fit and no choice sees them."),
-        ("Interleaved", "Every fifth episode of what comes before; no fit and no choice sees them either."),
-        ("Interval", "A bootstrap of blocks of ten neighbouring episodes."),
-    )
+    recordings = [(f"Recording {k}", value) for k, value in enumerate(hashes, 1)]
     blocks: tuple[Block, ...] = (
         Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
         Text(verdict(found), "verdict"), tiles, Findings(findings(found, joint)), errors_table(found),
         values_table(found, joint.rig), tried_table(found), drift_table(found, joint.rig),
         *((figure(found, joint.rig),) if with_figures else ()), forecasts,
-        *background(definitions, [("Rig", joint.rig.name), *((f"Recording {k}", h) for k, h in enumerate(hashes, 1))]),
+        *background("close_loop of episodes", [("Rig", joint.rig.name), *recordings]),
     )  # fmt: skip
     return Document("What the model of a joint lacks", joint.name, blocks)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EpisodesDiagnoseResult(Result):
-    """Effects that the model of a joint lacks, from episodes.
+    """Effects that the model of a joint lacks, from episodes."""
 
-    Attributes:
-        found: effects, errors on whole held-out episodes, and the drift.
-        hashes: SHA-256 of the recordings, a whole held-out one last.
-    """
-
-    found: EpisodeDiagnosis
+    found: EpisodeDiagnosis  # effects, errors on whole held-out episodes, and the drift
     joint: PressureDriven
-    hashes: tuple[str, ...]
+    hashes: tuple[str, ...]  # SHA-256 of the recordings, a whole held-out one last
 
     @override
     def _brief(self) -> str:
@@ -361,7 +356,6 @@ class EpisodesDiagnoseResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``; intervals are value, lower and upper end."""
         found, rig = self.found, self.joint.rig
         return {
             "verdict": "effect" if found.effects else "none",
@@ -373,9 +367,7 @@ class EpisodesDiagnoseResult(Result):
             "ratio_to_coulomb_interleaved": found.ratio,
             "ratio_to_noise": found.left,
             "longest_step_s": found.longest_step,
-            "values": found.values,
-            "tried": found.tried,
-            "window": found.window,
+            **picked(found, "values", "tried", "window"),
             "forecasts_deg": dict(zip(map(str, WINDOWS), found.forecasts, strict=True)),
             "course": found.drift.values,
             "changes": found.drift.changes,
@@ -384,20 +376,18 @@ class EpisodesDiagnoseResult(Result):
             "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
             "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
             "rig": rig.name,
-            "units": {"pressure": rig.units.pressure, "force": rig.units.force},
+            "units": picked(rig.units, "pressure", "force"),
             "recordings_sha256": self.hashes,
         }
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         found, joint = self.found, self.joint
         listed = Findings(findings(found, joint))
         return Text(self.sentence), listed, errors_table(found), values_table(found, joint.rig)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         return document(self.found, self.joint, self.hashes, figures)
 
     def to_dataframe(self) -> DataFrame:

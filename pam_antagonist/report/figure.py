@@ -22,22 +22,15 @@ Dash = Literal["", "dash", "dot"]
 
 @dataclass(frozen=True)
 class Axis:
-    """A horizontal or vertical axis.
-
-    Attributes:
-        bounds: values at the two ends, left or lower one first; None: from the series.
-        labels: names at 0, 1, 2, ... instead of numbers.
-        is_time: whether values are seconds of a recording. Figures of one link zoom together; a pause is a gap in a
-            line.
-        from_zero: whether the axis includes 0.
-    """
+    """A horizontal or vertical axis."""
 
     title: str = ""
     log: bool = False
-    bounds: tuple[float, float] | None = None
-    labels: tuple[str, ...] = ()
+    bounds: tuple[float, float] | None = None  # values at the two ends, left or lower one first; None: from the series
+    labels: tuple[str, ...] = ()  # names at 0, 1, 2, ... instead of numbers
+    # Seconds of a recording: figures of one link zoom together, and a pause is a gap in a line.
     is_time: bool = False
-    from_zero: bool = False
+    from_zero: bool = False  # whether the axis includes 0
 
 
 TIME = Axis("Time [s]", is_time=True)
@@ -46,11 +39,7 @@ TIME = Axis("Time [s]", is_time=True)
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.decimate`).
-
-    Attributes:
-        opacity: 0 to 1; a translucent line is in the background and has no hover text.
-    """
+    """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.decimate`)."""
 
     name: str
     x: FloatArray
@@ -59,7 +48,7 @@ class Line:
     dash: Dash = ""
     width: float = 1.3
     quiet: bool = False
-    opacity: float = 1.0
+    opacity: float = 1.0  # 0 to 1; a translucent line is in the background and has no hover text
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,21 +65,16 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Single values.
-
-    Attributes:
-        opacity: 0 to 1.
-        half_width: half width of an interval around `x` (N,), drawn as a bar; None: no bars.
-    """
+    """Single values."""
 
     name: str
     x: FloatArray
     y: FloatArray
     color: str
     size: float = 6.0
-    opacity: float = 1.0
+    opacity: float = 1.0  # 0 to 1
     hollow: bool = False
-    half_width: FloatArray | None = None
+    half_width: FloatArray | None = None  # half width of an interval around `x` (N,), drawn as a bar; None: no bars
     bar_width: float = 2.0
     quiet: bool = False
 
@@ -108,39 +92,26 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Heatmap:
-    """Cells that are coloured by their value.
+    """Cells that are coloured by their value."""
 
-    Attributes:
-        x: (C,) centres of the columns.
-        values: (R, C), rows at 0, 1, ...; NaN leaves a cell empty.
-        rows: (R,) names of the rows for the hover text.
-        colors: colours at equal steps from the least to the largest value.
-        hover: hover text, a format of ``row``, ``column`` and ``value``.
-        cell: text in each cell, a format of ``value``; empty: none.
-    """
-
-    x: FloatArray
-    values: FloatArray
-    rows: tuple[str, ...]
-    colors: tuple[str, ...]
+    x: FloatArray  # (C,) centres of the columns
+    values: FloatArray  # (R, C), rows at 0, 1, ...; NaN leaves a cell empty
+    rows: tuple[str, ...]  # (R,) names of the rows for the hover text
+    colors: tuple[str, ...]  # colours at equal steps from the least to the largest value
     bounds: tuple[float, float]
-    hover: str
-    cell: str = ""
+    hover: str  # hover text, a format of ``row``, ``column`` and ``value``
+    cell: str = ""  # text in each cell, a format of ``value``; empty: none
     scale: bool = False
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A dashed line at one value of the vertical (or horizontal) axis, with a label at its end.
-
-    Attributes:
-        vertical: whether the line is vertical, at a value of the horizontal axis.
-    """
+    """A dashed line at one value of the vertical (or horizontal) axis, with a label at its end."""
 
     value: float
     label: str = ""
     color: str = QUIET
-    vertical: bool = False
+    vertical: bool = False  # whether the line is vertical, at a value of the horizontal axis
 
 
 @dataclass(frozen=True)
@@ -171,15 +142,11 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A figure.
-
-    Attributes:
-        panels: one above the other with the same horizontal axis, or side by side with separate axes.
-    """
+    """A figure."""
 
     title: str
     about: str
-    panels: tuple[Panel, ...]
+    panels: tuple[Panel, ...]  # one above the other with the same horizontal axis, or side by side with separate axes
     link: str = ""
     beside: bool = False
 

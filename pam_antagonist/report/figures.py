@@ -48,11 +48,7 @@ def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: 
 
 
 def lines(x: FloatArray, values: Mapping[str, FloatArray], quiet: bool = False, width: float = 1.7) -> tuple[Line, ...]:
-    """A line for each name, in the palette's colours.
-
-    Args:
-        values: name -> samples (N,).
-    """
+    """A line for each name, in the palette's colours. `values`: name -> samples (N,)."""
     named = zip(values.items(), PALETTE, strict=False)
     return tuple(Line(name, x, line, color, quiet=quiet, width=width) for (name, line), color in named)
 
@@ -70,11 +66,9 @@ def residual_figure(
 ) -> Figure:
     """Residuals over time, a panel for each channel.
 
-    Args:
-        models: name, residuals (N, C) and colour of each model.
-        noise: standard deviation of each channel's noise (C,); dashed lines are drawn at twice this. None: no lines.
-        edges: times [s] at which an effect begins or ends; a line is drawn at each.
-        held: begin and end [s] of the held-out parts, which are shaded.
+    `models`: name, residuals (N, C) and colour of each model. `noise`: standard deviation of each channel's noise (C,);
+    dashed lines are drawn at twice this. None: no lines. `edges`: times [s] at which an effect begins or ends; a line
+    is drawn at each. `held`: begin and end [s] of the held-out parts, which are shaded.
     """
     panels = []
     for k, (name, scale) in enumerate(channels):
@@ -96,11 +90,7 @@ def tracking_figure(
     signals: tuple[FloatArray, FloatArray, FloatArray],
     link: str,
 ) -> Figure:
-    """A control loop: measurement, estimate and reference over time, the tracking error below.
-
-    Args:
-        signals: measured, estimated and reference values, (N,) each, in this unit.
-    """
+    """A control loop: what was measured, estimated and wanted (N,) over time, the tracking error below."""
     (name, unit), (measured, estimated, wanted) = quantity, signals
     shown = (
         Line("measured", x, measured, MEASURED),
@@ -116,11 +106,7 @@ def tracking_figure(
 
 
 def nis_figure(x: FloatArray, nis: FloatArray, bounds: tuple[float, float], window: int, link: str) -> Figure:
-    """Normalised innovation squared of two pressures over time.
-
-    Args:
-        bounds: interval with 95 % of a consistent filter's values.
-    """
+    """Normalised innovation squared of two pressures over time, with the bounds of a consistent filter's 95 %."""
     parts = (
         Line("each sample", x, np.maximum(nis, 1e-3), FAINT, width=0.8),
         Line("mean over 1 s", x, moving_mean(nis, window), ESTIMATE, width=2.0),
@@ -147,9 +133,7 @@ def profile_panel(
 ) -> Panel:
     """Profile likelihoods with the parabola of the standard error and the limit of the 95 % interval.
 
-    Args:
-        parabola: name, x (N,), losses (N,) and colour.
-        limit: loss at the end of a 95 % interval.
+    `parabola`: name, x (N,), losses (N,) and colour. `limit`: loss at the end of a 95 % interval.
     """
     name, x, loss, color = parabola
     expected = Line(name, x, loss, color, dash="dot", width=1.6)
@@ -160,9 +144,8 @@ def profile_panel(
 def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, columns: int = 400) -> Panel:
     """Active category over time: one row for each category, darker where it is active for more of the time.
 
-    Args:
-        names: of the categories, with a short name before a colon; a category that never occurs has no row.
-        category: (N,) indices into `names`.
+    `names`: of the categories, with a short name before a colon; a category that never occurs has no row. `category`:
+    (N,) indices into `names`.
     """
     middle, share = decimate.shares(category, len(names), columns)
     seen = [int(number) for number in np.flatnonzero(share.sum(axis=1) > 0.0)]
@@ -185,10 +168,8 @@ def matrix(
 ) -> tuple[Panel, ...]:
     """Matrices of the same rows and columns, one above the other, with the number in each cell.
 
-    Args:
-        grids: title and values (rows, columns) of each matrix.
-        colors: of a :class:`Heatmap`.
-        cell: format of ``value``.
+    `grids`: title and values (rows, columns) of each matrix. `colors`: of a :class:`Heatmap`. `cell`: format of
+    ``value``.
     """
     x, y = Axis(labels=tuple(columns)), Axis(labels=tuple(rows))
     hover = "{row}, {column}: " + cell
@@ -200,23 +181,14 @@ def matrix(
 
 
 def autocorrelation(lag: FloatArray, groups: Sequence[tuple[str, FloatArray, str]], bound: float) -> Panel:
-    """Correlation over lag, with bounds that contain 95 % of a white series' values.
-
-    Args:
-        lag: (K,) [ms].
-        groups: name, values (K,) and colour of each series.
-    """
+    """Correlation over lag (K,) [ms], with bounds that contain 95 % of a white series' values."""
     bars = [Bars(name, lag, values, color) for name, values, color in groups]
     bounds = [Reference(sign * bound) for sign in (-1.0, 1.0)]
     return Panel(Axis("Lag [ms]"), Axis("Correlation [-]"), (*bars, *bounds), 182)
 
 
 def spreads(rows: Sequence[tuple[str, FloatArray, str]], title: str, log: bool = False) -> Panel:
-    """One row of points for each name, each point a repetition, with a bar at the median.
-
-    Args:
-        rows: name, values (K,) and colour, from top to bottom.
-    """
+    """A row of points for each name, values (K,) and colour; each point a repetition, with a bar at the median."""
     parts: list[Series] = []
     for number, (name, values, color) in enumerate(rows):
         known = np.asarray(values, dtype=np.float64)

@@ -10,6 +10,7 @@ from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.identification.result import Held
 from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.report.channels import ANGLE, CHANNELS, Channel, judged
+from pam_antagonist.report.result import picked
 from pam_antagonist.report.table import Comparison, Table, percent
 
 COLUMNS = {
@@ -47,8 +48,7 @@ def entry(held: Held) -> dict[str, Any]:
 
     def numbers(rig: str) -> dict[str, Any] | None:
         one = held.reports.get(rig)
-        names = ("samples", "duration_s", "ukf", "model_alone", "innovation")
-        return None if one is None else {name: getattr(one, name) for name in names}
+        return None if one is None else picked(one, "samples", "duration_s", "ukf", "model_alone", "innovation")
 
     about = {"name": held.name, "from_s": held.from_s, "joint": held.identified.joint}
     return {**about, **{rig: numbers(rig) for rig in _TITLES}, "errors_deg": errors_of(held)}

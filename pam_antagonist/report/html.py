@@ -34,11 +34,7 @@ def render(document: Document) -> str:
 
 
 def write(folder: Path, document: Document, numbers: Any) -> None:
-    """Write ``report.json`` and ``report.html`` into an existing folder.
-
-    Args:
-        numbers: content of ``report.json``, see :func:`pam_antagonist.strict_json.plain`.
-    """
+    """Write ``report.json``, with these numbers, and ``report.html`` into an existing folder."""
     strict_json.write_json(folder / "report.json", numbers)
     (folder / "report.html").write_text(render(document), encoding="utf-8")
 

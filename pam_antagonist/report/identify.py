@@ -26,7 +26,7 @@ from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.document import Block, Document
 from pam_antagonist.report.held_out import COLUMNS, entry, pooled_coverage
 from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect, rejection
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import Result, frame_of, picked
 from pam_antagonist.report.units import unit_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
@@ -165,7 +165,6 @@ class IdentifyResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         found, asked = self.full, self.full.options
         now, before = found.rig.tuning("default"), found.start.tuning("default")
         coverage, own = self.coverage95
@@ -176,14 +175,9 @@ class IdentifyResult(Result):
             "errors_deg": self.errors_deg,
             "parameters": [item._asdict() for item in self.parameters],
             "stages": [
-                {
-                    "name": step.name,
-                    "source": step.source,
-                    "values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()},
-                    "before": step.before,
-                    "after": step.after,
-                    "note": step.note,
-                }
+                picked(step, "name", "source")
+                | {"values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()}}
+                | picked(step, "before", "after", "note")
                 for step in found.steps
             ],
             "correlations": [{"first": a, "second": b, "correlation": value} for a, b, value in self.correlations],
@@ -199,14 +193,7 @@ class IdentifyResult(Result):
             },
             "recordings": self._recordings(),
             "warnings": found.notes,
-            "settings": {
-                "rig": found.start.name,
-                "free": asked.free,
-                "frozen": asked.frozen,
-                "holdout": asked.holdout,
-                "starts": asked.starts,
-                "seed": asked.seed,
-            },
+            "settings": {"rig": found.start.name, **picked(asked, "free", "frozen", "holdout", "starts", "seed")},
             "software": versions(),
             "assumption": assumption(found.start, identified=True),
             "rejected": self.rejected,
@@ -217,21 +204,16 @@ class IdentifyResult(Result):
         for recording, state, name in self.recordings:
             if (report := whole.get(name)) is not None:
                 facts, end = JointFacts.of(state), min(ends.get(name, 0.0), recording.duration_s)
-                out.append({
-                    "sha256": report.recording.sha256, "topics": report.recording.topics,
-                    "issues": report.recording.issues, "name": name, **vars(facts), "samples": report.samples,
-                    "duration_s": report.duration_s, "fitted_until_s": end,
-                })  # fmt: skip
+                about = picked(report.recording, "sha256", "topics", "issues") | {"name": name, **vars(facts)}
+                out.append(about | picked(report, "samples", "duration_s") | {"fitted_until_s": end})
         return out
 
     @override
     def blocks(self) -> Sequence[Block]:
-        """What a terminal shows."""
         return pages.summary(self)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         return pages.document(self, figures)
 
     def to_dataframe(self) -> DataFrame:
@@ -345,5 +327,4 @@ def _differences(fit: Fit) -> list[Difference]:
 
 
 def _noise(rig: Rig) -> dict[str, float]:
-    names = ("pressure_std", "angle_std", "angle_step", "torque_std", "torque_step")
-    return {name: float(getattr(rig.sensors, name)) for name in names}
+    return picked(rig.sensors, "pressure_std", "angle_std", "angle_step", "torque_std", "torque_step")

@@ -11,7 +11,7 @@ from pam_antagonist.report.assumption import assumption, in_first_lines
 from pam_antagonist.report.channels import CHANNELS
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.held_out import COLUMNS, errors_of, held_out_table, known
-from pam_antagonist.report.identify_findings import DEFINITIONS, findings, undetermined, verdict
+from pam_antagonist.report.identify_findings import findings, undetermined, verdict
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
@@ -51,7 +51,7 @@ def document(found: IdentifyResult, with_figures: bool = True) -> Document:
         *_between(found),
         _stages(found),
         _noise(found),
-        *background(DEFINITIONS, _provenance(found)),
+        *background("identify", _provenance(found)),
     ]
     return Document("Identification of a pneumatic muscle joint", f"Rig {found.found.start.name}", tuple(parts))
 
@@ -76,9 +76,6 @@ def _tiles(found: IdentifyResult) -> tuple[Tile, ...]:
                 shares = f"{channel.write(before.rmse)} as configured; {percent(now.coverage95)} in the 95 % interval"
                 out.append(Tile(f"UKF {channel.name} error (RMS)", channel.write(now.rmse), f"{held.name}; {shares}"))
     return tuple(out)
-
-
-# ------------------------------------------------------------------ sections
 
 
 def _held_out(found: IdentifyResult, with_figures: bool) -> Section:
@@ -169,9 +166,6 @@ def _provenance(found: IdentifyResult) -> list[tuple[str, str]]:
         rows.append(("Its length", f"{item['duration_s']:.1f} s, {until}"))
         rows += [("Remark", issue) for issue in item["issues"][:3]]
     return rows
-
-
-# ------------------------------------------------------------------ tables
 
 
 def change(value: float) -> str:

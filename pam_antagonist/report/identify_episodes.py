@@ -13,10 +13,18 @@ from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background, note, warn
-from pam_antagonist.report.episodes import interval, intervals_frame, times, unit, units_findings, value_name
+from pam_antagonist.report.episodes import (
+    about_episodes,
+    interval,
+    intervals_frame,
+    removes,
+    shown,
+    times,
+    units_findings,
+)
 from pam_antagonist.report.identify_findings import WORSE, do_not_use
-from pam_antagonist.report.result import Result
-from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.report.result import Result, picked
+from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import refusal, write_rig, write_unread
 
@@ -42,30 +50,23 @@ def rejection(found: EpisodesIdentified) -> str:
 
 def _errors(found: EpisodesIdentified) -> Table:
     rows = tuple((name, interval(later), interval(between)) for name, (later, between) in found.errors.items())
-    fitted, later, between = found.counts
-    return Table(
-        ("RMSE of the angle [°], 95 % interval by episode", "later", "interleaved"), rows,
-        f"Free runs of whole episodes from their first row; {fitted} episodes may be fitted, {later} later and "
-        f"{between} interleaved ones are held out",
-    )  # fmt: skip
+    header = ("RMSE of the angle [°], 95 % interval by episode", "later", "interleaved")
+    return Table(header, rows, about_episodes(*found.counts))
 
 
 def _values(found: EpisodesIdentified) -> Table:
-    rows = []
-    for name, value in found.values.items():
-        shown, factor = unit(found.rig, name)
-        rows.append((value_name(found.rig, name), interval(times(factor, value)), shown))
-    return Table(("Value", "95 % interval by episode", "Unit"), tuple(rows), "Identified values")
+    rows = tuple(shown(found.rig, name, value) for name, value in found.values.items())
+    return Table(("Value", "95 % interval by episode", "Unit"), rows, "Identified values")
 
 
 def regulators_table(found: RegulatorsFound, rig: Rig) -> Table:
     """Identified values of both regulators."""
     rows = []
     for name, value in found.values.items():
-        shown, factor = unit(rig, name)
+        row = (name.removeprefix("effects."), *shown(rig, name, value)[1:])
         if name.rpartition(".")[2].startswith("frequency"):
-            shown, factor = "Hz", 0.5 / math.pi
-        rows.append((name.removeprefix("effects."), interval(times(factor, value)), shown))
+            row = (row[0], interval(times(0.5 / math.pi, value)), "Hz")
+        rows.append(row)
     return Table(
         ("Value of the regulators", "95 % interval by episode", "Unit"), tuple(rows),
         "From commands to measured pressures, free runs of whole episodes with the joint's measured motion",
@@ -84,9 +85,8 @@ def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
         item = [one for one in found.tried if one.name == name][-1]
         assert item.removed is not None
         out.append(
-            f"The {item.name} is {'identified' if item.taken else 'left as configured'}: freeing it removes "
-            f"{percent(item.removed.value)} of the squared error of unseen episodes ({percent(item.removed.low)} to "
-            f"{percent(item.removed.high)})."
+            f"The {item.name} is {'identified' if item.taken else 'left as configured'}: freeing it "
+            f"{removes(item.removed)}."
         )
     for k, gain in enumerate(found.gains, 1):
         if abs(gain - 1.0) > _OTHER_SCALE:
@@ -99,17 +99,12 @@ def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EpisodesIdentifyResult(Result):
-    """A rig that was identified from episodes.
-
-    Attributes:
-        found: the values with their intervals, and errors on whole held-out episodes.
-        hashes: SHA-256 of the recording, a tuple of one.
-    """
+    """A rig that was identified from episodes."""
 
     rig: Rig
-    found: EpisodesIdentified
+    found: EpisodesIdentified  # the values with their intervals, and errors on whole held-out episodes
     joint: PressureDriven
-    hashes: tuple[str, ...]
+    hashes: tuple[str, ...]  # SHA-256 of the recording, a tuple of one
 
     @override
     def _brief(self) -> str:
@@ -122,7 +117,6 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``; intervals are value, lower and upper end."""
         found = self.found
         return {
             "values": found.values,
@@ -136,7 +130,6 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         found = self.found
         later, between = (item.value for item in found.errors["identified"])
         before = found.errors["as configured"][0].value
@@ -161,15 +154,9 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; it has no figures."""
-        definitions = (
-            ("Later", "Episodes at the end of the recording; no fit sees them."),
-            ("Interleaved", "Every fifth episode of what comes before; no fit sees them either."),
-            ("Interval", "A bootstrap of blocks of neighbouring episodes."),
-        )
         lede = Text("A joint driven by pressure regulators, in many short recordings.", "lede")
         provenance = [("Rig", self.found.start.name), ("Recording", self.hashes[0])]
-        blocks = (lede, *self.blocks(), *background(definitions, provenance))
+        blocks = (lede, *self.blocks(), *background("identify of episodes", provenance))
         return Document("Identified joint", self.joint.name, blocks)
 
     def to_dataframe(self) -> DataFrame:
@@ -179,7 +166,6 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def _write_rigs(self, folder: Path) -> None:
-        """``rig.yaml``; a rejected rig as ``rig_rejected.yaml``."""
         episodes = f"{self.found.counts[0]} episodes of {self.joint.name}."
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {episodes}"
         if self.rejected:
@@ -190,7 +176,5 @@ class EpisodesIdentifyResult(Result):
 
 def regulators_numbers(found: RegulatorsFound) -> dict[str, Any]:
     """Content of ``report.json`` about regulators."""
-    return {
-        "values": found.values, "tried": found.tried, "errors_pa": found.errors,
-        "command_errors_pa": found.command_errors, "gains": found.gains, "resonance": found.resonance,
-    }  # fmt: skip
+    errors = {"errors_pa": found.errors, "command_errors_pa": found.command_errors}
+    return picked(found, "values", "tried") | errors | picked(found, "gains", "resonance")

@@ -30,44 +30,6 @@ _LARGE = 0.05
 _Model = Literal["ukf", "model_alone"]
 _MODELS: tuple[_Model, ...] = ("ukf", "model_alone")
 
-DEFINITIONS = (
-    (
-        "Held out",
-        "The end of each recording, or whole short ones, which no fit and no tuning used. The model starts at the "
-        "recording's start and gets the recorded commands; the filter gets the recorded pressures as well.",
-    ),
-    ("As configured", "The rig file that the identification began with."),
-    (
-        "Own values",
-        "The common values plus one recording's own small deviations, estimated from its fitted part. They show how "
-        "good the model could be for this recording. Another recording of the rig gets the common values.",
-    ),
-    (
-        "Model alone",
-        "The model without correction. It starts at the recording's start and gets the valve voltages only.",
-    ),
-    ("UKF", "The unscented Kalman filter: the model, corrected in every sample by the two measured pressures."),
-    (
-        "RMSE 𝕀, ratio ℚ",
-        "Root mean square of estimate minus measurement; ℚ is the largest error over the measured range.",
-    ),
-    (
-        "Standard error",
-        "One standard deviation of the identified value. Residuals that are correlated in time count as fewer "
-        "independent ones.",
-    ),
-    (
-        "Determined",
-        "The value met no bound and does not contradict its prior. Its standard error is less than half of the prior's "
-        "standard deviation, and its 95 % interval does not contain 0.",
-    ),
-    (
-        "Direction",
-        "A combination of parameters that is uncertain. The filter's covariance includes the few directions that "
-        "change its angle and torque most.",
-    ),
-)
-
 
 def do_not_use(rejected: str) -> str:
     """The first sentence where an identified rig is rejected for a reason."""

@@ -13,11 +13,12 @@ from typing_extensions import override
 from pam_antagonist.identification.sealed import SealedIdentified
 from pam_antagonist.identification.sealed_tuning import drift_size
 from pam_antagonist.report.assumption import assumption, in_first_lines
-from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background
+from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles, background, words
 from pam_antagonist.report.held_out import entry, held_out_table
 from pam_antagonist.report.identify import IdentifyResult
-from pam_antagonist.report.identify_findings import DEFINITIONS, do_not_use, rejection
+from pam_antagonist.report.identify_findings import do_not_use, rejection
 from pam_antagonist.report.replay_figures import replay_figures
+from pam_antagonist.report.result import picked
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
@@ -52,19 +53,16 @@ class SealedIdentifyResult(IdentifyResult):
     @override
     @cached_property
     def rejected(self) -> str:
-        """Why the identified rig should not be used, in a sentence; empty if it may."""
         return rejection(self.held, refusal(self.rig))
 
     @property
     @override
     def warnings(self) -> tuple[str, ...]:
-        """None."""
         return ()
 
     @property
     @override
     def lacks_an_effect(self) -> bool:
-        """False: that is not judged."""
         return False
 
     def _values_of(self, stage: Any) -> dict[str, dict[str, Any]]:
@@ -97,17 +95,10 @@ class SealedIdentifyResult(IdentifyResult):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         return {
             "held_out": [entry(held) for held in self.held],
             "stages": [
-                {
-                    "name": stage.name,
-                    "values": self._values_of(stage),
-                    "residual": stage.residual,
-                    "unit": stage.unit,
-                    "note": stage.note,
-                }
+                {"name": stage.name, "values": self._values_of(stage), **picked(stage, "residual", "unit", "note")}
                 for stage in self.sealed.stages
             ],
             "tuning": self.tuning,
@@ -146,12 +137,10 @@ class SealedIdentifyResult(IdentifyResult):
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         return *self._do_not_use(), *self._first_lines(), self._values_table(), *map(held_out_table, self.held)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         ukf = self.held[0].identified.ukf
         lede = Text("A joint whose muscles are sealed: no air flows, an external torque moves it.", "lede")
         parts: list[Block] = [lede, *self._do_not_use()]
@@ -188,7 +177,7 @@ class SealedIdentifyResult(IdentifyResult):
             Section("Step by step", (Table(("Step", "residual (RMS)", "note"), steps, prose=True),), folded=True),
             Section("Tuning", self._tuning_blocks(), folded=True),
             Section("What is assumed", tuple(Text(text) for text in ASSUMED), folded=True),
-            *background([item for item in DEFINITIONS if item[0] in _TERMS], recordings),
+            *background([item for item in words("identify") if item[0] in _TERMS], recordings),
         ]
         return Document("Identification of a sealed muscle joint", f"Rig {self.rig.name}", tuple(parts))
 

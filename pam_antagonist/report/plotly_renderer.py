@@ -103,17 +103,16 @@ def plot(figure: Figure) -> Values:
             layout["annotations"].append(_label(panel.title, f"x{suffix} domain", f"y{suffix} domain", 0, 1, INK))
         for part in panel.series:
             if isinstance(part, Region):
-                layout["shapes"].append(_region(part, suffix))
+                look = {"fillcolor": part.color, "line": {"width": 0}, "layer": "below"}
+                layout["shapes"].append(_shape("rect", "x", part.first, part.last, suffix, **look))
             elif isinstance(part, Reference):
-                layout["shapes"].append(_reference(part, suffix))
+                dashed = {"color": part.color, "width": 1.4, "dash": "dash"}
+                axis = "x" if part.vertical else "y"
+                layout["shapes"].append(_shape("line", axis, part.value, part.value, suffix, line=dashed))
                 if part.label:
                     height = math.log10(part.value) if panel.y.log else part.value
-                    layout["annotations"].append(
-                        {
-                            **_label(part.label, f"x{suffix} domain", "y" + suffix, 1, height, part.color),
-                            "bgcolor": VEIL,
-                        }
-                    )
+                    label = _label(part.label, f"x{suffix} domain", "y" + suffix, 1, height, part.color)
+                    layout["annotations"].append({**label, "bgcolor": VEIL})
             else:
                 place = {"xaxis": "x" + suffix, "yaxis": "y" + suffix}
                 data.append({**_trace(part, panel), **place})
@@ -250,33 +249,12 @@ def _template(part: Heatmap) -> str:
     return out
 
 
-def _reference(part: Reference, suffix: str) -> Values:
-    along, across = ("y", "x") if part.vertical else ("x", "y")
-    return {
-        "type": "line",
-        f"{along}ref": f"{along}{suffix} domain",
-        f"{across}ref": across + suffix,
-        f"{along}0": 0,
-        f"{along}1": 1,
-        f"{across}0": part.value,
-        f"{across}1": part.value,
-        "line": {"color": part.color, "width": 1.4, "dash": "dash"},
-    }
-
-
-def _region(part: Region, suffix: str) -> Values:
-    return {
-        "type": "rect",
-        "xref": "x" + suffix,
-        "yref": f"y{suffix} domain",
-        "x0": part.first,
-        "x1": part.last,
-        "y0": 0,
-        "y1": 1,
-        "fillcolor": part.color,
-        "line": {"width": 0},
-        "layer": "below",
-    }
+def _shape(kind: str, along: str, first: float, last: float, suffix: str, **look: Any) -> Values:
+    """A line or an area from one value of an axis to another one, over the whole panel in the other direction."""
+    across = "y" if along == "x" else "x"
+    ends = {f"{along}ref": along + suffix, f"{along}0": first, f"{along}1": last}
+    whole = {f"{across}ref": f"{across}{suffix} domain", f"{across}0": 0, f"{across}1": 1}
+    return {"type": kind, **ends, **whole, **look}
 
 
 def _label(text: str, xref: str, yref: str, x: float, y: float, color: str) -> Values:

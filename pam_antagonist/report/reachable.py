@@ -24,45 +24,22 @@ _POINTS = 121
 _TABLE_STEP = 5.0  # between two rows of the table [°]
 _FREQUENCIES, _DAMPING = (0.25, 0.5, 1.0, 2.0, 4.0), (0.0, 0.25, 0.5)
 """[Hz], [N m s/rad] Frequencies and dampings of the table of torques to which a joint yields."""
-_DEFINITIONS = (
-    (
-        "Stiffness",
-        "−∂τ/∂ψ of the muscles at constant pressures, by (2), (6), (7) and (9). Positive: the joint pulls back.",
-    ),
-    (
-        "Within reach",
-        "There are pressures within the bounds at which the joint rests at the angle, or gives the torque, with this "
-        "stiffness, and at which no muscle is slack. Without a torque from outside, and without friction.",
-    ),
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReachableResult(Result):
-    """The reachable set: angles of rest and torques at angle 0 with the least and largest stiffness at each.
-
-    Attributes:
-        box: bounds of pressures and of the force.
-        angles: lowest and highest angle of rest (2,) [rad].
-        torques: lowest and highest torque at angle 0 (2,) [N m].
-        angle: angles of rest (N,) [rad].
-        softest: least stiffness at each (N,) [N m/rad].
-        stiffest: largest stiffness at each (N,) [N m/rad].
-        torque: torques at angle 0 (N,) [N m].
-        torque_softest: least stiffness at each (N,) [N m/rad].
-        torque_stiffest: largest stiffness at each (N,) [N m/rad].
-    """
+    """The reachable set: angles of rest and torques at angle 0 with the least and largest stiffness at each."""
 
     rig: Rig
-    box: Box
-    angles: tuple[float, float]
-    torques: tuple[float, float]
-    angle: NDArray[np.float64]
-    softest: NDArray[np.float64]
-    stiffest: NDArray[np.float64]
-    torque: NDArray[np.float64]
-    torque_softest: NDArray[np.float64]
-    torque_stiffest: NDArray[np.float64]
+    box: Box  # bounds of pressures and of the force
+    angles: tuple[float, float]  # lowest and highest angle of rest (2,) [rad]
+    torques: tuple[float, float]  # lowest and highest torque at angle 0 (2,) [N m]
+    angle: NDArray[np.float64]  # angles of rest (N,) [rad]
+    softest: NDArray[np.float64]  # least stiffness at each (N,) [N m/rad]
+    stiffest: NDArray[np.float64]  # largest stiffness at each (N,) [N m/rad]
+    torque: NDArray[np.float64]  # torques at angle 0 (N,) [N m]
+    torque_softest: NDArray[np.float64]  # least stiffness at each (N,) [N m/rad]
+    torque_stiffest: NDArray[np.float64]  # largest stiffness at each (N,) [N m/rad]
 
     @classmethod
     def of(cls, rig: Rig, box: Box) -> ReachableResult:
@@ -80,19 +57,16 @@ class ReachableResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         low, high, force = self.box
         given = {"rig": self.rig.name, "lowest_pressure": low, "highest_pressure": high, "least_force": force}
         return given | {item.name: getattr(self, item.name) for item in fields(self)[2:]}
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         return Text(_lede(self)), table(self), *_yielding(self)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         low, high = (f"{math.degrees(angle):.1f}" for angle in self.angles)
         tiles = (
             Tile("Angles of rest", f"{low} to {high}°"),
@@ -101,7 +75,7 @@ class ReachableResult(Result):
         )
         blocks: tuple[Block, ...] = (
             Text(_lede(self), "lede"), Tiles(tiles), *(_figures(self) if figures else ()), table(self),
-            *_yielding(self), *background(_DEFINITIONS, [("Rig", self.rig.name)]),
+            *_yielding(self), *background("reachable", [("Rig", self.rig.name)]),
         )  # fmt: skip
         return Document("What a joint can reach", self.rig.name, blocks)
 

@@ -16,8 +16,8 @@ from pam_antagonist.report.channels import CHANNELS, joint_text, judged
 from pam_antagonist.report.document import Block, Columns, Document, Findings, Section, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
-from pam_antagonist.report.replay_findings import DEFINITIONS, findings, overall_verdict, verdict
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.replay_findings import findings, overall_verdict, verdict
+from pam_antagonist.report.result import Result, frame_of, picked
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import plain
@@ -43,12 +43,10 @@ class ReplayResult(Replay, Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         return numbers([self])
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         report = self.report
         head = (
             f"{self.name}: {report.duration_s:.1f} s, {report.samples} samples, joint {report.joint.condition} "
@@ -60,7 +58,6 @@ class ReplayResult(Replay, Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         return document([self], figures)
 
     @override
@@ -103,10 +100,7 @@ def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
         "sample_period_s": rig.sample_period,
         "tuning": {
             "name": first.tuning,
-            "initial": tuning.initial,
-            "process": tuning.process,
-            "measurement": tuning.measurement,
-            "kappa": tuning.kappa,
+            **picked(tuning, "initial", "process", "measurement", "kappa"),
             "consider": rig.uncertainty if tuning.consider else {},
             "gate": tuning.gate,
         },
@@ -140,7 +134,7 @@ def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
             head = Text(verdict(replay.report) + above)
             blocks = (head, *_recording(replay, figures, with_figures))
             parts.append(Section(replay.name, blocks, 2, f"r{place}"))
-    parts += background(DEFINITIONS, _provenance(replays))
+    parts += background("replay", _provenance(replays))
     return Document("Replay of a pneumatic muscle joint", name, tuple(parts))
 
 

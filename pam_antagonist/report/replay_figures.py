@@ -34,8 +34,7 @@ def _tenth(replay: Replay) -> int:
 def replay_figures(replay: Replay, held_from: float | None = None) -> tuple[Figure, ...]:
     """Figures of a recording and its estimate, the most important one first.
 
-    Args:
-        held_from: begin of the held-out part [s], which is shaded; None: nothing was fitted.
+    `held_from`: begin of the held-out part [s], which is shaded; None: nothing was fitted.
     """
     x = time(replay)
     link = replay.name

@@ -25,50 +25,6 @@ SHORTEST_S = 1.0
 """[s] Shorter recordings have too few independent errors for an assessment."""
 _ISSUES = 6
 
-DEFINITIONS = (
-    (
-        "UKF",
-        "The unscented Kalman filter. It runs the model and corrects it in every sample with the two measured "
-        "pressures. It never gets the angle or the torque.",
-    ),
-    (
-        "Model alone",
-        "The same model without correction. It starts at the first pressures and gets the valve voltages only.",
-    ),
-    (
-        "RMSE 𝕀, largest error 𝕄, ratio ℚ",
-        "Root mean square and maximum of estimate minus measurement. ℚ is 𝕄 over the range of the measured signal.",
-    ),
-    (
-        "95 % interval",
-        "Where the filter expects the measured value in 95 % of the samples: ±1.96 standard deviations. These come "
-        "from its covariance and from the noise and resolution of the validation sensor.",
-    ),
-    ("Innovation", "Measured minus predicted pressure."),
-    (
-        "NIS",
-        "Normalised innovation squared: the innovation relative to its expected covariance. With two pressures, a "
-        "consistent filter has a mean NIS of 2. In 95 % of the samples its NIS lies between 0.05 and 7.4. It tests the "
-        "pressures only, which are measured. A wrong force map or friction hardly shows in it.",
-    ),
-    (
-        "NEES",
-        "Normalised estimation error squared: the error of an estimated angle or torque relative to its variance, "
-        "where it was measured as well. A right covariance has a mean NEES of 1, one that is too small has more.",
-    ),
-    (
-        "Whiteness",
-        "The innovations of a correct model are white: they do not depend on earlier ones. The p-value is the "
-        "probability of such an autocorrelation in white noise. With many samples even a small autocorrelation gives "
-        "p = 0, so the report shows the largest autocorrelation as well.",
-    ),
-    (
-        "Subsystem σ",
-        "Which of the model's 18 sets of equations is active: three flow regimes for each muscle, and a joint that "
-        "slides or sticks.",
-    ),
-)
-
 
 def _accuracy(parts: Sequence[tuple[str, str]]) -> str:
     """Text such as 'the estimator gives the angle to within 0.3° and the torque to within 0.01 N m'."""

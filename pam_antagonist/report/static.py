@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from typing_extensions import override
@@ -24,28 +24,6 @@ from pam_antagonist.rig.write import write_rig
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-DEFINITIONS = (
-    (
-        "Left out",
-        "Each length is left out in turn. The form is fitted to all other lengths and predicts the forces at this one. "
-        "The error on the fitted points says little about other lengths; it is given for comparison.",
-    ),
-    (
-        "Between the ends",
-        "The same without the shortest and the longest measured length, so that nothing is extrapolated.",
-    ),
-    (
-        "Slack points",
-        "A force of 0 N means that the muscle was slack or that nothing was measured. The fit takes such a point as a "
-        "force of at most 0 N (Tobit regression). A measured 0 N would bend the map.",
-    ),
-    (
-        "Standard deviation",
-        "Of a coefficient. It is the larger of two values: for independent errors, and from the fits without each "
-        "length (jackknife). Errors at one length are correlated where the form is not quite right. The rig file "
-        "takes them as priors.",
-    ),
-)
 COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND, "braided": PALETTE[3]}
 """Colours of the forms of the force map."""
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
@@ -74,20 +52,40 @@ class StaticResult(StaticFits, Result):
         return f"{verdict(self)} {len(self.warnings)} warnings"
 
     @override
-    def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``, in SI units."""
-        return StaticFits.to_json(self)
-
-    @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         forms = () if self.force_map is None else (forms_table(self),)
         return coefficients_table(self), *forms, Text(verdict(self)), Findings(tuple(map(_warning, self.warnings)))
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
-        return document(self, figures)
+        names = " and ".join(table.name for table in self.tables)
+        whose = "both muscles" if len(self.muscles) == 2 else f"muscle {self.muscles[0]}"
+        rig = f"for {whose} of rig {self.fitted.name}" if self.fitted else "without a rig to put them into"
+        lede = f"Static measurements of a muscle, fitted {rig}."
+        starts = tuple(table.name for table in self.tables)
+        begun = (text if text.startswith(starts) else f"{text[:1].upper()}{text[1:]}" for text in self.warnings)
+        findings = [_warning(text) for text in begun]
+        if len(self.muscles) == 2 and self.fitted is not None:
+            text = (
+                "Both muscles get the same coefficients. If you have a table of each, run once with --muscle 1, then "
+                "with --muscle 2 on the rig that came out."
+            )
+            findings.append(note(text))
+        drawn = static_figures(self) if figures else ()
+        parts: list[Block] = [
+            Text(lede, "lede"), Text(verdict(self), "verdict"), *drawn[:1], Tiles(_tiles(self)),
+            Findings(tuple(findings)), coefficients_table(self),
+        ]  # fmt: skip
+        if self.force_map is not None:
+            parts += [forms_table(self), lengths_table(self.forms)]
+            parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in self.forms.items()
+                      if isinstance(fit, Undetermined)]  # fmt: skip
+            for name, fit in self.forms.items():
+                if isinstance(fit, StaticFit) and name != self.form:
+                    parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
+        parts += drawn[1:]
+        parts += background("static", _provenance(self))
+        return Document("Static data of a pneumatic muscle", names, tuple(parts))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each coefficient: value, standard deviation and unit (needs pandas)."""
@@ -173,38 +171,6 @@ def _known(error: float, unit: str) -> str:
     return f"a root mean square error of {number(error)} {unit}" if np.isfinite(error) else ""
 
 
-def document(result: StaticResult, with_figures: bool = True) -> Document:
-    """The page."""
-    names = " and ".join(table.name for table in result.tables)
-    whose = "both muscles" if len(result.muscles) == 2 else f"muscle {result.muscles[0]}"
-    rig = f"for {whose} of rig {result.fitted.name}" if result.fitted else "without a rig to put them into"
-    lede = f"Static measurements of a muscle, fitted {rig}."
-    starts = tuple(table.name for table in result.tables)
-    begun = (text if text.startswith(starts) else f"{text[:1].upper()}{text[1:]}" for text in result.warnings)
-    findings = [_warning(text) for text in begun]
-    if len(result.muscles) == 2 and result.fitted is not None:
-        text = (
-            "Both muscles get the same coefficients. If you have a table of each, run once with --muscle 1, then with "
-            "--muscle 2 on the rig that came out."
-        )
-        findings.append(note(text))
-    figures = static_figures(result) if with_figures else ()
-    parts: list[Block] = [
-        Text(lede, "lede"), Text(verdict(result), "verdict"), *figures[:1], Tiles(_tiles(result)),
-        Findings(tuple(findings)), coefficients_table(result),
-    ]  # fmt: skip
-    if result.force_map is not None:
-        parts += [forms_table(result), lengths_table(result.forms)]
-        parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in result.forms.items()
-                  if isinstance(fit, Undetermined)]  # fmt: skip
-        for name, fit in result.forms.items():
-            if isinstance(fit, StaticFit) and name != result.form:
-                parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
-    parts += figures[1:]
-    parts += background(DEFINITIONS, _provenance(result))
-    return Document("Static data of a pneumatic muscle", names, tuple(parts))
-
-
 def _tiles(result: StaticResult) -> tuple[Tile, ...]:
     out = []
     if result.volume is not None and result.volumes is not None:
@@ -288,11 +254,7 @@ def form_figure(forms: Forms) -> Figure:
 
 
 def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> Figure:
-    """Volume over length with the fitted parabola and its 95 % interval.
-
-    Args:
-        result: with the rig; the range of its muscle lengths is marked if a rig was fitted.
-    """
+    """Volume over length with the fitted parabola and its 95 % interval; marks the range of a fitted rig's lengths."""
     low, high = float(table.length.min()), float(table.length.max())
     edges: list[Reference] = []
     if result.fitted is not None:

@@ -33,21 +33,14 @@ def percent(value: float | None) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text: the first column names the row, the others hold its values.
-
-    Attributes:
-        rows: cells, each row as long as the header; a row with only its first cell is a heading.
-        best: for each row, the columns with the best value (bold in HTML).
-        prose: whether the cells are left-aligned text instead of numbers.
-        widths: widths of the columns in a page [%]; empty: from the cells.
-    """
+    """A table of text: the first column names the row, the others hold its values."""
 
     header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[str, ...], ...]  # each as long as the header; one with only its first cell is a heading
     caption: str = ""
-    best: tuple[frozenset[int], ...] = ()
-    prose: bool = False
-    widths: tuple[int, ...] = ()
+    best: tuple[frozenset[int], ...] = ()  # for each row, the columns with the best value (bold in HTML)
+    prose: bool = False  # whether the cells are left-aligned text instead of numbers
+    widths: tuple[int, ...] = ()  # widths of the columns in a page [%]; empty: from the cells
 
     def __post_init__(self) -> None:
         """Check the shape."""
@@ -64,11 +57,7 @@ class Comparison:
     """Builder of a table that compares columns and marks the best value of each row."""
 
     def __init__(self, *header: str) -> None:
-        """Begin a table.
-
-        Args:
-            header: column titles, the first one for the names of the rows.
-        """
+        """Begin a table. `header`: column titles, the first one for the names of the rows."""
         self._header = header
         self._rows: list[tuple[str, ...]] = []
         self._best: list[frozenset[int]] = []
@@ -89,11 +78,7 @@ class Comparison:
         write: Callable[[float | None], str] = number,
         best: Callable[[Sequence[float]], float] | None = min,
     ) -> None:
-        """Add a row of numbers.
-
-        Args:
-            best: picks the best of the finite values; None: no value is marked. Equal cells are not marked.
-        """
+        """Add a row of numbers; `best` picks the one that is marked (None: none is), unless all cells are equal."""
         cells = [write(value) for value in values]
         known = [value for value in values if value is not None and math.isfinite(value)]
         winner = write(best(known)) if known and best else ""
@@ -103,11 +88,7 @@ class Comparison:
         self._best.append(frozenset() if equal else frozenset(marked))
 
     def pressures(self, name: str, values: Sequence[float | None]) -> None:
-        """Add a row of pressures, all in kPa or all in Pa; the unit is added to the name.
-
-        Args:
-            values: one for each column [Pa].
-        """
+        """Add a row of pressures [Pa], all shown in kPa or all in Pa; the unit is added to the name."""
         unit = readable("Pa", min((abs(value) for value in values if value), default=math.inf))
         shown = [None if value is None else value * unit.scale for value in values]
         self.values(f"{name} [{unit.name}]", shown)

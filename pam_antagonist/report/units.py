@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from operator import attrgetter
 from typing import NamedTuple
 
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
+from pam_antagonist.strict_yaml import described, fields_of
 
 
 class Unit(NamedTuple):
@@ -44,9 +46,8 @@ _EFFECTS = {parameter_path(effect.name, item.name): item.unit for effect in CATA
 def readable(unit: str, value: float = math.inf) -> Unit:
     """The readable unit of a quantity.
 
-    Args:
-        unit: SI unit of the quantity, as in the description of a rig file or an effect.
-        value: of the quantity in this unit, or the smallest of several; selects µm² or Pa for very small values.
+    `unit`: SI unit of the quantity, as in the description of a rig file or an effect. `value`: of the quantity in this
+    unit, or the smallest of several; selects µm² or Pa for very small values.
     """
     written = re.sub(r"(?<=m)[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
     if written == "m²" and abs(value) < _SMALL:
@@ -57,21 +58,12 @@ def readable(unit: str, value: float = math.inf) -> Unit:
 
 
 def unit_of(rig: Rig, name: str) -> str:
-    """The SI unit of a parameter of a rig file, ``-`` for a pure number.
-
-    Args:
-        name: dotted path, such as ``valve_1.inflow_area`` or ``effects.leak.area_1``.
-    """
+    """The SI unit of a parameter of a rig file by its dotted path, ``-`` for a pure number."""
     if name in _EFFECTS:
         return _EFFECTS[name]
-    *path, last = name.split(".")
-    node: object = rig
-    for part in path:
-        node = getattr(node, part)
-    kind = type(node)
-    fields = getattr(kind, "model_fields", None) or kind.__fields__  # type: ignore[attr-defined]
-    about = getattr(fields[last], "description", None) or fields[last].field_info.description
-    found = re.search(r"\[([^\]]*)\]", about)
+    part, _, last = name.rpartition(".")
+    kind = type(attrgetter(part)(rig) if part else rig)
+    found = re.search(r"\[([^\]]*)\]", described(fields_of(kind)[last]))
     return found[1] if found else "-"
 
 

@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -23,19 +24,11 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model import muscle
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
+from pam_antagonist.strict_yaml import fields_of
 
 _NOT_PHYSICS = (
-    "name",
-    "source",
-    "identified",
-    "encoder",
-    "calibration",
-    "uncertainty",
-    "directions",
-    "priors",
-    "bounds",
-    "tunings",
-)
+    "name", "source", "identified", "encoder", "calibration", "uncertainty", "directions", "priors", "bounds", "tunings"
+)  # fmt: skip
 """Fields of a rig file about recordings, the filter, fits, or for people: not physics of the joint."""
 _DIGITS = 16
 _LONGEST = 20_000  # of a text that is read [characters]
@@ -47,37 +40,25 @@ Value = float | str | bool | None
 
 @dataclass(frozen=True)
 class Fact:
-    """A value on which the rigs of one joint agree.
+    """A value on which the rigs of one joint agree."""
 
-    Attributes:
-        name: a dotted path of the rig file, or words for a computed value.
-        tolerance: largest difference relative to the larger of both magnitudes; 0: none.
-    """
-
-    name: str
+    name: str  # a dotted path of the rig file, or words for a computed value
     unit: str
-    tolerance: float
+    tolerance: float  # largest difference relative to the larger of both magnitudes; 0: none
     value: Callable[[Rig], Value]
     absolute: bool = False
 
 
 def _path(name: str, unit: str = "", tolerance: float = 0.0) -> Fact:
-    def value(rig: Rig) -> Value:
-        node: Any = rig
-        for part in name.split("."):
-            node = getattr(node, part)
-        return node  # type: ignore[no-any-return]
-
-    return Fact(name, unit, tolerance, value)
+    return Fact(name, unit, tolerance, attrgetter(name))
 
 
 def _strength(index: int) -> Fact:
     """Force of a muscle at angle 0 and the supply's pressure."""
-
-    def value(rig: Rig) -> Value:
-        return float(muscle.force(index, rig.geometry.length, rig.supply.pressure, rig.parameters()))
-
-    return Fact(f"force of muscle {index + 1} at angle 0 and supply pressure", "N", _MAP, value)
+    return Fact(
+        f"force of muscle {index + 1} at angle 0 and supply pressure", "N", _MAP,
+        lambda rig: float(muscle.force(index, rig.geometry.length, rig.supply.pressure, rig.parameters())),
+    )  # fmt: skip
 
 
 def _opening(number: int) -> Fact:
@@ -133,10 +114,8 @@ def fingerprint(rig: Rig) -> str:
 
 
 def _content(model: BaseModel) -> dict[str, Any]:
-    kind: Any = type(model)
-    fields: Mapping[str, Any] = getattr(kind, "model_fields", None) or kind.__fields__
     out = {}
-    for name, field in fields.items():
+    for name, field in fields_of(type(model)).items():
         value = getattr(model, name)
         if isinstance(value, BaseModel):
             out[name] = _content(value)

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 LAWS = tuple(f"law{number}" for number in range(1, learned.LAWS + 1))
 """Names of the laws of a rig."""
 _KEYS = ("place", "muscle", "argument", "operator", "time", "width", "nodes", "values")
-_OPERATORS = ("none", "lag", "high_pass", "play", "stop")
-_OWN = ("pressure", "other_pressure", "length", "length_rate")
+OPERATORS = ("none", "lag", "high_pass", "play", "stop")
+OWN = ("pressure", "other_pressure", "length", "length_rate")
 _PASSED = {"flow": ("open_rate", "valve_flow"), "leak": ("open_rate", "valve_flow"), "valve": ("open_rate",)}
-_EVERYWHERE = (
+EVERYWHERE = (
     "none", "pressure_1", "pressure_2", "pressure_difference", "pressure_sum", "angle", "velocity", "speed", "time"
 )  # fmt: skip
 _MOST_DIRECTIONS = 3
@@ -47,50 +47,21 @@ _ON = {
     "length": "its length", "length_rate": "the rate of its length", "open_rate": "the valve's open rate",
     "valve_flow": "the valve's flow", "draw": "the air that is drawn", "time": "the time since the start",
 }  # fmt: skip
-_NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}, "maxItems": learned.NODES}
-LAW_SCHEMA = {
-    "type": "object",
-    "description": "a learned law: docs/effects.md",
-    "additionalProperties": False,
-    "properties": {
-        "place": {"enum": list(learned.PLACES), "description": "where it acts"},
-        "muscle": {"enum": [1, 2, "both"], "description": "at a place of a muscle"},
-        "argument": {"type": "string", "description": "what it depends on", "examples": [*_EVERYWHERE, *_OWN]},
-        "operator": {"enum": list(_OPERATORS), "default": "none", "description": "with a memory"},
-        "time": {**_NUMBER, "description": "of lag and high_pass [s]"},
-        "width": {**_NUMBER, "description": "of play and stop, in the unit of the argument"},
-        "nodes": {**_NUMBERS, "description": "of the argument, increasing [SI]"},
-        "values": {**_NUMBERS, "description": "at the nodes, in the unit of the place"},
-    },
-}
-"""JSON schema of a law in a rig file."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """A learned law.
+    """A learned law."""
 
-    Attributes:
-        place: where it acts, one of :data:`~pam_antagonist.model.effects.learned.PLACES`.
-        nodes: of what it depends on [SI], increasing; 1 to 15.
-        values: at the nodes, in the unit of the place.
-        muscle: 1, 2 or ``both``; None at a place of the joint.
-        argument: what it depends on, or the name of a signal of the rig.
-        operator: ``none``, ``lag``, ``high_pass``, ``play`` or ``stop``.
-        time: of ``lag`` and ``high_pass`` [s].
-        width: of ``play`` and ``stop``, in the unit of the argument.
-        std: standard deviations of the values; empty: not known.
-    """
-
-    place: str
-    nodes: tuple[float, ...]
-    values: tuple[float, ...]
-    muscle: int | str | None = None
-    argument: str = "none"
-    operator: str = "none"
-    time: float = 0.0
-    width: float = 0.0
-    std: tuple[float, ...] = ()
+    place: str  # where it acts, one of :data:`~pam_antagonist.model.effects.learned.PLACES`
+    nodes: tuple[float, ...]  # of what it depends on [SI], increasing; 1 to 15
+    values: tuple[float, ...]  # at the nodes, in the unit of the place
+    muscle: int | str | None = None  # 1, 2 or ``both``; None at a place of the joint
+    argument: str = "none"  # what it depends on, or the name of a signal of the rig
+    operator: str = "none"  # ``none``, ``lag``, ``high_pass``, ``play`` or ``stop``
+    time: float = 0.0  # of ``lag`` and ``high_pass`` [s]
+    width: float = 0.0  # of ``play`` and ``stop``, in the unit of the argument
+    std: tuple[float, ...] = ()  # standard deviations of the values; empty: not known
 
     @property
     def at(self) -> str:
@@ -167,11 +138,7 @@ class Law:
         return {key: entries[key] for key in _KEYS if key not in neutral or entries[key] != neutral[key]}
 
     def complaint(self, signals: Sequence[str] = ()) -> str:
-        """What is wrong with it, in one line; empty if nothing is.
-
-        Args:
-            signals: names of the rig's further signals.
-        """
+        """What is wrong with it, in one line; empty if nothing is."""
         if self.place not in learned.PLACES:
             return f"place: {unknown(str(self.place), learned.PLACES)}; expected one of {', '.join(learned.PLACES)}"
         of_joint = self.place in learned.OF_JOINT
@@ -188,12 +155,12 @@ class Law:
         """What a law at this place may depend on."""
         if self.place == "sensor":
             return ["pressure"]
-        own = ["draw"] if self.place in learned.OF_JOINT else [*_OWN, *_PASSED.get(self.place, ())]
-        return [*_EVERYWHERE, *own, *(name for name in signals if name not in learned.ARGUMENTS)]
+        own = ["draw"] if self.place in learned.OF_JOINT else [*OWN, *_PASSED.get(self.place, ())]
+        return [*EVERYWHERE, *own, *(name for name in signals if name not in learned.ARGUMENTS)]
 
     def _wrong_operator(self) -> str:
-        if self.operator not in _OPERATORS:
-            return f"operator: {unknown(str(self.operator), _OPERATORS)}; expected one of {', '.join(_OPERATORS)}"
+        if self.operator not in OPERATORS:
+            return f"operator: {unknown(str(self.operator), OPERATORS)}; expected one of {', '.join(OPERATORS)}"
         if self.operator != "none" and (self.place == "sensor" or self.argument in ("none", "time")):
             what = "a sensor" if self.place == "sensor" else f"the argument {self.argument}"
             return f"operator: {self.operator}, expected none with {what}"
@@ -228,13 +195,7 @@ class Law:
 
 
 def numbers_of(law: Law, number: int, signals: Sequence[str] = ()) -> dict[str, float]:
-    """The numbers of a law, by their names in the catalogue.
-
-    Args:
-        law: that has no complaint.
-        number: of the law in the rig.
-        signals: names of the rig's further signals, in their order.
-    """
+    """The numbers of a law, by their names in the catalogue. `law`: that has no complaint."""
     of_joint = law.muscle is None
     argument = law.argument
     if argument not in learned.ARGUMENTS:
@@ -259,16 +220,7 @@ def numbers_of(law: Law, number: int, signals: Sequence[str] = ()) -> dict[str, 
 
 
 def law_of(numbers: Mapping[str, float], number: int, signals: Sequence[str] = ()) -> Law | None:
-    """A law from its numbers; None if there is no such law.
-
-    Args:
-        numbers: of the effect, by their names in the catalogue.
-        number: of the law in the rig.
-        signals: names of the rig's further signals, in their order.
-
-    Raises:
-        BadInput: numbers that are no law.
-    """
+    """A law from the numbers of the effect, by their names in the catalogue; None if there is no such law."""
 
     def of(name: str) -> float:
         return numbers.get(f"law{number}_{name}", 0.0)
@@ -301,12 +253,7 @@ def law_of(numbers: Mapping[str, float], number: int, signals: Sequence[str] = (
 
 
 def complaint_about(numbers: Mapping[str, float], signals: Sequence[str] = ()) -> str:
-    """What is wrong with the learned laws of a rig, in one line; empty if nothing is.
-
-    Args:
-        numbers: of the effect, by their names in the catalogue.
-        signals: names of the rig's further signals, in their order.
-    """
+    """What is wrong with the learned laws of a rig, by their numbers, in one line; empty if nothing is."""
     sensors: list[int | str | None] = []
     for number, name in enumerate(LAWS, 1):
         try:
@@ -325,15 +272,7 @@ def complaint_about(numbers: Mapping[str, float], signals: Sequence[str] = ()) -
 
 
 def as_numbers(content: Mapping[str, Any], signals: Sequence[str] = ()) -> dict[str, Any]:
-    """The learned laws of a rig file as numbers; what is a number already stays.
-
-    Args:
-        content: of ``effects.learned`` in a file.
-        signals: names of the rig's further signals, in their order.
-
-    Raises:
-        BadInput: no such law or entry, a value of another kind, a law with a complaint.
-    """
+    """The content of ``effects.learned`` in a file as numbers; what is a number already stays."""
     out: dict[str, Any] = {}
     for name, given in content.items():
         if isinstance(given, (int, float)) and not isinstance(given, bool):
@@ -401,14 +340,8 @@ def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = No
     value's variance, as if these parts were wrong together. So each value keeps its standard deviation. Where only
     standard deviations are known, all values are taken to be wrong together.
 
-    Args:
-        rig: the rig.
-        law: the law; its ``std`` is used where no covariance is given.
-        number: of the law in the rig, whose place it takes; default: the first free one.
-        covariance: of the values (N, N).
-
-    Raises:
-        BadInput: all places are taken, or a law that a file could not have.
+    `law`: the law; its ``std`` is used where no covariance is given. `number`: of the law in the rig, whose place it
+    takes; default: the first free one. `covariance`: of the values (N, N).
     """
     from pam_antagonist.rig.load import checked  # which imports this module
 

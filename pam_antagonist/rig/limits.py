@@ -55,13 +55,10 @@ def rest_voltage(rig: Rig) -> tuple[float, float]:
 
 
 def steady_voltage(rig: Rig, pressure: float) -> tuple[float, float]:
-    """Voltages (2,) [V] under which both muscles keep a pressure, by the valves' law (5).
+    """Voltages (2,) [V] under which both muscles keep a pressure [Pa], by the valves' law (5).
 
     In the steady state as much flows in as out: the orifice areas play no part. A valve that is closed in the middle
     keeps any pressure there.
-
-    Args:
-        pressure: wanted one [Pa].
     """
     p = rig.parameters()
     supply = p[par.SUPPLY]

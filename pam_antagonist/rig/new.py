@@ -98,11 +98,7 @@ _BEHIND = {
 
 
 class Contradiction(BadInput):
-    """Facts that are possible one by one, but not together.
-
-    Args:
-        answers: that may have to change, as options of ``new_rig``; empty: any.
-    """
+    """Facts that are possible one by one, not together; ``answers`` are the options that may have to change."""
 
     def __init__(self, text: str, answers: Sequence[str]) -> None:
         super().__init__(text)
@@ -118,47 +114,29 @@ class Contradiction(BadInput):
 
 @dataclass(frozen=True)
 class Facts:
-    """Known values of a rig.
-
-    Attributes:
-        kind: ``lever`` or ``pulley``.
-        radius: lever arm r [m].
-        length: of a muscle at angle 0 [m].
-        nominal_length: of a muscle without pressure and load [m].
-        supply: gauge pressure of the supply [Pa].
-        voltage: least and largest voltage of a valve [V].
-        shaft_radius: [m].
-        mass: carried by the shaft [kg].
-        inertia: of the moving parts [kg m²].
-        stop: magnitude of the angle at which the joint stops [rad], None for none.
-        pressure_range: of a pressure sensor [Pa].
-        period: from sample to sample [s].
-        regulator: of both sides of a joint with pressure regulators; None: it has valves.
-        regulator_time: rise time of the regulator from 10 to 90 % of a small step [s].
-        limb: mass [kg] of a limb that the joint carries in a vertical plane, distance of its centre from the axis [m],
-            and angle at which it hangs down [rad]; None: not told.
-    """
+    """Known values of a rig."""
 
     name: str
-    kind: str
-    radius: float
-    length: float
-    nominal_length: float
+    kind: str  # ``lever`` or ``pulley``
+    radius: float  # lever arm r [m]
+    length: float  # of a muscle at angle 0 [m]
+    nominal_length: float  # of a muscle without pressure and load [m]
     muscle: MusclePart
     muscle_name: str
-    supply: float
+    supply: float  # gauge pressure of the supply [Pa]
     valve: ValvePart
     valve_name: str
-    voltage: tuple[float, float]
-    shaft_radius: float
-    mass: float
-    inertia: float
-    stop: float | None
-    pressure_range: float
+    voltage: tuple[float, float]  # least and largest voltage of a valve [V]
+    shaft_radius: float  # [m]
+    mass: float  # carried by the shaft [kg]
+    inertia: float  # of the moving parts [kg m²]
+    stop: float | None  # magnitude of the angle at which the joint stops [rad], None for none
+    pressure_range: float  # of a pressure sensor [Pa]
     pressure_bits: int
-    period: float
-    regulator: RegulatorPart | None = None
-    regulator_time: float = 0.0
+    period: float  # from sample to sample [s]
+    regulator: RegulatorPart | None = None  # of both sides of a joint with pressure regulators; None: it has valves
+    regulator_time: float = 0.0  # rise time of the regulator from 10 to 90 % of a small step [s]
+    # A limb in a vertical plane: mass [kg], centre from the axis [m], angle at which it hangs [rad]; None: not told.
     limb: tuple[float, float, float] | None = None
 
     def travel(self) -> tuple[float, float]:

@@ -6,8 +6,9 @@ New rig files start from these values.
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from functools import cache
-from typing import Dict, TypeVar  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+from typing import TypeVar
 
 from pydantic import Field
 
@@ -45,51 +46,36 @@ class RegulatorPart(Strict):
     source: str = Field(description="where the numbers come from")
 
 
-class _Muscles(Strict):
-    parts: Dict[str, MusclePart]  # noqa: UP006
+Part = TypeVar("Part", bound=Strict)
 
 
-class _Valves(Strict):
-    parts: Dict[str, ValvePart]  # noqa: UP006
-
-
-class _Regulators(Strict):
-    parts: Dict[str, RegulatorPart]  # noqa: UP006
-
-
-Part = TypeVar("Part")
+def _parts(name: str, kind: type[Part], switches: Sequence[str] = ()) -> dict[str, Part]:
+    """Parts by name, from a file of ``config/parts``."""
+    path = config_dir() / "parts" / f"{name}.yaml"
+    content = read_mapping(path, "parts", str(path))
+    return {part: validated(kind, entries, f"{path}: {part}", switches) for part, entries in content.items()}
 
 
 @cache
 def muscle_parts() -> dict[str, MusclePart]:
-    """Muscles by name, from ``config/parts/muscles.yaml``."""
-    path = config_dir() / "parts" / "muscles.yaml"
-    content = read_mapping(path, "parts", str(path))
-    return dict(validated(_Muscles, {"parts": content}, str(path), ()).parts)
+    """Muscles by name."""
+    return _parts("muscles", MusclePart)
 
 
 @cache
 def valve_parts() -> dict[str, ValvePart]:
-    """Valves by name, from ``config/parts/valves.yaml``."""
-    path = config_dir() / "parts" / "valves.yaml"
-    content = read_mapping(path, "parts", str(path))
-    return dict(validated(_Valves, {"parts": content}, str(path), ("closed_centre",)).parts)
+    """Valves by name."""
+    return _parts("valves", ValvePart, ("closed_centre",))
 
 
 @cache
 def regulator_parts() -> dict[str, RegulatorPart]:
-    """Pressure regulators by name, from ``config/parts/regulators.yaml``."""
-    path = config_dir() / "parts" / "regulators.yaml"
-    content = read_mapping(path, "parts", str(path))
-    return dict(validated(_Regulators, {"parts": content}, str(path), ("hysteresis",)).parts)
+    """Pressure regulators by name."""
+    return _parts("regulators", RegulatorPart)
 
 
 def named(what: str, name: str, parts: dict[str, Part]) -> Part:
-    """The part of a name; upper and lower case do not matter.
-
-    Args:
-        what: ``muscle``, ``valve`` or ``regulator``, for the message.
-    """
+    """The part of a name; upper and lower case do not matter. What it is is for the message."""
     bare = {known.lower(): part for known, part in parts.items()}
     if name.lower() in bare:
         return bare[name.lower()]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.rig import learned
 from pam_antagonist.rig.schema import Rig, limits
+from pam_antagonist.strict_yaml import unknown
 
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
 RANGE_WITHOUT_STOP = math.radians(25.0)
@@ -44,62 +44,60 @@ def varied(name: str, value: float, change: float) -> float:
 
 def unphysical(rig: Rig) -> str:
     """What is wrong with a rig, as far as single fields cannot show it, in one line; empty if nothing is."""
+    checks = (
+        _bad_limits, _bad_curves, _bad_effects, _bad_regulators, _bad_muscles, _bad_spreads, _bad_bounds,
+        _in_kilopascal, _bad_tunings,
+    )  # fmt: skip
+    return next((complaint for check in checks for complaint in check(rig)), "")
+
+
+def _bad_limits(rig: Rig) -> Iterator[str]:
     if rig.supply.pressure <= rig.atmosphere.pressure * 1.2:
-        return (
+        yield (
             f"supply.pressure {rig.supply.pressure:g} Pa: expected an absolute pressure well above "
             f"atmosphere.pressure, {rig.atmosphere.pressure:g} Pa"
         )
     if len(rig.signals) > SIGNALS:
-        return f"signals: {len(rig.signals)} of them, expected at most {SIGNALS}"
-    if rig.valves.voltage_min >= rig.valves.voltage_max:
-        return (
-            f"valves.voltage_min {rig.valves.voltage_min:g} V: expected below voltage_max, {rig.valves.voltage_max:g} V"
-        )
-    for name, valve in (("valve_1", rig.valve_1), ("valve_2", rig.valve_2)):
-        complaint = _bad_curve(f"{name}.curve", np.array(valve.curve.voltage), np.array(valve.curve.open_rate))
-        if complaint:
-            return complaint
-    complaint = (
-        _bad_effects(rig)
-        or _bad_regulators(rig)
-        or _bad_muscles(rig)
-        or _bad_spreads(rig)
-        or _bad_bounds(rig)
-        or _in_kilopascal(rig)
-    )
-    if complaint:
-        return complaint
+        yield f"signals: {len(rig.signals)} of them, expected at most {SIGNALS}"
+    low, high = rig.valves.voltage_min, rig.valves.voltage_max
+    if low >= high:
+        yield f"valves.voltage_min {low:g} V: expected below voltage_max, {high:g} V"
+
+
+def _bad_tunings(rig: Rig) -> Iterator[str]:
     for name, tuning in rig.tunings.items():
         numbers = np.array([*tuning.initial, *tuning.process, *tuning.measurement])
         for state in tuning.states:
             if state not in par.SLOT_OF:
-                return f"tunings.{name}.states: unknown {state!r}, expected one of {', '.join(par.SLOT_OF)}"
+                yield f"tunings.{name}.states: unknown {state!r}, expected one of {', '.join(par.SLOT_OF)}"
         numbers = np.concatenate([numbers, *(np.array(pair) for pair in tuning.states.values())])
         if not (np.all(np.isfinite(numbers)) and np.all(numbers >= 0.0) and min(tuning.measurement) > 0.0):
-            return f"tunings.{name}: expected variances, finite and not negative, those of the measurement above 0"
+            yield f"tunings.{name}: expected variances, finite and not negative, those of the measurement above 0"
     if "default" not in rig.tunings:
-        return "tunings: expected one that is called 'default'"
-    return "" if np.all(np.isfinite(rig.parameters()[par.LOCKED :])) else "gas: these constants give no finite flow"
+        yield "tunings: expected one that is called 'default'"
+    if not np.all(np.isfinite(rig.parameters()[par.LOCKED :])):
+        yield "gas: these constants give no finite flow"
 
 
-def _bad_regulators(rig: Rig) -> str:
+def _bad_regulators(rig: Rig) -> Iterator[str]:
     """Check that a rig has the dynamics of its regulators, and only a rig with regulators."""
     given = [name for name in rig.effects if name.startswith("regulator_")]
     if rig.drive == "valve":
-        return f"effects.{given[0]}: the rig has valves; expected drive: regulator with it" if given else ""
+        if given:
+            yield f"effects.{given[0]}: the rig has valves; expected drive: regulator with it"
+        return
     if not all(rig.value(f"effects.regulator_lag.frequency_{i}") > 0.0 for i in (1, 2)):
-        return (
+        yield (
             "effects.regulator_lag is missing, which says how quickly the regulators follow; expected, for example "
             "for 9 Hz and a damping ratio of 0.33, regulator_lag: {frequency_1: 56.0, frequency_2: 56.0, damping: "
             "0.33}"
         )
     low, high = rig.command_limits
     if not low < high:
-        return f"effects.regulator_limits: {low:g} to {high:g} Pa, expected lowest below highest"
-    return ""
+        yield f"effects.regulator_limits: {low:g} to {high:g} Pa, expected lowest below highest"
 
 
-def _bad_muscles(rig: Rig) -> str:
+def _bad_muscles(rig: Rig) -> Iterator[str]:
     """Check volume and force map over the joint's range, with the functions of the model."""
     p = rig.parameters()
     bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
@@ -107,124 +105,111 @@ def _bad_muscles(rig: Rig) -> str:
         force = getattr(rig, name).force
         for key in ("c1", "c2", "c3", "c4", "c6", "c7") if rig.model.force == "braided" else ():
             if not (value := getattr(force, key)) > 0.0:
-                return f"{name}.force.{key}: {value:g}, expected above 0 with model.force: braided"
+                yield f"{name}.force.{key}: {value:g}, expected above 0 with model.force: braided"
         for angle in (-bound, 0.0, bound):
             travel, _, _ = lever_arm.leverage(angle, p)
             length = muscle.length(i, travel, p)
             volume, _ = muscle.volume(i, length, p)
             if not _LEAST_VOLUME < volume < _LARGEST_VOLUME:
-                return (
+                yield (
                     f"{name}.volume gives {volume:.3g} m³ at a length of {length:g} m: expected {_LEAST_VOLUME:g} "
                     f"to {_LARGEST_VOLUME:g} m³ within the joint's range"
                 )
         length, pressure = rig.geometry.length, 3.0 * rig.atmosphere.pressure
         rise = (muscle.force(i, length, pressure + 1e3, p) - muscle.force(i, length, pressure, p)) / 1e3
         if not 1e-7 < rise < 0.1:
-            return (
+            yield (
                 f"{name}.force gives dF/dP = {rise:.3g} m² at geometry.length: expected 1e-7 to 0.1 m² "
                 f"(force in N over absolute pressure in Pa; form {rig.model.force!r})"
             )
-    return ""
 
 
-def _unknown(section: str, name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, list(known), 1)
-    return f"{section}: unknown {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
-
-
-def _bad_effects(rig: Rig) -> str:
+def _bad_effects(rig: Rig) -> Iterator[str]:
     for name, values in rig.effects.items():
         if name not in CATALOGUE:
-            return _unknown("effects", name, CATALOGUE) + f"; expected one of {', '.join(CATALOGUE)}"
+            yield f"effects: {unknown(name, CATALOGUE)}; expected one of {', '.join(CATALOGUE)}"
         known = {item.name: item for item in CATALOGUE[name].parameters}
         for key, value in values.items():
             if key not in known:
-                return _unknown(f"effects.{name}", key, known) + f"; expected one of {', '.join(known)}"
+                yield f"effects.{name}: {unknown(key, known)}; expected one of {', '.join(known)}"
             item = known[key]
             if not item.low <= value <= item.high:
-                return (
+                yield (
                     f"effects.{name}.{key}: {value:g}, expected {item.low:g} to {item.high:g} {item.unit} "
                     f"({item.meaning})"
                 )
-        complaint = _too_quick(name, values)
-        if complaint:
-            return complaint
-    complaint = learned.complaint_about(rig.effects.get("learned", {}), list(rig.signals))
-    if complaint:
-        return complaint
+        yield from _too_quick(name, values)
+    if complaint := learned.complaint_about(rig.effects.get("learned", {}), list(rig.signals)):
+        yield complaint
     pushes = rig.effects.get(DISTURBANCE, {})
     if "onset" in pushes and "prior" not in pushes:
-        return (
+        yield (
             f"effects.{DISTURBANCE}.onset is given without a prior: expected prior as well, the standard deviation of "
             "the pushes in N m"
         )
-    return ""
 
 
-def _in_kilopascal(rig: Rig) -> str:
+def _in_kilopascal(rig: Rig) -> Iterator[str]:
     """Check the unit of the pressure noise: below a pascal, but with a much larger variance in the tuning, is kPa."""
     std, tuning = rig.sensors.pressure_std, rig.tunings.get("default")
     if tuning is None or std >= _FAINT or max(tuning.measurement) <= _MORE * rig.sensors.error("pressure") ** 2:
-        return ""
-    return (
+        return
+    yield (
         f"sensors.pressure_std: {std:g}, expected a standard deviation in [Pa]: tunings.default.measurement allows for "
         f"{math.sqrt(max(tuning.measurement)):.3g} Pa"
     )
 
 
-def _bad_bounds(rig: Rig) -> str:
+def _bad_bounds(rig: Rig) -> Iterator[str]:
     for name, (low, high) in rig.bounds.items():
         if name not in par.INDEX:
-            return _unknown("bounds", name, par.INDEX)
+            yield f"bounds: {unknown(name, par.INDEX)}"
         if not low <= rig.value(name) <= high or low == high:
-            return f"bounds of {name}: {low:g} to {high:g}, expected a range that holds its value, {rig.value(name):g}"
+            yield f"bounds of {name}: {low:g} to {high:g}, expected a range that holds its value, {rig.value(name):g}"
         if is_positive(name) and low < 0.0:
-            return f"bounds of {name}: {low:g}, expected 0 or more, since it cannot be negative"
-    return ""
+            yield f"bounds of {name}: {low:g}, expected 0 or more, since it cannot be negative"
 
 
-def _too_quick(name: str, values: Mapping[str, float]) -> str:
+def _too_quick(name: str, values: Mapping[str, float]) -> Iterator[str]:
     """Check the time constants of a present effect, neutral ones included: an integration step must follow them."""
     items = CATALOGUE[name].parameters
     if not any(item.is_size and values.get(item.name, 0.0) != 0.0 for item in items):
-        return ""
+        return
     for item in items:
         value = values.get(item.name, item.neutral)
         if item.unit == "s" and 0.0 < value < _QUICKEST:
-            return (
+            yield (
                 f"effects.{name}.{item.name}: {value:g} s, expected at least {_QUICKEST:g} s"
                 f"{', or 0 for none' if item.is_size else ''}: one step of the integration would not follow it"
             )
-    return ""
 
 
-def _bad_spreads(rig: Rig) -> str:
+def _bad_spreads(rig: Rig) -> Iterator[str]:
     """Check standard deviations of parameters: known names, and sizes that a positive parameter may have."""
     sections = [("uncertainty", rig.uncertainty), ("priors", rig.priors)]
     sections += [(f"directions.{name}", changes) for name, changes in rig.directions.items()]
     for section, spreads in sections:
         for name, std in spreads.items():
             if name not in par.INDEX or name == "friction.time_step":
-                close = difflib.get_close_matches(name, par.INDEX, 1)
-                return f"{section}: unknown parameter {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
+                yield f"{section}: {unknown(name, par.INDEX).replace('unknown', 'unknown parameter', 1)}"
             signed = section.startswith("directions")
             if not (math.isfinite(std) and (signed or std > 0.0)):
-                return f"{section} of {name}: {std:g}, expected a standard deviation above 0"
+                yield f"{section} of {name}: {std:g}, expected a standard deviation above 0"
             if section == "uncertainty" and is_positive(name) and std > rig.value(name):
-                return (
+                yield (
                     f"{section} of {name}: {std:g}, expected at most its value, {rig.value(name):g}, since it cannot "
                     "be negative"
                 )
-    return ""
 
 
-def _bad_curve(where: str, voltage: np.ndarray, rate: np.ndarray) -> str:
-    if not 2 <= len(voltage) <= par.MAX_KNOTS:
-        return f"{where}: {len(voltage)} points, expected 2 to {par.MAX_KNOTS}"
-    if len(voltage) != len(rate):
-        return f"{where}: {len(voltage)} voltages but {len(rate)} open rates"
-    if not (np.all(np.isfinite(voltage)) and np.all(np.diff(voltage) > 0.0)):
-        return f"{where}.voltage: expected increasing values [V]"
-    if not (np.all(np.diff(rate) >= 0.0) and rate[0] >= 0.0 and rate[-1] <= 1.0):
-        return f"{where}.open_rate: expected values from 0 to 1 that do not decrease"
-    return ""
+def _bad_curves(rig: Rig) -> Iterator[str]:
+    for where, curve in (("valve_1.curve", rig.valve_1.curve), ("valve_2.curve", rig.valve_2.curve)):
+        voltage, rate = np.array(curve.voltage), np.array(curve.open_rate)
+        if not 2 <= len(voltage) <= par.MAX_KNOTS:
+            yield f"{where}: {len(voltage)} points, expected 2 to {par.MAX_KNOTS}"
+        if len(voltage) != len(rate):
+            yield f"{where}: {len(voltage)} voltages but {len(rate)} open rates"
+        if not (np.all(np.isfinite(voltage)) and np.all(np.diff(voltage) > 0.0)):
+            yield f"{where}.voltage: expected increasing values [V]"
+        if not (np.all(np.diff(rate) >= 0.0) and rate[0] >= 0.0 and rate[-1] <= 1.0):
+            yield f"{where}.open_rate: expected values from 0 to 1 that do not decrease"

@@ -18,7 +18,7 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
-from pam_antagonist.strict_yaml import Strict, unknown
+from pam_antagonist.strict_yaml import Strict, fields_of, unknown
 
 
 class Form(Strict):
@@ -179,19 +179,11 @@ class Sensors(Strict):
     torque_step: float = Field(ge=0.0, lt=10.0, description="validation only [N m]")
 
     def reading(self, quantity: str) -> Reading:
-        """Error of one reading.
-
-        Args:
-            quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
-        """
+        """Error of one reading. `quantity`: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m]."""
         return Reading(getattr(self, f"{quantity}_std"), getattr(self, f"{quantity}_step"))
 
     def error(self, quantity: str) -> float:
-        """Standard deviation of one reading, noise and converter together.
-
-        Args:
-            quantity: ``pressure`` [Pa], ``angle`` [rad] or ``torque`` [N m].
-        """
+        """Standard deviation of one reading, noise and converter together, of a quantity as above."""
         return self.reading(quantity).error
 
 
@@ -214,6 +206,10 @@ class Encoder(Strict):
         return Reading(self.std, self.step).error ** 2
 
 
+def _late(what: str) -> Any:
+    return Field(default=0.0, ge=-1.0, le=1.0, description=f"by how much the stamps of the {what} are too early [s]")
+
+
 class Calibration(Strict):
     """Zeros, scale and clocks of the recordings, which are corrected by them while they are read; no node uses them."""
 
@@ -226,18 +222,10 @@ class Calibration(Strict):
     torque_scale: float = Field(
         default=1.0, ge=0.1, le=10.0, description="scale error: reading of the torque meter over the torque [-]"
     )
-    delay_voltage: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the voltages are too early [s]"
-    )
-    delay_angle: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the angle are too early [s]"
-    )
-    delay_torque: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the torque are too early [s]"
-    )
-    delay_pressure: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="by how much the stamps of the pressures are too early [s]"
-    )
+    delay_voltage: float = _late("voltages")
+    delay_angle: float = _late("angle")
+    delay_torque: float = _late("torque")
+    delay_pressure: float = _late("pressures")
 
 
 _Diagonal = Tuple[float, float, float, float]  # noqa: UP006
@@ -432,11 +420,7 @@ _BASE = {name: index for name, index in par.INDEX.items() if name not in _NEUTRA
 
 @cache
 def limits(name: str) -> tuple[float, float]:
-    """Least and largest value that a rig file may have at a dotted path; infinite where there is no limit.
-
-    Args:
-        name: such as ``friction.shaft``, or of an effect.
-    """
+    """Least and largest value that a rig file may have at a dotted path; infinite where there is no limit."""
     if name.startswith("effects."):
         _, effect, item = name.split(".")
         known = next(entry for entry in CATALOGUE[effect].parameters if entry.name == item)
@@ -444,7 +428,7 @@ def limits(name: str) -> tuple[float, float]:
     kind: Any = Rig
     low, high = -math.inf, math.inf
     for part in name.split("."):
-        field = (getattr(kind, "model_fields", None) or kind.__fields__)[part]
+        field = fields_of(kind)[part]
         kind = getattr(field, "annotation", None) or getattr(field, "outer_type_", None)
         # pydantic 2 has an object for each limit, pydantic 1 all of them in one.
         for each in getattr(field, "metadata", None) or [getattr(field, "field_info", field)]:

@@ -16,6 +16,7 @@ from pam_antagonist.model.effects.learned import LAWS
 from pam_antagonist.rig.learned import Law, law_of
 from pam_antagonist.rig.load import load_rig
 from pam_antagonist.rig.schema import Rig
+from pam_antagonist.strict_yaml import described, fields_of
 
 _COLUMN = 44
 
@@ -60,11 +61,9 @@ def write_unread(rig: Rig, path: Path, remarks: Sequence[str] = ()) -> None:
 
 
 def _model(model: BaseModel, depth: int) -> list[str]:
-    kind: Any = type(model)
-    fields: Mapping[str, Any] = getattr(kind, "model_fields", None) or kind.__fields__
     lines = []
-    for name, field in fields.items():
-        description = getattr(getattr(field, "field_info", field), "description", None) or ""
+    for name, field in fields_of(type(model)).items():
+        description = described(field)
         if name == "effects" and depth == 0:
             lines += _effects(model.effects, description, list(model.signals))  # type: ignore[attr-defined]
             continue

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from pam_antagonist.cli import excite
-from pam_antagonist.design import Limits
+from pam_antagonist.design import Limits, Plan
 from pam_antagonist.design.apart import SHORTEST, Question, chance, imitation, told_apart
 from pam_antagonist.design.information import STEP
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import steady_voltage
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation import excitation
 
@@ -25,8 +24,8 @@ def rig() -> Rig:
     return load_rig("shin2022").replaced(effects={"leak": {"area_1": 2e-9}})
 
 
-def distance(rig: Rig, rival: str, voltage: np.ndarray, pressure: float, rest: tuple[float, float]) -> float:
-    question = Question(rig, "leak", rival, "free", 0.0, pressure, np.array(rest), (0, 1, 2, 3))
+def distance(rig: Rig, rival: str, voltage: np.ndarray, plan: Plan) -> float:
+    question = Question(rig, "leak", rival, plan, (0, 1, 2, 3))
     question.take(question.course(voltage))
     return question.distance
 
@@ -36,7 +35,7 @@ def test_a_design_tells_more_than_steps_of_the_same_length(rig: Rig) -> None:
     plan = found.plan
     rows = plan.voltage[:: round(STEP / plan.period)]
     steps = excitation.profile("steps", len(rows) * STEP, STEP, 3)
-    mine, theirs = (distance(rig, "pressure_sensor", v, plan.pressure, plan.rest) for v in (rows, steps))
+    mine, theirs = (distance(rig, "pressure_sensor", v, plan) for v in (rows, steps))
     assert mine > theirs
     # A recording that close_loop refuses decides nothing.
     assert SHORTEST - 2.0 <= plan.duration <= 60.0
@@ -61,10 +60,9 @@ def test_a_rival_that_can_do_nothing_of_an_effect_is_still_a_question() -> None:
 
 
 def test_what_cannot_show_promises_nothing(rig: Rig) -> None:
-    pressure = 400e3
-    rest = steady_voltage(rig, pressure)
-    still = np.tile(rest, (500, 1))
-    assert chance(distance(rig, "valve_offset", still, pressure, rest)) < 0.2
+    plan = Plan.at_rest(rig, Limits.of(rig))
+    still = np.tile(plan.rest, (500, 1))
+    assert chance(distance(rig, "valve_offset", still, plan)) < 0.2
 
 
 def test_the_report_of_close_loop_says_what_is_undecided(rig: Rig, tmp_path: Path) -> None:

@@ -5,8 +5,30 @@ from __future__ import annotations
 from typing import Any
 
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects import learned as laws
 from pam_antagonist.rig import learned
 from pam_antagonist.rig.schema import Rig
+
+_NUMBER, _NUMBERS = {"type": "number"}, {"type": "array", "items": {"type": "number"}, "maxItems": laws.NODES}
+_LAW = {
+    "type": "object",
+    "description": "a learned law: docs/effects.md",
+    "additionalProperties": False,
+    "properties": {
+        "place": {"enum": list(laws.PLACES), "description": "where it acts"},
+        "muscle": {"enum": [1, 2, "both"], "description": "at a place of a muscle"},
+        "argument": {
+            "type": "string",
+            "description": "what it depends on",
+            "examples": [*learned.EVERYWHERE, *learned.OWN],
+        },
+        "operator": {"enum": list(learned.OPERATORS), "default": "none", "description": "with a memory"},
+        "time": {**_NUMBER, "description": "of lag and high_pass [s]"},
+        "width": {**_NUMBER, "description": "of play and stop, in the unit of the argument"},
+        "nodes": {**_NUMBERS, "description": "of the argument, increasing [SI]"},
+        "values": {**_NUMBERS, "description": "at the nodes, in the unit of the place"},
+    },
+}
 
 
 def rig_json_schema() -> dict[str, Any]:
@@ -37,7 +59,7 @@ def rig_json_schema() -> dict[str, Any]:
 def _effect(name: str) -> dict[str, Any]:
     effect = CATALOGUE[name]
     if effect.of_tables:
-        laws = dict.fromkeys(learned.LAWS, learned.LAW_SCHEMA)
+        laws = dict.fromkeys(learned.LAWS, _LAW)
         return {"type": "object", "description": effect.meaning, "additionalProperties": False, "properties": laws}
     return {
         "type": "object",
