@@ -124,17 +124,13 @@ _ALWAYS = Condition("", lambda values: True)
 
 @dataclass(frozen=True)
 class Question:
-    """Something that a person is asked.
-
-    Attributes:
-        default: answer that is taken where none is given; None: there is none.
-    """
+    """Something that a person is asked."""
 
     option: str
     text: str
     how: str
     read: Callable[[str], Any]
-    default: str | None = None
+    default: str | None = None  # answer that is taken where none is given; None: there is none
     condition: Condition = _ALWAYS
 
     @property

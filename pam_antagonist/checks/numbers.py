@@ -35,12 +35,7 @@ _CHANNEL = {"delay_angle": "angle", "delay_torque": "torque"}
 def without_delays(
     recording: Recording, rig: Rig, joint: str, lock_angle: float, now: Corrections
 ) -> tuple[list[Finding], Corrections]:
-    """Delays that make it worse, and the corrections without them.
-
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: of a locked joint [rad].
-    """
+    """Delays that make it worse, and the corrections without them. `lock_angle`: of a locked joint [rad]."""
     out = []
     for name in ("delay_voltage", "delay_pressure", "delay_angle", "delay_torque"):
         value = getattr(now, name)
@@ -65,11 +60,7 @@ def without_delays(
 def without_zeros(
     recording: Recording, model: Prediction, rig: Rig, joint: str, now: Corrections
 ) -> tuple[list[Finding], Corrections]:
-    """Zeros and a scale that make it worse, and the corrections without them.
-
-    Args:
-        joint: ``free`` or ``locked``.
-    """
+    """Zeros and a scale that make it worse, and the corrections without them."""
     out = []
     for name, neutral in (("torque_scale", 1.0), ("encoder_zero", 0.0), ("torque_zero", 0.0)):
         value = getattr(now, name)
@@ -103,8 +94,7 @@ def without_zeros(
 def finding(name: str, now: Corrections, rig: Rig, text: str) -> Finding:
     """That a number makes it worse, and where it comes from: the command line, or the rig file.
 
-    Args:
-        name: of the number, a field of ``Corrections``.
+    `name`: of the number, a field of ``Corrections``.
     """
     value = getattr(now, name)
     if value == dict(rig.calibration).get(name):
@@ -171,9 +161,7 @@ def delay_of_voltages(
     The pressures' difference from the model is regressed on the rate of the model's pressures, the effect of each
     orifice area, the pressure itself and a constant. The coefficient of the rate is the delay.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: of a locked joint [rad].
+    `lock_angle`: of a locked joint [rad].
     """
     moved = [
         predicted(corrected, other, joint, lock_angle, known_start=True).pressure - model.pressure

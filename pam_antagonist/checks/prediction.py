@@ -29,23 +29,14 @@ _STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The model alone at the samples of a recording, without the settling time.
+    """The model alone at the samples of a recording, without the settling time."""
 
-    Attributes:
-        time: of the samples (K,) [s].
-        pressure: of the muscles (K, 2) [Pa].
-        pressure_rate: their rates of change (K, 2) [Pa/s].
-        angle: (K,) [rad].
-        torque: (K,) [N m].
-        rows: indices of the samples in the recording (K,).
-    """
-
-    time: Floats
-    pressure: Floats
-    pressure_rate: Floats
-    angle: Floats
-    torque: Floats
-    rows: NDArray[np.int64]
+    time: Floats  # of the samples (K,) [s]
+    pressure: Floats  # of the muscles (K, 2) [Pa]
+    pressure_rate: Floats  # their rates of change (K, 2) [Pa/s]
+    angle: Floats  # (K,) [rad]
+    torque: Floats  # (K,) [N m]
+    rows: NDArray[np.int64]  # indices of the samples in the recording (K,)
 
 
 def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, known_start: bool = False) -> Prediction:
@@ -53,11 +44,8 @@ def predicted(recording: Recording, rig: Rig, joint: str, lock_angle: float, kno
 
     The model runs on the grid of the recording's own period, in steps of at most 1 ms.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: of a locked joint [rad].
-        known_start: whether the model starts from the recorded pressures, which are then absolute, in Pa and not
-            exchanged; otherwise it starts midway between atmosphere and supply.
+    `lock_angle`: of a locked joint [rad]. `known_start`: whether the model starts from the recorded pressures, which
+    are then absolute, in Pa and not exchanged; otherwise it starts midway between atmosphere and supply.
     """
     if recording.episode_ns is None:
         return _in_one_piece(recording, rig, joint, lock_angle, known_start)
@@ -134,9 +122,7 @@ def in_steps(
 def from_pressures(recording: Recording, rig: Rig, joint: str, lock_angle: float) -> Prediction:
     """Angle and torque of the joint at rest under the measured pressures, where voltages do not give the pressures.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: of a locked joint [rad].
+    `lock_angle`: of a locked joint [rad].
     """
     rows = np.flatnonzero(np.isfinite(recording.pressure).all(axis=1))
     rows = rows[:: max(1, len(rows) // _MOST_ROWS)]

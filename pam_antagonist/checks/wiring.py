@@ -85,8 +85,7 @@ def unit_tolerance(rig: Rig, quantity: str) -> float:
 
     A rig file that was not identified says how well it knows its muscles and valves: by that much more.
 
-    Args:
-        quantity: ``pressure``, ``angle`` or ``torque``.
+    `quantity`: ``pressure``, ``angle`` or ``torque``.
     """
     stds = rig.uncertainty if rig.identified else {**rig.uncertainty, **rig.priors}
     names = ("inflow_area", "outflow_area") if quantity == "pressure" else ("force.v1", "force.c1")
@@ -96,15 +95,11 @@ def unit_tolerance(rig: Rig, quantity: str) -> float:
 
 @dataclass(frozen=True)
 class Arrangement:
-    """Which pressure follows which valve.
-
-    Attributes:
-        exchanged: whether each pressure follows the other muscle's valve; None: it follows neither.
-        by_steps: whether only short steps from measured pressures show it, since the model drifts from the voltages.
-    """
+    """Which pressure follows which valve."""
 
     findings: tuple[Finding, ...]
-    exchanged: bool | None
+    exchanged: bool | None  # whether each pressure follows the other muscle's valve; None: it follows neither
+    # whether only short steps from measured pressures show it, since the model drifts from the voltages.
     by_steps: bool = False
 
 
@@ -113,10 +108,7 @@ def arrangement(
 ) -> Arrangement:
     """Which pressure follows which valve, over the whole recording or, where the model drifts, over short steps.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: of a locked joint [rad].
-        typed: gives the unit of the pressures, from which the short steps begin.
+    `lock_angle`: of a locked joint [rad]. `typed`: gives the unit of the pressures, from which the short steps begin.
     """
     free = [
         min(correlation(recording.pressure[model.rows, (i + shift) % 2], model.pressure[:, i]) for i in (0, 1))
@@ -175,8 +167,7 @@ def pressure_unit_of(
 ) -> tuple[list[Finding], Corrections]:
     """Unit and reference of the pressures, by their ratio to the model's and the remaining offset.
 
-    Args:
-        pressures: as recorded, in an unknown unit, in the order of the valves (K, 2).
+    `pressures`: as recorded, in an unknown unit, in the order of the valves (K, 2).
     """
     ratio = float(np.sqrt(np.prod([ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)])))
     unit, _ = _unit_by_ratio("pressure", ratio, typed.pressure_unit, tolerance)
@@ -248,26 +239,16 @@ def _unit_findings(quantity: str, what: str, unit: str, typed: str, why: str = "
 
 @dataclass(frozen=True)
 class Direction:
-    """Sign and size of a measured channel relative to the model.
+    """Sign and size of a measured channel relative to the model."""
 
-    Attributes:
-        channel: ``angle`` or ``torque``.
-        sign: 1 or -1, of the correlation with the model.
-        ratio: standard deviation over the model's [-], without a correction of its unit.
-    """
-
-    channel: str
-    sign: int
-    ratio: float
+    channel: str  # ``angle`` or ``torque``
+    sign: int  # 1 or -1, of the correlation with the model
+    ratio: float  # standard deviation over the model's [-], without a correction of its unit
     correlation: float = 1.0
 
 
 def directions_of(recording: Recording, model: Prediction, joint: str) -> list[Direction]:
-    """Sign and size of angle and torque relative to the model, where they correlate with it.
-
-    Args:
-        joint: ``free`` or ``locked``.
-    """
+    """Sign and size of angle and torque relative to the model, where they correlate with it."""
     out = []
     if joint == "free" and recording.angle is not None and range_of(model.angle) > STILL_ANGLE:
         out.append(("angle", recording.angle[model.rows], model.angle))
@@ -298,9 +279,8 @@ def which_is_exchanged(
 
     Exchanged pressure lines do not change the signs of angle and torque; exchanged valves reverse both.
 
-    Args:
-        arranged: which pressure follows which valve, and whether the measured pressures show the rest.
-        typed: corrections that the user gave; what they say of channels without a direction is kept.
+    `arranged`: which pressure follows which valve, and whether the measured pressures show the rest. `typed`:
+    corrections that the user gave; what they say of channels without a direction is kept.
     """
     exchanged, drive = arranged.exchanged, "measured pressures" if arranged.by_steps else "voltages"
     seen = [f"flip_{direction.channel}" for direction in directions]
@@ -350,8 +330,7 @@ def _changes(names: Sequence[str], given: dict[str, bool]) -> Finding:
 def unit_of(direction: Direction, now: Corrections, typed: Corrections, tolerance: float) -> tuple[list[Finding], str]:
     """Findings about the unit of angle or torque, and the unit.
 
-    Args:
-        now: corrections so far; a unit in them that is not the given one was found by the values alone.
+    `now`: corrections so far; a unit in them that is not the given one was found by the values alone.
     """
     channel, ratio = direction.channel, direction.ratio
     given, before = getattr(typed, f"{channel}_unit"), getattr(now, f"{channel}_unit")

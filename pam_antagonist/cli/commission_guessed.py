@@ -46,9 +46,6 @@ def drawn(rig: Rig, seed: int) -> Rig:
 
     What could not be driven at all is drawn again: a joint that no pressures bring to its middle and to a third of its
     range either way.
-
-    Raises:
-        BadInput: in 200 draws no such joint.
     """
     rng = np.random.default_rng(seed)
     sought = [*joint_stage.unknowns(rig, []), *air_stage.unknowns(rig)]
@@ -177,7 +174,6 @@ class GuessedCommission(Commission):
 
     @override
     def found(self) -> Rig:
-        """The rig that was identified."""
         return self._taken(self._out / "identified" / "rig.yaml")
 
     @override

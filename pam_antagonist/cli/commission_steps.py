@@ -58,8 +58,7 @@ class StepFailed(Exception):
 class Record:
     """The steps of a commissioning that were tried, and the folders of their results.
 
-    Attributes:
-        steps: of each step by its name: whether it is ``done``, what it ``said``, and what else it found.
+    `steps`: of each step by its name: whether it is ``done``, what it ``said``, and what else it found.
     """
 
     def __init__(self, out: Path, rig: str) -> None:
@@ -135,11 +134,7 @@ class Commission:
             yield
 
     def step(self, name: str) -> None:
-        """Do a step, unless it is done.
-
-        Args:
-            name: one of ``STEPS``.
-        """
+        """Do a step, unless it is done. `name`: one of ``STEPS``."""
         before = self._record.steps.get(name, {})
         if before.get("done"):
             print(f"{name}: done before. {before['said']}")

@@ -38,17 +38,11 @@ _ALLOWED, _ALLOWED_SHARE = math.radians(1.0), 0.03
 
 
 class Held(NamedTuple):
-    """How a joint held the angles that were asked for.
+    """How a joint held the angles that were asked for."""
 
-    Attributes:
-        error: largest RMS of the last second of a step [rad].
-        allowed: [rad].
-        largest: largest angle that was asked for [rad].
-    """
-
-    error: float
-    allowed: float
-    largest: float
+    error: float  # largest RMS of the last second of a step [rad]
+    allowed: float  # [rad]
+    largest: float  # largest angle that was asked for [rad]
 
     def in_words(self) -> str:
         """How the simulated joints did."""

@@ -138,9 +138,7 @@ class Reached(NamedTuple):
 def known_torque(external, variance):
     """Part of a torque from outside that the law uses [N m]: d³/(d² + σ²).
 
-    Args:
-        external: d [N m]; NaN where it is not estimated.
-        variance: σ² [(N m)²].
+    `external`: d [N m]; NaN where it is not estimated. `variance`: σ² [(N m)²].
     """
     if not (math.isfinite(external) and math.isfinite(variance)) or external == 0.0:
         return 0.0

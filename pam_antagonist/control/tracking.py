@@ -46,39 +46,25 @@ SETTLED = 0.05
 
 @dataclass(frozen=True)
 class Step:
-    """One constant stretch of the reference.
+    """One constant stretch of the reference."""
 
-    Attributes:
-        start_s: from the first sample [s].
-        length_s: [s].
-        reference: [rad] or [N m].
-        steady_error: largest |reference - measured| in its steady part, in the same unit; NaN if it has none.
-        settling_s: from its start until it has settled [s]; NaN if it has not, and for the first stretch.
-    """
-
-    start_s: float
-    length_s: float
-    reference: float
-    steady_error: float
-    settling_s: float
+    start_s: float  # from the first sample [s]
+    length_s: float  # [s]
+    reference: float  # [rad] or [N m]
+    steady_error: float  # largest |reference - measured| in its steady part, in the same unit; NaN if it has none
+    settling_s: float  # from its start until it has settled [s]; NaN if it has not, and for the first stretch
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """How a reference was followed, in rad or N m.
-
-    Attributes:
-        rmse: root mean square of reference - measured over all samples.
-        worst_steady_error: largest steady error of all steps; NaN if no step was long enough.
-        performance: 1 - worst_steady_error / range; NaN where either is not known.
-    """
+    """How a reference was followed, in rad or N m."""
 
     steps: tuple[Step, ...]
-    rmse: float
+    rmse: float  # root mean square of reference - measured over all samples
     largest: float
-    worst_steady_error: float
+    worst_steady_error: float  # largest steady error of all steps; NaN if no step was long enough
     range: float
-    performance: float
+    performance: float  # 1 - worst_steady_error / range; NaN where either is not known
 
 
 def held(stamp_ns: Stamps, reference_stamp_ns: Stamps, value: Floats) -> Floats:

@@ -47,13 +47,11 @@ class Calibration(Hypothesis):
 
     @override
     def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
-        """Calibrations beside a model above noise, or those that a model at the noise hides; the best first."""
         found = _hidden(now.model, number) if now.model.is_at_noise else _tried(now, number)
         return sorted(found, key=lambda candidate: -candidate.standing)
 
     @override
     def is_worth_taking(self, tried: TriedCandidate) -> bool:
-        """Whether one may be taken; beside a model at the noise it is proposed only then."""
         return tried.shares is None or tried.is_worth_taking or tried.ends_at_noise
 
     @override
@@ -84,22 +82,18 @@ class Calibration(Hypothesis):
 
     @override
     def knows(self, name: str) -> bool:
-        """Whether it is a calibration."""
         return name in calibration.CALIBRATIONS
 
     @override
     def sentence(self, name: str, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
-        """Its value in words, without a standard deviation."""
         return found_calibrations.in_words(FoundCalibration(name, values[name], 0.0, "", 0.0, {}))
 
     @override
     def instead(self, name: str, sealed: bool = False) -> str:
-        """What a report says of a calibration that does as well as what was found."""
         return f"{found_calibrations.alternative(name)} would explain the data as well"
 
     @override
     def experiment(self, name: str, found: str | None = None, sealed: bool = False) -> str:
-        """How to measure it without a model."""
         return found_calibrations.experiment(name)
 
 
@@ -337,8 +331,7 @@ def common(model: Model) -> dict[str, float]:
 def found(ranking: Ranking, judged: Model | None = None) -> tuple[FoundCalibration, ...]:
     """The calibrations that recordings need, each with its value; uncertain ones are left out.
 
-    Args:
-        judged: the model of the verdict, which has the values where a calibration is free in it.
+    `judged`: the model of the verdict, which has the values where a calibration is free in it.
     """
     models = (ranking.model,) if judged is None else (judged, ranking.model)
     experiments = ranking.model.experiments

@@ -39,7 +39,6 @@ class CatalogueEffect(Hypothesis):
 
     @override
     def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
-        """Score all candidates beside a model above noise, and fit the best of them."""
         model = now.model
         if model.is_at_noise:
             return []
@@ -66,28 +65,23 @@ class CatalogueEffect(Hypothesis):
 
     @override
     def take(self, now: Ranking, best: TriedCandidate) -> tuple[Model, Model]:
-        """The effect in all recordings that do not rule it out, with derivatives at its own point."""
         assert best.model is not None
         return now.base, shared(best.model.map(relinearised))
 
     @override
     def knows(self, name: str) -> bool:
-        """Whether the catalogue has it."""
         return name in CATALOGUE
 
     @override
     def sentence(self, name: str, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
-        """As its file says."""
         return CATALOGUE[name].in_words(muscle, values, sealed)
 
     @override
     def instead(self, name: str, sealed: bool = False) -> str:
-        """Likewise; some are told apart by their sealed form only."""
         return CATALOGUE[name].sealed.instead or f"{CATALOGUE[name].title} would explain the data as well"
 
     @override
     def experiment(self, name: str, found: str | None = None, sealed: bool = False) -> str:
-        """Likewise."""
         effect = CATALOGUE[name]
         between = effect.sealed.experiment if sealed else experiment_between(name, found) if found else None
         return between or effect.experiment
@@ -172,16 +166,12 @@ def _fits(
 
 @dataclass(frozen=True)
 class Score:
-    """How well a candidate would do in a recording.
-
-    Attributes:
-        gain: evidence for it, twice a difference of log posteriors, to first order.
-        muscles: evidence for it on muscle 1 alone and on muscle 2 alone; None where it belongs to no muscle.
-    """
+    """How well a candidate would do in a recording."""
 
     candidate: Candidate
-    gain: float
+    gain: float  # evidence for it, twice a difference of log posteriors, to first order
     start: Mapping[str, float]
+    # evidence for it on muscle 1 alone and on muscle 2 alone; None where it belongs to no muscle.
     muscles: tuple[float, float] | None = None
 
 
@@ -191,10 +181,9 @@ _Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
 def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) -> dict[str, Score]:
     """Score of every candidate beside a fitted model, by the effect's name.
 
-    Args:
-        fitted: the model without the candidate, whose residual is to be explained.
-        at: model from which the steps are taken; default: the fitted one. The model as configured shows a large
-            effect to which the fitted base parameters have adapted.
+    `fitted`: the model without the candidate, whose residual is to be explained. `at`: model from which the steps are
+    taken; default: the fitted one. The model as configured shows a large effect to which the fitted base parameters
+    have adapted.
     """
     here = fitted if at is None else at
     scale = fitted.scale
@@ -266,8 +255,7 @@ def _further_price(fitted: Fitted, candidate: Candidate, simpler: Score) -> floa
 def as_configured(experiment: Experiment, fitted: Fitted | None = None) -> Fitted:
     """The model with its base as configured, as a place to take steps from.
 
-    Args:
-        fitted: a model whose effects and calibrations are kept; default: none.
+    `fitted`: a model whose effects and calibrations are kept; default: none.
     """
     point = experiment.origin if fitted is None else Point(experiment.origin.theta, fitted.point.effects)
     free = () if fitted is None else fitted.free

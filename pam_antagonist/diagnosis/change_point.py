@@ -46,21 +46,14 @@ _LAST_ROUNDS = 6
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of one channel that is above noise.
-
-    Attributes:
-        begin_s: [s].
-        end_s: [s].
-        times_noise: root mean square of the residual there, over its noise.
-        evidence: against noise, with the price of all stretches that were looked at.
-    """
+    """A stretch of one channel that is above noise."""
 
     recording: str
     channel: str
-    begin_s: float
-    end_s: float
-    times_noise: float
-    evidence: float
+    begin_s: float  # [s]
+    end_s: float  # [s]
+    times_noise: float  # root mean square of the residual there, over its noise
+    evidence: float  # against noise, with the price of all stretches that were looked at
 
 
 def stretches_above_noise(pairs: Iterable[tuple[Experiment, Point]], jobs: int) -> tuple[Stretch, ...]:
@@ -93,8 +86,7 @@ def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
     square over that of the noise, the latter taken as large as it may be. Begin, length and channel are chosen, so
     twice the logarithm of the number of choices is the price (Bonferroni).
 
-    Args:
-        residual: of all of it (B, C).
+    `residual`: of all of it (B, C).
     """
     seconds = 1.0 / experiment.trial.block_s
     lengths = [round(length * seconds) for length in thresholds.STRETCHES if round(length * seconds) < len(residual)]
@@ -136,8 +128,7 @@ def is_noise(experiment: Experiment, residual: Floats) -> bool:
 def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
     """Where a recording is above noise; None if a fit to all data leaves only noise, or if no part is at its noise.
 
-    Args:
-        fitted: its model, whose base and effects are fitted again to parts of it.
+    `fitted`: its model, whose base and effects are fitted again to parts of it.
     """
     residual = experiment.residual(fitted.point, whole=True)
     if is_noise(experiment, residual):
@@ -176,9 +167,7 @@ def above_noise(residual: Floats, noise: Floats) -> tuple[int, int]:
     Outside of it the residual is noise; within, its variance is each channel's own. Begin and end are found in turn,
     each with the other one held. An edge within the recording has a price for the search.
 
-    Args:
-        residual: (B, C).
-        noise: standard deviation of each channel (C,).
+    `residual`: (B, C). `noise`: standard deviation of each channel (C,).
     """
     squares = np.vstack([np.zeros(len(noise)), np.cumsum((residual / noise) ** 2, axis=0)])
     count = len(residual)
@@ -205,8 +194,7 @@ def above_noise(residual: Floats, noise: Floats) -> tuple[int, int]:
 def parts_above_noise(experiment: Experiment, fitted: Fitted) -> tuple[Span, ...]:
     """All parts of a recording in which a model leaves more than noise, to a second or so.
 
-    Returns:
-        Begin and end of each [s]; none if the model is nowhere at the noise, or if there are too many parts to be
+    Returns begin and end of each [s]; none if the model is nowhere at the noise, or if there are too many parts to be
     """
     quiet = _undisturbed(experiment, fitted, experiment.residual(fitted.point, whole=True))
     if quiet is None:
@@ -227,8 +215,7 @@ def _undisturbed(experiment: Experiment, fitted: Fitted, residual: Floats) -> tu
     The search begins with a short part. Blocks that its model leaves at the noise elsewhere are added, so the part
     grows. Of several first parts the one that grows most is used: a disturbed part explains nothing else.
 
-    Args:
-        residual: of that model in all of the recording (B, C).
+    `residual`: of that model in all of the recording (B, C).
     """
     count = len(residual)
     whole = _on(experiment, np.ones(count, dtype=bool))

@@ -20,16 +20,11 @@ _SETTINGS = "settings.json"
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """A finished refit.
-
-    Attributes:
-        blocks_per_error: what the fit counted, see :class:`~pam_antagonist.inference.likelihood.Scale`.
-        gain: evidence for it after its first descent, which decides whether it is fitted from other starts.
-    """
+    """A finished refit."""
 
     point: Point
-    blocks_per_error: float
-    gain: float
+    blocks_per_error: float  # what the fit counted, see :class:`~pam_antagonist.inference.likelihood.Scale`
+    gain: float  # evidence for it after its first descent, which decides whether it is fitted from other starts
 
 
 @dataclass(frozen=True)
@@ -41,8 +36,7 @@ class Checkpoint:
     def claim(self, settings: Mapping[str, Any]) -> None:
         """Make the folder that of one run: of these recordings, this rig and these settings.
 
-        Args:
-            settings: whatever a candidate depends on, as plain values; ``report.json`` holds them likewise.
+        `settings`: whatever a candidate depends on, as plain values; ``report.json`` holds them likewise.
         """
         if self.folder is None:
             return

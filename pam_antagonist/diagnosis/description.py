@@ -38,11 +38,7 @@ _TUNINGS = 25
 
 
 def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, timings: Timings) -> Diagnosis:
-    """Everything that a report says.
-
-    Args:
-        judged: the verdict on each group of them, the strongest effect first.
-    """
+    """Everything that a report says. `judged`: the verdict on each group of them, the strongest effect first."""
     jobs, progress = settings.jobs, settings.progress
     ended = [_with_held_out_end(j) for j in judged]
     compared = tuple(c for end, j in zip(ended, judged, strict=True) for c in held_out.compare(*end, j.values))

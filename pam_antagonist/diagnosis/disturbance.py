@@ -77,24 +77,18 @@ def _followed(x0, given, angle, p, dt, substeps, stiff, damping):  # type: ignor
 
 @dataclass(frozen=True, eq=False)
 class Disturbance:
-    """A torque that comes and goes, as an explanation of one recording.
-
-    Attributes:
-        torque: the torque (B,) [N m] in blocks over the whole recording, 0 between the episodes.
-        recurring: share of its square that the torque at the same angle at other times predicts.
-        shares: of the held-out and of all excess that it removes; the first is None where nothing of the recording is
-            held out. The torque was estimated from all data, held out or not.
-        noise: size of a random walk with the same steps [N m/s^0.5].
-    """
+    """A torque that comes and goes, as an explanation of one recording."""
 
     experiment: Experiment
     fitted: Fitted
-    torque: Floats
+    torque: Floats  # the torque (B,) [N m] in blocks over the whole recording, 0 between the episodes
     active: float
-    recurring: float
+    recurring: float  # share of its square that the torque at the same angle at other times predicts
+    # of the held-out and of all excess that it removes; the first is None where nothing of the recording is held out.
+    # The torque was estimated from all data, held out or not.
     shares: tuple[float | None, float]
     squares: float
-    noise: float
+    noise: float  # size of a random walk with the same steps [N m/s^0.5]
 
     @property
     def episodes(self) -> int:

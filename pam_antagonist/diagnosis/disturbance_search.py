@@ -27,32 +27,24 @@ _NOISE = parameter_path(DISTURBANCE, CATALOGUE[DISTURBANCE].parameters[0].name)
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A disturbance as an explanation of all recordings, with effects beside it where there are any.
-
-    Attributes:
-        share: of the held-out excess that the disturbance removes; None if nothing is held out of its recordings.
-    """
+    """A disturbance as an explanation of all recordings, with effects beside it where there are any."""
 
     model: Model
     effects: tuple[FoundEffect, ...]
     values: Mapping[str, float]
+    # of the held-out excess that the disturbance removes; None if nothing is held out of its recordings.
     share: float | None
     warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _Disturbed:
-    """Recordings with the disturbance as an input.
-
-    Attributes:
-        noises: size of a random walk like the disturbance, one a recording; 0 where there was none.
-        left: recordings above noise in which no disturbance can show.
-    """
+    """Recordings with the disturbance as an input."""
 
     model: Model
-    noises: tuple[float, ...]
+    noises: tuple[float, ...]  # size of a random walk like the disturbance, one a recording; 0 where there was none
     effect: FoundEffect
-    left: tuple[int, ...]
+    left: tuple[int, ...]  # recordings above noise in which no disturbance can show
 
 
 def instead_of_effects(found: Ranking, work: Work) -> Explanation | None:
@@ -62,8 +54,7 @@ def instead_of_effects(found: Ranking, work: Work) -> Explanation | None:
     the recordings in which no disturbance can show, or else the chosen ones. With the disturbance as an input, effects
     may show that it had hidden.
 
-    Args:
-        found: by the search for effects, whose model did not explain enough.
+    `found`: by the search for effects, whose model did not explain enough.
     """
     work.progress("looking for a disturbance torque")
     disturbed = _find(found.base)

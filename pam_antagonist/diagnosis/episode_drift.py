@@ -29,26 +29,22 @@ _LINE_ROUNDS, _ENOUGH = 15, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Parameters and errors of a model over a recording.
+    """Parameters and errors of a model over a recording."""
 
-    Attributes:
-        values: its parameters in each part of the recording, fitted to the part alone, with 95 % intervals by
-            episode, by dotted path.
-        changes: of each from the first to the last part along a straight line, with an interval that is corrected for
-            the number of parameters.
-        errors: error [deg] in each part, of the model fitted to all that may be fitted, and of that fitted to the part.
-    """
-
+    # its parameters in each part of the recording, fitted to the part alone, with 95 % intervals by episode, by dotted
+    # path.
     values: Mapping[str, tuple[Interval, ...]]
+    # of each from the first to the last part along a straight line, with an interval that is corrected for the number
+    # of parameters.
     changes: Mapping[str, Interval]
+    # error [deg] in each part, of the model fitted to all that may be fitted, and of that fitted to the part.
     errors: tuple[tuple[float, float], ...]
 
 
 def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift:
     """The model's parameters and errors over the recording, each part fitted by itself.
 
-    Args:
-        held: which episodes are held out; the interleaved ones are not used.
+    `held`: which episodes are held out; the interleaved ones are not used.
     """
     best: list[dict[str, float]] = []
     spread = []
@@ -73,8 +69,7 @@ def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift
 def forecast(joint: PressureDriven, pool: Indices, model: EpisodeModel, window: float) -> float:
     """Error [deg] on the episodes that follow a window: the last three eighths of the pool, one after the other.
 
-    Args:
-        pool: that may be fitted (E,).
+    `pool`: that may be fitted (E,).
     """
     eighths = np.array_split(pool, PARTS)
     sums, counts = 0.0, 0.0
@@ -126,11 +121,7 @@ class StraightLines:
         return [(joint.take(part), min(0.0, part.mean() / self._last - 1.0)) for part in parts]
 
     def between(self, joint: PressureDriven, episodes: Indices) -> Squares:
-        """Squared errors of episodes among the fitted ones.
-
-        Args:
-            episodes: numbers of some (K,), in order.
-        """
+        """Squared errors of episodes among the fitted ones. `episodes`: numbers of some (K,), in order."""
         found = [self._squares(one, t) for one, t in self._groups(joint, episodes)]
         sums, counts = zip(*found, strict=True)
         return Squares(np.concatenate(sums), np.concatenate(counts))

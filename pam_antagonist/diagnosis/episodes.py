@@ -48,38 +48,28 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class EpisodeDiagnosis:
-    """What was found.
-
-    Attributes:
-        rows: errors of the models on episodes that no fit and no choice has seen.
-        model: the extended one, fitted to the last ``window`` of the fitted episodes.
-        values: its parameters that differ from the rig file, with 95 % intervals by episode, by dotted path.
-        window: share of the fitted episodes from which a model for later ones is fitted.
-        forecasts: error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it.
-        drift: parameters of the extended model over the recording, fitted to each part of it anew.
-        lines: errors of the extended model with parameters that follow straight lines over the fitted episodes.
-        others: names of a rival and of the effect that it replaces, with the errors of the extended model then; for
-            rivals that the episodes do not distinguish from the effect.
-        ratio: squared error on interleaved episodes of the extended model over that of the model with Coulomb
-            friction alone; None if there is no such model.
-        left: squared error of the extended model over what the noise of the readings alone would leave.
-        longest_step: of the integration [s].
-    """
+    """What was found."""
 
     effects: tuple[str, ...]
     tried: tuple[Tried, ...]
-    rows: tuple[Row, ...]
-    model: EpisodeModel
+    rows: tuple[Row, ...]  # errors of the models on episodes that no fit and no choice has seen
+    model: EpisodeModel  # the extended one, fitted to the last ``window`` of the fitted episodes
+    # its parameters that differ from the rig file, with 95 % intervals by episode, by dotted path.
     values: Mapping[str, Interval]
-    window: float
-    forecasts: tuple[float, ...]
-    drift: Drift
+    window: float  # share of the fitted episodes from which a model for later ones is fitted
+    forecasts: tuple[float, ...]  # error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it
+    drift: Drift  # parameters of the extended model over the recording, fitted to each part of it anew
     counts: tuple[int, int, int]
-    lines: Row
+    lines: Row  # errors of the extended model with parameters that follow straight lines over the fitted episodes
+    # names of a rival and of the effect that it replaces, with the errors of the extended model then; for rivals that
+    # the episodes do not distinguish from the effect.
     others: tuple[tuple[str, str, Row], ...] = ()
+    # squared error on interleaved episodes of the extended model over that of the model with Coulomb friction alone;
+    # None if there is no such model.
     ratio: Interval | None = None
+    # squared error of the extended model over what the noise of the readings alone would leave.
     left: Interval | None = None
-    longest_step: float = 0.0
+    longest_step: float = 0.0  # of the integration [s]
 
     @property
     def is_better(self) -> bool:

@@ -22,47 +22,31 @@ _Pair = tuple[str, str, float, float]
 
 @dataclass(frozen=True)
 class Innovations:
-    """Consistency of the estimator.
+    """Consistency of the estimator."""
 
-    Attributes:
-        nis_mean: mean normalised innovation squared; 2 is right.
-        whiteness_p: probability of such an autocorrelation in white innovations.
-    """
-
-    nis_mean: float
-    whiteness_p: float
+    nis_mean: float  # mean normalised innovation squared; 2 is right
+    whiteness_p: float  # probability of such an autocorrelation in white innovations
     largest_correlation: float
 
 
 @dataclass(frozen=True)
 class Sliding:
-    """The torque's error of a driven joint while it slides and while it sticks.
+    """The torque's error of a driven joint while it slides and while it sticks."""
 
-    Attributes:
-        rmse_sliding_nm: while it slides [N m]; None where it never does.
-        rmse_sticking_nm: while it sticks [N m]; None likewise.
-    """
-
-    rmse_sliding_nm: float | None
-    rmse_sticking_nm: float | None
+    rmse_sliding_nm: float | None  # while it slides [N m]; None where it never does
+    rmse_sticking_nm: float | None  # while it sticks [N m]; None likewise
     sliding_share: float
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one model on held-out data.
-
-    Attributes:
-        rmse_pa: of both pressures [Pa].
-        mean_rmse_pa: of the mean of both pressures [Pa]; None where it was not judged.
-        sliding: of the torque; None where sliding and sticking were not separated.
-    """
+    """Errors of one model on held-out data."""
 
     angle: ChannelErrors | None
     torque: ChannelErrors | None
-    rmse_pa: tuple[float, float]
-    mean_rmse_pa: float | None = None
-    sliding: Sliding | None = None
+    rmse_pa: tuple[float, float]  # of both pressures [Pa]
+    mean_rmse_pa: float | None = None  # of the mean of both pressures [Pa]; None where it was not judged
+    sliding: Sliding | None = None  # of the torque; None where sliding and sticking were not separated
     innovation: Innovations | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -93,22 +77,17 @@ class ModelErrors:
 
 @dataclass(frozen=True)
 class RigErrors:
-    """Errors on held-out data with one rig file.
-
-    Attributes:
-        ukf: of the estimator over all recordings; None where it was not run.
-    """
+    """Errors on held-out data with one rig file."""
 
     model: Errors
-    ukf: Errors | None = None
+    ukf: Errors | None = None  # of the estimator over all recordings; None where it was not run
     each: tuple[Errors, ...] = ()
 
     @classmethod
     def total(cls, model: Errors, each: Sequence[tuple[Errors | None, int]]) -> RigErrors:
         """Errors over several recordings.
 
-        Args:
-            each: of the estimator in each recording, and its samples; None where it was not run.
+        `each`: of the estimator in each recording, and its samples; None where it was not run.
         """
         known = [(errors, samples) for errors, samples in each if errors is not None]
         if not known:
@@ -119,9 +98,8 @@ class RigErrors:
     def larger(self, now: RigErrors, share: float, of_model: float | None = None) -> tuple[str, ...]:
         """Errors with another file that are more than a share of those with this one, in words.
 
-        Args:
-            share: largest ratio of an error to the one with this file; in a single recording, chance may enlarge it.
-            of_model: the same for errors of the model alone; default: share.
+        `share`: largest ratio of an error to the one with this file; in a single recording, chance may enlarge it.
+        `of_model`: the same for errors of the model alone; default: share.
         """
         # An error that is no number is larger than any.
         out = {
@@ -177,9 +155,8 @@ def _number(value: float) -> str:
 def errors_of(measured: Floats, shown: Floats, channels: Collection[int]) -> Errors:
     """Errors of all channels.
 
-    Args:
-        measured: (N, 4) in the order of ``CHANNELS``, NaN where nothing was measured.
-        shown: by a model or the estimator (N, 4).
+    `measured`: (N, 4) in the order of ``CHANNELS``, NaN where nothing was measured. `shown`: by a model or the
+    estimator (N, 4).
     """
     error = (shown - measured)[:, PRESSURE_1:]
     return Errors(

@@ -179,8 +179,7 @@ def free_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
 def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> list[Sized]:
     """Value of a parameter in every recording in which it is free, not 0, and not small beside the other muscle's.
 
-    Args:
-        certain: whether a size must be more than two standard deviations from 0.
+    `certain`: whether a size must be more than two standard deviations from 0.
     """
     seen = []
     for r, fitted in enumerate(model.fits):

@@ -14,22 +14,16 @@ from pam_antagonist.recording.corrections import Corrections
 
 @dataclass(frozen=True)
 class FoundCalibration:
-    """A calibration that recordings need.
+    """A calibration that recordings need."""
 
-    Attributes:
-        name: in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`.
-        std: its standard deviation, including the uncertainty of the rig's parameters.
-        by_recording: value and standard deviation in each recording that shows it, by its name.
-        rivals: effects and calibrations that the recordings cannot distinguish from it.
-    """
-
-    name: str
+    name: str  # in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`
     value: float
-    std: float
+    std: float  # its standard deviation, including the uncertainty of the rig's parameters
     unit: str
     delta_bic: float
+    # value and standard deviation in each recording that shows it, by its name.
     by_recording: Mapping[str, tuple[float, float]]
-    rivals: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()  # effects and calibrations that the recordings cannot distinguish from it
 
 
 def differences(found: Sequence[FoundCalibration]) -> list[str]:

@@ -78,14 +78,10 @@ _SIZE_STD = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """An effect that was added to the model.
-
-    Attributes:
-        muscle: 1 or 2; None for both.
-    """
+    """An effect that was added to the model."""
 
     name: str
-    muscle: int | None
+    muscle: int | None  # 1 or 2; None for both
     place: Place
     gain: float
     delta_bic: float
@@ -105,20 +101,16 @@ class Tried:
 
 @dataclass(frozen=True, eq=False)
 class FoundFromPressures:
-    """A diagnosis from measured pressures.
-
-    Attributes:
-        extended: the same with the taken effects; None if none was taken.
-        errors: of the base model on held-out data: angle, driven by the measured pressures [rad], and pressure over a
-            second [Pa]; RMS, NaN where unknown.
-        unexplained: parts of the model that err by more than their sensors and for which no effect was taken.
-    """
+    """A diagnosis from measured pressures."""
 
     recalibrated: FromPressures
-    extended: FromPressures | None
+    extended: FromPressures | None  # the same with the taken effects; None if none was taken
     tried: tuple[Tried, ...]
     taken: tuple[Tried, ...]
+    # of the base model on held-out data: angle, driven by the measured pressures [rad], and pressure over a second
+    # [Pa]; RMS, NaN where unknown.
     errors: tuple[float, float]
+    # parts of the model that err by more than their sensors and for which no effect was taken.
     unexplained: tuple[Place, ...]
 
     @property

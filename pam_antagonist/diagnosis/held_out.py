@@ -36,8 +36,7 @@ def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float
     A recording that was held out as a whole has the common parameters of the fitted ones. Only its start is fitted to
     its own data.
 
-    Args:
-        effects: values of its effects that suit all recordings, by dotted path.
+    `effects`: values of its effects that suit all recordings, by dotted path.
     """
     out = [
         HeldOutComparison(
@@ -57,11 +56,7 @@ def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float
 
 
 def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -> Rig:
-    """One recording's own rig.
-
-    Args:
-        model: one of ``MODELS``.
-    """
+    """One recording's own rig. `model`: one of ``MODELS``."""
     if model == "as_configured":
         return prepared.rig
     rig = prepared.base
@@ -79,8 +74,7 @@ def by_recording(
 ) -> tuple[RecordingEntry, ...]:
     """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
 
-    Args:
-        tuned: rigs whose tuning the estimator uses, by model; default: the configured tuning.
+    `tuned`: rigs whose tuning the estimator uses, by model; default: the configured tuning.
     """
 
     def one(number: int) -> RecordingEntry:
@@ -137,8 +131,7 @@ def _entry(
 def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
     """Errors of the model alone, run from the recording's start, on the samples that were held out.
 
-    Args:
-        model: one of ``MODELS``.
+    `model`: one of ``MODELS``.
     """
     experiment = part.experiment
     held = experiment.held_samples
@@ -154,11 +147,7 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
 
 
 def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[RecordingEntry]) -> ModelErrors:
-    """Errors over all recordings of which something was held out.
-
-    Args:
-        entries: of :func:`by_recording`.
-    """
+    """Errors over all recordings of which something was held out. `entries`: of :func:`by_recording`."""
     held = [(part.number, part.experiment) for part in compared if part.judges]
     samples = {number: int(experiment.held_samples.sum()) for number, experiment in held}
     known = [(errors, samples[number]) for number in sorted(samples) if (errors := entries[number].errors) is not None]
@@ -168,16 +157,11 @@ def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[Record
 
 @dataclass(frozen=True, eq=False)
 class EstimatorErrors:
-    """The estimator over a recording, on the samples that were held out.
-
-    Attributes:
-        time: of each sample since the recording's first (M,) [s].
-        innovation: of the pressures, in its standard deviations (M, 2).
-    """
+    """The estimator over a recording, on the samples that were held out."""
 
     errors: Errors
-    time: Floats
-    innovation: Floats
+    time: Floats  # of each sample since the recording's first (M,) [s]
+    innovation: Floats  # of the pressures, in its standard deviations (M, 2)
 
 
 def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[EstimateRun, NDArray[np.bool_]]:
@@ -240,8 +224,7 @@ def deciding_evidence(
 ) -> float | None:
     """Evidence of the estimator's innovations where nothing but pressures was measured; None where anything else was.
 
-    Args:
-        effects: values of its effects that suit all recordings, by dotted path.
+    `effects`: values of its effects that suit all recordings, by dotted path.
     """
     if any(e.trial.has(c) for e in (*group.experiments, *group.held_out) for c in (ANGLE, TORQUE)):
         return None
@@ -303,8 +286,7 @@ def static_map(prepared: Prepared) -> dict[str, float] | None:
 def innovation_likelihood(run: EstimateRun, counted: slice | NDArray[np.bool_]) -> tuple[float, int]:
     """Sum of the innovations' log likelihoods, and the number of samples in it.
 
-    Args:
-        counted: samples of it that count: a slice, or for each sample whether it does (M,).
+    `counted`: samples of it that count: a slice, or for each sample whether it does (M,).
     """
     rows = run.rows[counted]
     s = rows["innovation_covariance"]

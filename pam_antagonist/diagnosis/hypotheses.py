@@ -37,25 +37,22 @@ class Work(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TriedCandidate:
-    """A candidate in one round of a search.
-
-    Attributes:
-        delta_bic: evidence of the fitted part after a full fit; None where the score was too low for one.
-        held_out_evidence: evidence of the held-out part, where no parameter has a price; None likewise.
-        shares: of the held-out and of the fitted excess that it removes; None likewise, and beside a model at the
-            noise, which has no excess.
-        muscles: the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
-        share: of the excess without effects, fitted and held out together, that it removes; None likewise.
-    """
+    """A candidate in one round of a search."""
 
     effect: str
     round: int
     score: float
+    # evidence of the fitted part after a full fit; None where the score was too low for one.
     delta_bic: float | None = None
+    # evidence of the held-out part, where no parameter has a price; None likewise.
     held_out_evidence: float | None = None
+    # of the held-out and of the fitted excess that it removes; None likewise, and beside a model at the noise, which
+    # has no excess.
     shares: tuple[float, float] | None = None
     model: Model | None = None
+    # the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
     muscles: tuple[float, float] | None = None
+    # of the excess without effects, fitted and held out together, that it removes; None likewise.
     share: float | None = None
     taken: bool = False
 
@@ -128,21 +125,15 @@ class TriedCandidate:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """What a search tried, and what it took.
+    """What a search tried, and what it took."""
 
-    Attributes:
-        base: the model without effects; calibrations that were taken are in it.
-        model: with effects.
-        tried: every candidate for an effect of every round, in the order of evidence.
-        calibrations: every calibration of every round, likewise; it is in both models where it was taken.
-        rivals: for each effect and calibration that was taken, those that would have done as well in its place; of an
-            effect its rivals among calibrations only.
-    """
-
-    base: Model
-    model: Model
-    tried: tuple[TriedCandidate, ...] = ()
+    base: Model  # the model without effects; calibrations that were taken are in it
+    model: Model  # with effects
+    tried: tuple[TriedCandidate, ...] = ()  # every candidate for an effect of every round, in the order of evidence
+    # every calibration of every round, likewise; it is in both models where it was taken.
     calibrations: tuple[TriedCandidate, ...] = ()
+    # for each effect and calibration that was taken, those that would have done as well in its place; of an effect its
+    # rivals among calibrations only.
     rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start: Model | None = None
 
@@ -176,21 +167,17 @@ class Hypothesis(ABC):
     """A kind of thing that recordings may show and a model lacks.
 
     A model that it proposes may have other parameters, or see the recordings in another way (other experiments).
-
-    Attributes:
-        is_effect: whether it is an effect, whose place is in the extended model only; what is no effect is a correction
-            of what was recorded, and its place is in every model.
     """
 
+    # whether it is an effect, whose place is in the extended model only; what is no effect is a correction of what was
+    # recorded, and its place is in every model.
     is_effect: ClassVar[bool] = True
 
     @abstractmethod
     def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
         """What it would make of the present model, fitted, each with its evidence.
 
-        Args:
-            now: its model is the present one.
-            number: of the round.
+        `now`: its model is the present one. `number`: of the round.
         """
 
     def is_worth_taking(self, tried: TriedCandidate) -> bool:

@@ -135,15 +135,10 @@ def _unexplained(case: Case) -> Judged:
 
 
 class Rule(NamedTuple):
-    """A rule of the verdict.
+    """A rule of the verdict."""
 
-    Attributes:
-        so_far: verdict by effects that act throughout under which it is asked; None: under any.
-        verdict: by this rule; None if it does not hold, and the next one is asked.
-    """
-
-    so_far: Verdict | None
-    verdict: Callable[[Case], Judged | None]
+    so_far: Verdict | None  # verdict by effects that act throughout under which it is asked; None: under any
+    verdict: Callable[[Case], Judged | None]  # by this rule; None if it does not hold, and the next one is asked
     reason: str
 
 

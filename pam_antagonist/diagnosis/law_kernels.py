@@ -125,9 +125,8 @@ def motions(states, acceleration, direction, p):
 def air_columns(states, voltage, p):
     """What the places of the air act with, by states (K, n) and voltages (K, 2).
 
-    Returns:
-        For each block and muscle: dP/dt per kg/s, flow per open rate, flow per share of the supply, flow, drawn flow,
-        slope of the volume by length over the volume, flow per Pa in the chamber, open rate (K, 2, 8).
+    Returns for each block and muscle: dP/dt per kg/s, flow per open rate, flow per share of the supply, flow, drawn
+    flow, slope of the volume by length over the volume, flow per Pa in the chamber, open rate (K, 2, 8).
     """
     out = np.zeros((states.shape[0], 2, 8))
     for k in range(states.shape[0]):

@@ -29,11 +29,9 @@ _SMOOTH = 1e-4
 class Whitened:
     """A recording, whitened channel by channel (C) with each walk (L), in folds (F).
 
-    Attributes:
-        edges: first block of each fold, then the number of blocks (F + 1,).
-        data: data and base directions (C, L, 1 + D, K).
-        logs: logarithm of the variances (C, L, F).
-        products: of data and base directions with themselves (C, L, F, 1 + D, 1 + D).
+    `edges`: first block of each fold, then the number of blocks (F + 1,). `data`: data and base directions (C, L, 1 +
+    D, K). `logs`: logarithm of the variances (C, L, F). `products`: of data and base directions with themselves (C, L,
+    F, 1 + D, 1 + D).
     """
 
     def __init__(self, one: Equations) -> None:
@@ -70,22 +68,14 @@ class Whitened:
 
 @dataclass(frozen=True, eq=False)
 class Grams:
-    """Products of whitened columns of all recordings, for a law's columns beside the data's.
-
-    Attributes:
-        products: by recording: (C, L, F, n, n); data first, base directions, then the values of the law.
-        logs: (R, C, L, F).
-        nodes: of the table (N,).
-        unit: of the values.
-        offsets: of the base directions of each recording from the middle of their prior.
-    """
+    """Products of whitened columns of all recordings, for a law's columns beside the data's."""
 
     group: Group | None
-    products: list[Floats]
-    logs: Floats
-    nodes: Floats
-    unit: float
-    offsets: tuple[Floats, ...]
+    products: list[Floats]  # by recording: (C, L, F, n, n); data first, base directions, then the values of the law
+    logs: Floats  # (R, C, L, F)
+    nodes: Floats  # of the table (N,)
+    unit: float  # of the values
+    offsets: tuple[Floats, ...]  # of the base directions of each recording from the middle of their prior
 
     def solved(self, picked: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Amounts of all base directions and values, of products (n, n) of each recording; and their precision."""
@@ -155,21 +145,13 @@ def grams(recordings: Sequence[Whitened], group: Group | None) -> Grams | None:
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A law fitted to residual equations.
+    """A law fitted to residual equations."""
 
-    Attributes:
-        group: what it is; None for no law.
-        law: with its values in SI units.
-        base: amounts of the base directions of each recording, in standard deviations.
-        level: whether no channel has a walk.
-        held_out: logarithm of the likelihood of each fold, fitted to the others (F,) [nats].
-    """
-
-    group: Group | None
-    law: Law | None
-    base: tuple[Floats, ...]
-    level: bool
-    held_out: Floats
+    group: Group | None  # what it is; None for no law
+    law: Law | None  # with its values in SI units
+    base: tuple[Floats, ...]  # amounts of the base directions of each recording, in standard deviations
+    level: bool  # whether no channel has a walk
+    held_out: Floats  # logarithm of the likelihood of each fold, fitted to the others (F,) [nats]
 
     def gain(self, without: Regression) -> float:
         """Gain over another regression on held-out blocks [nats]."""

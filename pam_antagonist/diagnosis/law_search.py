@@ -34,23 +34,14 @@ _TIE = 0.03
 
 @dataclass(frozen=True, eq=False)
 class LawSearch:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        places: by the likelihood of an unknown input there, the likeliest first.
-        without: the base model, recalibrated.
-        found: the law; None if none is taken.
-        alternatives: laws that simulate as well.
-        gain: of the taken law, or of the best one, on held-out blocks [nats].
-        share: of what the base leaves that it removes in the simulation.
-    """
-
-    places: tuple[Place, ...]
-    without: Simulated
-    found: Simulated | None
-    alternatives: tuple[Simulated, ...]
-    gain: float
-    share: float
+    places: tuple[Place, ...]  # by the likelihood of an unknown input there, the likeliest first
+    without: Simulated  # the base model, recalibrated
+    found: Simulated | None  # the law; None if none is taken
+    alternatives: tuple[Simulated, ...]  # laws that simulate as well
+    gain: float  # of the taken law, or of the best one, on held-out blocks [nats]
+    share: float  # of what the base leaves that it removes in the simulation
 
 
 def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None], number: int = 1) -> LawSearch:

@@ -50,39 +50,27 @@ _FARTHEST = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A recording in which a law is looked for.
+    """A recording in which a law is looked for."""
 
-    Attributes:
-        stretches: without holes, of the part that may be fitted: time [s], pressure (N, 2) [Pa], command (N, 2),
-            angle [rad] and torque [N m] (NaN: none) by name.
-        period: of its samples [s].
-        locked: whether the joint was held.
-        p: parameter vector of the rig (m,), free.
-    """
-
+    # without holes, of the part that may be fitted: time [s], pressure (N, 2) [Pa], command (N, 2), angle [rad] and
+    # torque [N m] (NaN: none) by name.
     stretches: Sequence[Mapping[str, Floats]]
-    period: float
-    locked: bool
-    p: Floats
+    period: float  # of its samples [s]
+    locked: bool  # whether the joint was held
+    p: Floats  # parameter vector of the rig (m,), free
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A stretch of a recording to simulate, pressures and angle as means over about 10 ms.
-
-    Attributes:
-        measured: block means of pressures, torque and angle (B, 4); NaN where there are none.
-        size: rows of a block.
-        samples: samples of a block.
-    """
+    """A stretch of a recording to simulate, pressures and angle as means over about 10 ms."""
 
     time: Floats
     pressure: Floats
     command: Floats
     angle: Floats
-    measured: Floats
-    size: int
-    samples: int
+    measured: Floats  # block means of pressures, torque and angle (B, 4); NaN where there are none
+    size: int  # rows of a block
+    samples: int  # samples of a block
     locked: bool
 
 
@@ -174,23 +162,14 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = _PARTS, law: Law
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A law, or none, whose values and base were fitted in a simulation.
+    """A law, or none, whose values and base were fitted in a simulation."""
 
-    Attributes:
-        law: None for none.
-        excess: mean square error over the noise's of each recording and channel: pressures, torque, angle (R, 4).
-        left: what is left, on the logarithmic scale on which shares are counted.
-        amounts: of the base directions of each recording, in standard deviations.
-        covariance: of the law's values (N, N).
-        regression: where it started; None for none.
-    """
-
-    law: Law | None
-    excess: Floats
-    left: float
-    amounts: tuple[Floats, ...]
-    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    regression: Regression | None = None
+    law: Law | None  # None for none
+    excess: Floats  # mean square error over the noise's of each recording and channel: pressures, torque, angle (R, 4)
+    left: float  # what is left, on the logarithmic scale on which shares are counted
+    amounts: tuple[Floats, ...]  # of the base directions of each recording, in standard deviations
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # of the law's values (N, N)
+    regression: Regression | None = None  # where it started; None for none
 
 
 class Simulation:

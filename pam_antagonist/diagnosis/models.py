@@ -41,15 +41,11 @@ class Residuals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """One explanation of all recordings: each as it is compared, with its fit.
-
-    Attributes:
-        effects: names of the effects in it, in the order in which they came.
-    """
+    """One explanation of all recordings: each as it is compared, with its fit."""
 
     experiments: tuple[Experiment, ...] = ()
     fits: tuple[Fitted, ...] = ()
-    effects: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()  # names of the effects in it, in the order in which they came
 
     @property
     def pairs(self) -> list[tuple[Experiment, Fitted]]:
@@ -153,8 +149,7 @@ def removed(experiment: Experiment, base: Residuals, before: Residuals, after: R
 def further_share(base: Model, before: Model, after: Model, parts: slice = slice(None)) -> float:
     """Share of the base model's excess that goes with one effect among others.
 
-    Args:
-        parts: which count: the held-out, the fitted one, or both.
+    `parts`: which count: the held-out, the fitted one, or both.
     """
     each = zip(after.experiments, base.left, before.left, after.left, strict=True)
     return share_of([part for recording in each for part in removed(*recording)[parts]])
@@ -193,8 +188,7 @@ def explains_in_part(base: Model, model: Model) -> bool:
 def recalibrated(experiments: Sequence[Experiment], known: Model | None = None) -> Model:
     """The base parameters of every recording at their most probable values.
 
-    Args:
-        known: model of the recordings whose calibrations are fitted as well.
+    `known`: model of the recordings whose calibrations are fitted as well.
     """
 
     def one(experiment: Experiment, like: Fitted | None) -> Fitted:
@@ -211,8 +205,7 @@ def recalibrated(experiments: Sequence[Experiment], known: Model | None = None) 
 def without(model: Model, prefix: str, finer: bool = False) -> Model:
     """A model without the parameters whose dotted paths have a prefix, everything else fitted anew.
 
-    Args:
-        finer: whether a fit that ends at the noise may count every block.
+    `finer`: whether a fit that ends at the noise may count every block.
     """
 
     def one(experiment: Experiment, fitted: Fitted) -> Fitted:

@@ -46,14 +46,10 @@ _SAME = 3.0
 
 
 class Dated(NamedTuple):
-    """When an effect acts in a recording, and how exactly that is known.
-
-    Attributes:
-        std_s: standard deviations of both [s]; 0 of one that lies beyond the recording.
-    """
+    """When an effect acts in a recording, and how exactly that is known."""
 
     span: Span
-    std_s: tuple[float, float]
+    std_s: tuple[float, float]  # standard deviations of both [s]; 0 of one that lies beyond the recording
 
     def is_like(self, other: Dated) -> bool:
         """Whether another recording shows the same begin and end."""
@@ -72,15 +68,10 @@ class _Refined(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Changing:
-    """A search in recordings that change.
+    """A search in recordings that change."""
 
-    Attributes:
-        ranking: of models of the recordings, each with the spans of its effects and with blocks held out in turn.
-        dates: of each recording, when each effect acts that begins or ends, by its name.
-    """
-
-    ranking: Ranking
-    dates: tuple[Mapping[str, Dated], ...]
+    ranking: Ranking  # of models of the recordings, each with the spans of its effects and with blocks held out in turn
+    dates: tuple[Mapping[str, Dated], ...]  # of each recording, when each effect acts that begins or ends, by its name
 
 
 def begin_and_end(group: Group, found: Ranking, work: Work) -> Changing | None:
@@ -90,8 +81,7 @@ def begin_and_end(group: Group, found: Ranking, work: Work) -> Changing | None:
     noise: the residual of an effect of another form may come and go as well. A search that stays far above noise is
     ended early then.
 
-    Args:
-        found: by the search for effects that act throughout.
+    `found`: by the search for effects that act throughout.
     """
     chosen = found.model
     if not _can_change(group) or is_all_noise(chosen):
@@ -126,8 +116,7 @@ def _can_change(group: Group) -> bool:
 def _beside(start: Model, work: Work, to_noise: bool) -> Changing | None:
     """Effects that begin or end beside a model, one part of the recordings after the other; None if there are none.
 
-    Args:
-        to_noise: whether to end where the model stays far above noise.
+    `to_noise`: whether to end where the model stays far above noise.
     """
     throughout = dict.fromkeys(start.effects, THROUGHOUT)
     model = replace(start, experiments=tuple(replace(one, spans=throughout) for one in start.experiments))
@@ -239,9 +228,8 @@ def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
 def _edge(linear: Linear, span: Span, k: int, best: Near) -> tuple[Span, Near, float]:
     """The most likely place of one edge of a span, the model there, and its standard deviation [s].
 
-    Args:
-        linear: the model of all of the recording, with derivatives that serve for other edges as well.
-        k: 0 for its begin, 1 for its end.
+    `linear`: the model of all of the recording, with derivatives that serve for other edges as well. `k`: 0 for its
+    begin, 1 for its end.
     """
     done: dict[float, Near] = {}
     trial, everything = linear.experiment.trial, np.ones(len(linear.residual), dtype=bool)
@@ -308,9 +296,8 @@ def _on_all(one: _Refined) -> _Refined:
 def _better(chosen: Model, found: Changing) -> bool:
     """Whether effects that begin or end make all data clearly more likely than effects that act throughout.
 
-    Args:
-        chosen: the model with effects that act throughout, or with none.
-        found: effects that begin or end; each edge is one more free parameter.
+    `chosen`: the model with effects that act throughout, or with none. `found`: effects that begin or end; each edge is
+    one more free parameter.
     """
     gain = 0.0
     changed = zip(found.ranking.model.pairs, found.dates, strict=True)

@@ -48,15 +48,10 @@ _PARTS = ((AIR, "pressures"), (BALANCE, "torque"))
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """How a diagnosis is made; see :func:`pam_antagonist.diagnosis.diagnose`.
+    """How a diagnosis is made; see :func:`pam_antagonist.diagnosis.diagnose`."""
 
-    Attributes:
-        joint: ``free``, ``locked`` or ``auto``.
-        lock_angle: angle of a locked joint [rad], where it is known.
-    """
-
-    joint: str
-    lock_angle: float | None
+    joint: str  # ``free``, ``locked`` or ``auto``
+    lock_angle: float | None  # angle of a locked joint [rad], where it is known
     holdout: float
     jobs: int
     seed: int
@@ -87,16 +82,11 @@ class Timings:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Experiments in which the same effects can show, and which are explained together.
+    """Experiments in which the same effects can show, and which are explained together."""
 
-    Attributes:
-        name: ``joint``, or the part of it that they show.
-        numbers: which recording each is of, in the order in which they were given.
-    """
-
-    name: str
+    name: str  # ``joint``, or the part of it that they show
     experiments: tuple[Experiment, ...]
-    numbers: tuple[int, ...]
+    numbers: tuple[int, ...]  # which recording each is of, in the order in which they were given
     held_out: tuple[Experiment, ...] = ()
 
 
@@ -127,8 +117,7 @@ class Prepared:
 def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig: Rig, settings: Settings) -> Prepared:
     """Prepare recordings for a diagnosis.
 
-    Args:
-        held_out: that are held out as a whole; none to hold out the end of each.
+    `held_out`: that are held out as a whole; none to hold out the end of each.
     """
     if not recordings:
         raise BadInput("no recording: expected one at least")
@@ -150,8 +139,7 @@ def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig:
 def longest_piece(recording: Recording, least: float) -> tuple[Recording, str]:
     """The longest piece without a hole: what was commanded in a hole is not known, and the model errs after it.
 
-    Args:
-        least: length of a piece [s].
+    `least`: length of a piece [s].
     """
     known = np.flatnonzero(np.isfinite(recording.voltage).all(axis=1))
     time = recording.time_s[known]
@@ -228,8 +216,7 @@ def valve_driven_experiments(
     A fitted recording is judged by those that are held out with the joint in the same condition. Where no condition is
     in common, each is judged by all.
 
-    Args:
-        share: of each recording that is held out where no whole one is.
+    `share`: of each recording that is held out where no whole one is.
     """
     if not others:
         return tuple(ValveDriven(rig, trial, cut(trial, share), seed=seed, jobs=jobs) for trial in trials), ()

@@ -34,21 +34,13 @@ EDGES = (0.1, 0.3, 1.0, 3.0, 10.0)
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Pressures, voltages and motion at the time of each value of a residual: (N,) each.
+    """Pressures, voltages and motion at the time of each value of a residual: (N,) each."""
 
-    Attributes:
-        pressure: (N, 2) [Pa].
-        voltage: (N, 2) [V], None where no valve moved.
-        time: [s].
-        angle: [rad], None where the joint was locked: then no length changed.
-        velocity: [rad/s], None likewise.
-    """
-
-    pressure: Floats
-    voltage: Floats | None
-    time: Floats
-    angle: Floats | None = None
-    velocity: Floats | None = None
+    pressure: Floats  # (N, 2) [Pa]
+    voltage: Floats | None  # (N, 2) [V], None where no valve moved
+    time: Floats  # [s]
+    angle: Floats | None = None  # [rad], None where the joint was locked: then no length changed
+    velocity: Floats | None = None  # [rad/s], None likewise
 
     def take(self, rows: NDArray[np.bool_]) -> Surroundings:
         """Some of the rows."""
@@ -114,16 +106,11 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Form:
-    """A sum of few terms that approximates a residual.
-
-    Attributes:
-        share: of the residual's variance that it explains where it was fitted.
-        held_out: share of the residual's squares that it explains on held-out data, NaN where there are none.
-    """
+    """A sum of few terms that approximates a residual."""
 
     terms: tuple[tuple[str, float], ...]
-    share: float
-    held_out: float
+    share: float  # of the residual's variance that it explains where it was fitted
+    held_out: float  # share of the residual's squares that it explains on held-out data, NaN where there are none
 
     @override
     def __str__(self) -> str:
@@ -137,23 +124,17 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class RemainingResidual:
-    """A residual that no effect explains, in one channel of one recording.
-
-    Attributes:
-        depends_on: share of its variance that goes with each kind of dependence alone.
-        period: about which its power lies [s].
-        values: the residual (N,) where it was fitted.
-    """
+    """A residual that no effect explains, in one channel of one recording."""
 
     recording: str
     channel: str
     unit: str
     times_noise: float
-    depends_on: dict[str, float]
+    depends_on: dict[str, float]  # share of its variance that goes with each kind of dependence alone
     bands: dict[str, float]
-    period: float
+    period: float  # about which its power lies [s]
     form: Form
-    values: Floats
+    values: Floats  # the residual (N,) where it was fitted
     around: Surroundings
 
     def to_json(self) -> dict[str, Any]:
@@ -256,8 +237,7 @@ def shares(residual: Floats, around: Surroundings) -> dict[str, float]:
 
     By chance, each column explains a share of 1/n of n independent values.
 
-    Args:
-        residual: (N,).
+    `residual`: (N,).
     """
     count = len(residual) / correlation_length(residual - residual.mean())
     total = float(np.sum((residual - residual.mean()) ** 2)) or 1.0
@@ -280,12 +260,7 @@ def _regression_residual(residual: Floats, columns: Floats) -> tuple[int, Floats
 
 
 def bands(residual: Floats, step: float) -> dict[str, float]:
-    """Share of a residual's power in each band of frequency.
-
-    Args:
-        residual: (N,), at a constant step.
-        step: [s].
-    """
+    """Share of a residual's power in each band of frequency. `residual`: (N,), at a constant step."""
     power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2
     frequency = np.fft.rfftfreq(len(residual), step)
     total = float(power[1:].sum()) or 1.0
@@ -310,9 +285,7 @@ def period(residual: Floats, step: float) -> float:
 def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundings] | None = None) -> Form:
     """Few terms that explain a residual: forward, each kept only while the Bayesian criterion falls.
 
-    Args:
-        residual: (N,).
-        later: residual (M,) and surroundings of what was held out, for judging.
+    `residual`: (N,). `later`: residual (M,) and surroundings of what was held out, for judging.
     """
     library = around.library()
     ones = np.ones_like(residual)

@@ -43,34 +43,23 @@ _INERTIAL = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """The residual equations of a recording in K blocks, about a model.
+    """The residual equations of a recording in K blocks, about a model."""
 
-    Attributes:
-        time: middle of each block [s] (K,).
-        step: length of a block [s].
-        fresh: whether a block begins anew (K,).
-        slope: of the errors of the pressures over a block (K, 2).
-        residual: pressures, torque and motion less the model (K, 4); NaN where there is none.
-        jumps: corrections of the observer over a block (K, 2) [Pa].
-        noise: variance of each residual (K, 4).
-        base: what one prior standard deviation of each base direction does: over a block (D, K, 2), and to torque and
-            motion (D, K, 2).
-        places: what one unit at a place does: over a block (K, 2), and to the residuals (K, 4), by name.
-        arguments: what a law may depend on (K,), by name as :mod:`~pam_antagonist.model.effects.learned` has it.
-        amounts: standard deviations by which the model is off the middle of the base directions' prior (D,).
-    """
-
-    time: Floats
-    step: float
-    fresh: NDArray[np.bool_]
-    slope: Floats
-    residual: Floats
-    jumps: Floats
-    noise: Floats
+    time: Floats  # middle of each block [s] (K,)
+    step: float  # length of a block [s]
+    fresh: NDArray[np.bool_]  # whether a block begins anew (K,)
+    slope: Floats  # of the errors of the pressures over a block (K, 2)
+    residual: Floats  # pressures, torque and motion less the model (K, 4); NaN where there is none
+    jumps: Floats  # corrections of the observer over a block (K, 2) [Pa]
+    noise: Floats  # variance of each residual (K, 4)
+    # what one prior standard deviation of each base direction does: over a block (D, K, 2), and to torque and motion
+    # (D, K, 2).
     base: tuple[Floats, Floats]
+    # what one unit at a place does: over a block (K, 2), and to the residuals (K, 4), by name.
     places: Mapping[str, tuple[Floats, Floats]]
+    # what a law may depend on (K,), by name as :mod:`~pam_antagonist.model.effects.learned` has it.
     arguments: Mapping[str, Floats]
-    amounts: Floats
+    amounts: Floats  # standard deviations by which the model is off the middle of the base directions' prior (D,)
 
     @property
     def data_columns(self) -> tuple[Floats, Floats]:

@@ -56,19 +56,13 @@ _LEAST = 40
 
 @dataclass(frozen=True)
 class Relation:
-    """Correlation of a residual with a signal that comes before it.
+    """Correlation of a residual with a signal that comes before it."""
 
-    Attributes:
-        lag_s: by which the signal precedes the residual [s]: where the whitened series correlate most.
-        limit: size of z that chance alone exceeds once in twenty times.
-        p: probability of the largest of all lags and signals being chance.
-    """
-
-    lag_s: float
+    lag_s: float  # by which the signal precedes the residual [s]: where the whitened series correlate most
     correlation: float
     z: float
-    limit: float
-    p: float
+    limit: float  # size of z that chance alone exceeds once in twenty times
+    p: float  # probability of the largest of all lags and signals being chance
 
     @property
     def over_chance(self) -> float:
@@ -78,23 +72,17 @@ class Relation:
 
 @dataclass(frozen=True)
 class ResidualRow:
-    """A residual of a model on held-out data.
-
-    Attributes:
-        kind: ``sensor``, ``equation`` or ``innovation``.
-        above_noise: share of the mean square that the sensors' noise does not explain.
-        memory_s: time between independent values [s].
-        whiteness_p: probability of such an autocorrelation in white noise; NaN where there are too few values.
-    """
+    """A residual of a model on held-out data."""
 
     channel: str
-    kind: str
+    kind: str  # ``sensor``, ``equation`` or ``innovation``
     unit: str
     rms: float
     noise: float
-    above_noise: float
-    memory_s: float
+    above_noise: float  # share of the mean square that the sensors' noise does not explain
+    memory_s: float  # time between independent values [s]
     independent: float
+    # probability of such an autocorrelation in white noise; NaN where there are too few values.
     whiteness_p: float | None
     relations: Mapping[str, Relation]
 
@@ -141,9 +129,8 @@ def statistics(experiment: Experiment, point: Point) -> list[ResidualRow]:
 def of_innovations(experiment: Experiment, point: Point, time: Floats, innovation: Floats) -> list[ResidualRow]:
     """Statistics of the estimator's innovations, in their own standard deviations.
 
-    Args:
-        time: of each held-out sample since the recording's first (M,) [s].
-        innovation: of the pressures there, in standard deviations (M, 2).
+    `time`: of each held-out sample since the recording's first (M,) [s]. `innovation`: of the pressures there, in
+    standard deviations (M, 2).
     """
     experiment, point = experiment.corrected(point)
     given = experiment.signals(point)
@@ -221,8 +208,7 @@ def cross_correlations(residual: Floats, given: Mapping[str, Floats], step: floa
 def whitener(series: Floats) -> Floats:
     """Filter (1, −φ_1, ...) that makes a series white: an autoregression by Yule and Walker, its order by BIC.
 
-    Args:
-        series: (N,).
+    `series`: (N,).
     """
     e = series - series.mean()
     power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2
@@ -245,17 +231,11 @@ def whitener(series: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class EquationErrors:
-    """Errors of the equations over all of a recording.
+    """Errors of the equations over all of a recording."""
 
-    Attributes:
-        begin: the block from which each was taken (W,).
-        values: (W, 4) in the order and units of ``EQUATIONS``; 0 where something is missing.
-        noise: what the sensors alone give (4,).
-    """
-
-    begin: NDArray[np.int64]
-    values: Floats
-    noise: Floats
+    begin: NDArray[np.int64]  # the block from which each was taken (W,)
+    values: Floats  # (W, 4) in the order and units of ``EQUATIONS``; 0 where something is missing
+    noise: Floats  # what the sensors alone give (4,)
     known: tuple[int, ...]
     span: int
 

@@ -102,40 +102,29 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """An effect that was compared with a found one on equal terms.
-
-    Attributes:
-        residual: root mean square of what each leaves (found, other) where they were compared.
-        shape: the other's width [m] or time constant [s].
-        size: of the found effect in the comparison, in `size_unit`; NaN if it has none of its own.
-        parameter: of the found effect, whose standard deviation should cover the difference to `size`; or empty.
-    """
+    """An effect that was compared with a found one on equal terms."""
 
     found: str
     other: str
     evidence: float
-    residual: tuple[float, float]
+    residual: tuple[float, float]  # root mean square of what each leaves (found, other) where they were compared
     unit: str
-    shape: float
+    shape: float  # the other's width [m] or time constant [s]
     about: str
-    size: float = float("nan")
-    parameter: str = ""
+    size: float = float("nan")  # of the found effect in the comparison, in `size_unit`; NaN if it has none of its own
+    parameter: str = ""  # of the found effect, whose standard deviation should cover the difference to `size`; or empty
     ambiguous: bool = False
     size_unit: str = ""
 
 
 @dataclass(frozen=True)
 class PartVerdict:
-    """The verdict on one part of the joint, which was judged by itself.
+    """The verdict on one part of the joint, which was judged by itself."""
 
-    Attributes:
-        name: ``joint``, or ``pressures`` and ``torque`` of a joint that is driven by its angle.
-        share: of its held-out excess over noise that its effects remove; None if that is a disturbance torque in
-            recordings of which nothing is held out.
-    """
-
-    name: str
+    name: str  # ``joint``, or ``pressures`` and ``torque`` of a joint that is driven by its angle
     verdict: Verdict
+    # of its held-out excess over noise that its effects remove; None if that is a disturbance torque in recordings of
+    # which nothing is held out.
     share: float | None
 
     def to_json(self) -> dict[str, Any]:
@@ -145,42 +134,30 @@ class PartVerdict:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Judged(Shown):
-    """A group of experiments with the verdict on it. Its models say how the experiments were compared at last.
-
-    Attributes:
-        share: of its held-out excess that the chosen model removes; None likewise.
-        effects: that were found, with the experiments' names as recordings.
-        firmness: what the splits say of each effect, by its name; empty where there were no splits.
-    """
+    """A group of experiments with the verdict on it. Its models say how the experiments were compared at last."""
 
     group: Group
     base: Model
     ranking: Ranking
     verdict: Verdict
-    share: float | None
+    share: float | None  # of its held-out excess that the chosen model removes; None likewise
     model: Model
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()  # that were found, with the experiments' names as recordings
     values: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    # what the splits say of each effect, by its name; empty where there were no splits.
     firmness: Mapping[str, Firmness] = field(default_factory=dict)
     calibrations: tuple[FoundCalibration, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HeldOutComparison(Shown):
-    """A recording, or a part of it, with the three models; what was held out of it judges them.
+    """A recording, or a part of it, with the three models; what was held out of it judges them."""
 
-    Attributes:
-        experiment: the recording; its ``held_samples`` were held out.
-        points: of the three models on it, by name (``MODELS``).
-        role: ``fitted`` to its end, ``held out`` as a whole, or ``both``: its end was held out.
-        number: of the recording, in the order in which they were given.
-    """
-
-    experiment: Experiment
-    points: Mapping[str, Point]
-    role: str
-    number: int
+    experiment: Experiment  # the recording; its ``held_samples`` were held out
+    points: Mapping[str, Point]  # of the three models on it, by name (``MODELS``)
+    role: str  # ``fitted`` to its end, ``held out`` as a whole, or ``both``: its end was held out
+    number: int  # of the recording, in the order in which they were given
 
     @property
     def judges(self) -> bool:
@@ -194,28 +171,20 @@ Residuals = Mapping[str, tuple[ResidualRow, ...]]
 
 @dataclass(frozen=True)
 class RecordingEntry:
-    """A recording with the errors of the models on it.
-
-    Attributes:
-        joint: ``free``, ``locked`` or ``driven``.
-        lock_angle_rad: where a locked joint was held [rad].
-        role: ``fitted``, ``held out``, or ``both``: its end was held out.
-        held_out_from_s: where the held-out part begins, the first of them if there are several [s].
-        sweeps: how often a driven joint slides in the fitted and in the held-out part; None of other joints.
-        sha256: of the bag's files; empty where it was not read from a bag.
-        held_out_s: begin and end of every held-out part [s]; None where nothing was held out.
-    """
+    """A recording with the errors of the models on it."""
 
     recording: str
-    joint: str
-    lock_angle_rad: float | None
-    role: str
-    held_out_from_s: float | None
+    joint: str  # ``free``, ``locked`` or ``driven``
+    lock_angle_rad: float | None  # where a locked joint was held [rad]
+    role: str  # ``fitted``, ``held out``, or ``both``: its end was held out
+    held_out_from_s: float | None  # where the held-out part begins, the first of them if there are several [s]
     errors: ModelErrors | None = None
     residuals: Residuals | None = None
     ukf: ModelErrors | None = None
+    # how often a driven joint slides in the fitted and in the held-out part; None of other joints.
     sweeps: Mapping[str, int] | None = None
-    sha256: str = ""
+    sha256: str = ""  # of the bag's files; empty where it was not read from a bag
+    # begin and end of every held-out part [s]; None where nothing was held out.
     held_out_s: tuple[tuple[float, float], ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -229,12 +198,7 @@ class RecordingEntry:
 
 @dataclass(frozen=True)
 class SizeProfile:
-    """Profile likelihood of a size.
-
-    Attributes:
-        rise: of −2 log posterior there.
-        flat: whether half of the size would explain the recording as well.
-    """
+    """Profile likelihood of a size."""
 
     parameter: str
     recording: str
@@ -242,8 +206,8 @@ class SizeProfile:
     std: float
     unit: str
     values: tuple[float, ...]
-    rise: tuple[float, ...]
-    flat: bool
+    rise: tuple[float, ...]  # of −2 log posterior there
+    flat: bool  # whether half of the size would explain the recording as well
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -26,17 +26,12 @@ _HALF = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RigFile:
-    """A rig file that may be written.
-
-    Attributes:
-        number: of the recording whose own values these are; None: it is for all recordings.
-        before: errors on held-out data as configured; None where nothing of this recording was held out.
-    """
+    """A rig file that may be written."""
 
     name: str
     rig: Rig
-    number: int | None
-    before: RigErrors | None
+    number: int | None  # of the recording whose own values these are; None: it is for all recordings
+    before: RigErrors | None  # errors on held-out data as configured; None where nothing of this recording was held out
     now: RigErrors | None
 
     @property
@@ -57,8 +52,7 @@ class RigFile:
     def is_better(self, explained: bool) -> bool:
         """Whether the file may be proposed.
 
-        Args:
-            explained: whether it has what explains the recordings: an effect, or nothing more.
+        `explained`: whether it has what explains the recordings: an effect, or nothing more.
         """
         if self.before is None or self.now is None:
             return False
@@ -69,23 +63,18 @@ class RigFile:
     def is_fit(self, explained: bool) -> bool:
         """Whether the file may be written: nothing is worse with it, or it is better in all.
 
-        Args:
-            explained: as for :meth:`is_better`.
+        `explained`: as for :meth:`is_better`.
         """
         return not self.worse or self.is_better(explained)
 
 
 @dataclass(frozen=True, eq=False)
 class RigChoice:
-    """The rig files of a diagnosis.
-
-    Attributes:
-        no_common: why there is no rig_extended.yaml, in a sentence; empty if there is one.
-    """
+    """The rig files of a diagnosis."""
 
     files: tuple[RigFile, ...]
     proposed: RigFile | None
-    no_common: str
+    no_common: str  # why there is no rig_extended.yaml, in a sentence; empty if there is one
 
 
 def rig_errors(
@@ -98,8 +87,7 @@ def rig_errors(
 ) -> dict[str, RigErrors]:
     """Errors on held-out data with one rig for all recordings: as configured, recalibrated and extended.
 
-    Args:
-        models: by name: each group of recordings, its model, and values of its effects for one rig, by dotted path.
+    `models`: by name: each group of recordings, its model, and values of its effects for one rig, by dotted path.
     """
     totals = held_out.total_errors(compared, entries)
     samples = {part.number: int(part.experiment.held_samples.sum()) for part in compared if part.judges}

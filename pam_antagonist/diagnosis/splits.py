@@ -55,14 +55,10 @@ def in_turn(
 
 @dataclass(frozen=True)
 class Firmness:
-    """What the splits say of an effect.
-
-    Attributes:
-        held_s: begin and end [s] of what each split holds out, the last part of it.
-    """
+    """What the splits say of an effect."""
 
     evidence: tuple[float, ...]
-    held_s: tuple[tuple[float, float], ...]
+    held_s: tuple[tuple[float, float], ...]  # begin and end [s] of what each split holds out, the last part of it
 
     @property
     def agree(self) -> int:

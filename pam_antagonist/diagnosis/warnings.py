@@ -115,8 +115,7 @@ def above_noise(stretches: Sequence[Stretch]) -> list[str]:
 def changes(above_noise: Mapping[str, Sequence[Span]]) -> list[str]:
     """When recordings leave their noise, where no effect explains it.
 
-    Args:
-        above_noise: the parts of each recording, by its name; one that lasts throughout says nothing.
+    `above_noise`: the parts of each recording, by its name; one that lasts throughout says nothing.
     """
     out = []
     for name, spans in above_noise.items():
@@ -159,8 +158,7 @@ def not_firm(effect: str, firm: Firmness) -> str:
 def decided_by_innovations(effects: Sequence[str], evidence: float, taken: bool) -> str:
     """What the innovations said where pressures alone were measured.
 
-    Args:
-        evidence: twice the log likelihood ratio of the held-out innovations with and without them.
+    `evidence`: twice the log likelihood ratio of the held-out innovations with and without them.
     """
     which = " and ".join(effects)
     if taken:
@@ -180,8 +178,7 @@ def flat_profiles(profiles: Sequence[SizeProfile]) -> list[str]:
 def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
     """Recordings in which the estimator does worse with what was found than as configured.
 
-    Args:
-        entries: of the report, one a recording; those without the estimator's errors say nothing.
+    `entries`: of the report, one a recording; those without the estimator's errors say nothing.
     """
     warnings = []
     for entry in entries:
@@ -224,8 +221,7 @@ def _times(count: int) -> str:
 def unseen(prepared: Prepared, bases: Iterable[Model]) -> tuple[str, ...]:
     """What no analysis of these recordings can show, one sentence each.
 
-    Args:
-        bases: models without effects, with all recordings.
+    `bases`: models without effects, with all recordings.
     """
     trials = prepared.trials[: prepared.fitted]
     if prepared.angle_driven:

@@ -43,18 +43,13 @@ _NEW_PARAMETERS = {
 
 @dataclass(frozen=True)
 class FilterIdentity:
-    """What a filter was made with.
-
-    Attributes:
-        joint: ``free`` or ``locked``.
-        lock_angle: angle of a locked joint [rad].
-    """
+    """What a filter was made with."""
 
     rig: str
     fingerprint: str
     tuning: str
-    joint: str
-    lock_angle: float
+    joint: str  # ``free`` or ``locked``
+    lock_angle: float  # angle of a locked joint [rad]
     added: tuple[str, ...]
     settings: str
 
@@ -75,29 +70,20 @@ class FilterIdentity:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """The whole memory of a filter after a sample; n states, m consider parameters.
+    """The whole memory of a filter after a sample; n states, m consider parameters."""
 
-    Attributes:
-        stamp_ns: stamp of that sample [ns].
-        started_ns: stamp of the sample that started the filter [ns].
-        state: (n,).
-        covariance: (n, n).
-        cross: covariance with the consider parameters (n, m).
-        voltage: last known ones (2,) [V].
-        distances: number of intervals between stamps since the start, then the last intervals [ns], a ring buffer.
-        angle_sensor: memory of the encoder (encoder.MEMORY,), left out where none was read; then that of the pressures'
-            own rate (readings.PRESSURES,), which old checkpoints lack.
-    """
-
-    stamp_ns: int
-    started_ns: int
+    stamp_ns: int  # stamp of that sample [ns]
+    started_ns: int  # stamp of the sample that started the filter [ns]
     identity: FilterIdentity
-    state: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    cross: NDArray[np.float64]
-    voltage: NDArray[np.float64]
+    state: NDArray[np.float64]  # (n,)
+    covariance: NDArray[np.float64]  # (n, n)
+    cross: NDArray[np.float64]  # covariance with the consider parameters (n, m)
+    voltage: NDArray[np.float64]  # last known ones (2,) [V]
     rejected: int
+    # number of intervals between stamps since the start, then the last intervals [ns], a ring buffer.
     distances: NDArray[np.int64]
+    # memory of the encoder (encoder.MEMORY,), left out where none was read; then that of the pressures' own rate
+    # (readings.PRESSURES,), which old checkpoints lack.
     angle_sensor: NDArray[np.float64]
 
 

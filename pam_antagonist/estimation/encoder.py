@@ -78,20 +78,12 @@ def new() -> np.ndarray:
 
 
 def was_read(memory: np.ndarray) -> bool:
-    """Whether an encoder has been read.
-
-    Args:
-        memory: of the encoder (MEMORY,).
-    """
+    """Whether an encoder has been read. `memory`: of the encoder (MEMORY,)."""
     return not math.isnan(memory[_LAST])
 
 
 def complaint(memory: np.ndarray) -> str:
-    """Why an encoder is refused, and what to do; empty where it is not.
-
-    Args:
-        memory: of the encoder (MEMORY,).
-    """
+    """Why an encoder is refused, and what to do; empty where it is not. `memory`: of the encoder (MEMORY,)."""
     verdict = int(memory[VERDICT])
     if verdict == JUMPED:
         return (

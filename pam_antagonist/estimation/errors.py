@@ -17,21 +17,17 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ChannelErrors:
-    """Errors of an angle or a torque.
-
-    Attributes:
-        coverage95: share of the measured values in the filter's 95 % interval; None for a model without one.
-        width: half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
-        delay_s: delay of the estimated external torque [s]; None for other channels.
-    """
+    """Errors of an angle or a torque."""
 
     unit: Literal["deg", "nm"]
     rmse: float
     largest: float
     ratio: float
+    # share of the measured values in the filter's 95 % interval; None for a model without one.
     coverage95: float | None = None
+    # half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
     width: float | None = None
-    delay_s: float | None = None
+    delay_s: float | None = None  # delay of the estimated external torque [s]; None for other channels
 
     def to_json(self) -> dict[str, float]:
         """``rmse_deg`` or ``rmse_nm``, and so on."""
@@ -42,17 +38,11 @@ class ChannelErrors:
 
 @dataclass(frozen=True)
 class PressureErrors:
-    """Errors of both muscles' pressures, as :class:`ChannelErrors` has them.
+    """Errors of both muscles' pressures, as :class:`ChannelErrors` has them."""
 
-    Attributes:
-        rmse_pa: root mean square error (2,) [Pa].
-        max_pa: largest error (2,) [Pa].
-        q: largest error over the range of the measured pressure (2,) [-].
-    """
-
-    rmse_pa: tuple[float, float]
-    max_pa: tuple[float, float]
-    q: tuple[float, float]
+    rmse_pa: tuple[float, float]  # root mean square error (2,) [Pa]
+    max_pa: tuple[float, float]  # largest error (2,) [Pa]
+    q: tuple[float, float]  # largest error over the range of the measured pressure (2,) [-]
 
 
 @dataclass(frozen=True)

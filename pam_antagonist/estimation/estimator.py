@@ -87,10 +87,8 @@ class EstimateRun(Shown):
 def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: float = 0.0) -> np.ndarray:
     """Parameter vectors of the sigma points: the nominal one, then a pair for each consider parameter.
 
-    Args:
-        tuning: its κ sets the distance of the pairs, its ``consider`` whether there are any.
-        joint: ``free`` or ``locked``.
-        lock_angle: angle [rad] of a locked joint.
+    `tuning`: its κ sets the distance of the pairs, its ``consider`` whether there are any. `lock_angle`: angle [rad] of
+    a locked joint.
     """
     nominal = rig.parameters(joint, lock_angle)
     steps = considered(rig) if tuning.consider else []
@@ -106,8 +104,7 @@ def parameter_sets(rig: Rig, tuning: Tuning, joint: str = "free", lock_angle: fl
 def considered(rig: Rig) -> list[dict[str, float]]:
     """Consider parameters of a rig, each as independent changes of one standard deviation.
 
-    Args:
-        rig: its ``uncertainty`` names single parameters, its ``directions`` several that change together.
+    `rig`: its ``uncertainty`` names single parameters, its ``directions`` several that change together.
     """
     return [{name: std} for name, std in rig.uncertainty.items()] + list(rig.directions.values())
 

@@ -41,75 +41,44 @@ torque [N m] and its covariance with angle, velocity, torque and itself are NaN 
 
 
 class Settings(NamedTuple):
-    """Settings of a filter; n states, m consider parameters.
+    """Settings of a filter; n states, m consider parameters."""
 
-    Attributes:
-        parameter_sets: parameter vectors of the sigma points (1 + 2 m, parameters.SIZE), the nominal one first.
-        initial: diagonal of P(0) (n,).
-        process_noise: diagonal of Q for a nominal sample period (n,).
-        measurement_noise: diagonal of R (2,) [Pa²].
-        gain_noise: value of R in the gain (2,) [Pa²], see :func:`pam_antagonist.estimation.ukf.update`.
-        period: nominal sample period [s].
-        step: approximate step of the model [s].
-        kappa: κ, the scaling of the sigma points [-].
-        gate: largest Mahalanobis distance of a pressure that is used [-].
-        lock_angle: angle of a locked joint [rad].
-        possible: bounds of both pressures [Pa] and both voltages [V] (4, 2), see
-            :func:`pam_antagonist.estimation.possible.bounds`.
-        commands: least and largest command of each muscle (2, 2) [V], of regulators [Pa].
-        change_noise: variance of the error of a predicted change of pressure over a sample, relative to its square [-].
-        angle_noise: variance of a measured angle [rad²]; 0: no angle is used.
-        angle_offset: of the measured angle [rad], positive if it reads too high.
-        angle_step: of the angle's converter [rad]; 0: none.
-    """
-
+    # parameter vectors of the sigma points (1 + 2 m, parameters.SIZE), the nominal one first.
     parameter_sets: np.ndarray
-    initial: np.ndarray
-    process_noise: np.ndarray
-    measurement_noise: np.ndarray
-    gain_noise: np.ndarray
-    period: float
-    step: float
-    kappa: float
-    gate: float
-    lock_angle: float
+    initial: np.ndarray  # diagonal of P(0) (n,)
+    process_noise: np.ndarray  # diagonal of Q for a nominal sample period (n,)
+    measurement_noise: np.ndarray  # diagonal of R (2,) [Pa²]
+    gain_noise: np.ndarray  # value of R in the gain (2,) [Pa²], see :func:`pam_antagonist.estimation.ukf.update`
+    period: float  # nominal sample period [s]
+    step: float  # approximate step of the model [s]
+    kappa: float  # κ, the scaling of the sigma points [-]
+    gate: float  # largest Mahalanobis distance of a pressure that is used [-]
+    lock_angle: float  # angle of a locked joint [rad]
+    # bounds of both pressures [Pa] and both voltages [V] (4, 2), see :func:`pam_antagonist.estimation.possible.bounds`.
     possible: np.ndarray
-    commands: np.ndarray
+    commands: np.ndarray  # least and largest command of each muscle (2, 2) [V], of regulators [Pa]
+    # variance of the error of a predicted change of pressure over a sample, relative to its square [-].
     change_noise: float = 0.0
-    angle_noise: float = 0.0
-    angle_offset: float = 0.0
-    angle_step: float = 0.0
+    angle_noise: float = 0.0  # variance of a measured angle [rad²]; 0: no angle is used
+    angle_offset: float = 0.0  # of the measured angle [rad], positive if it reads too high
+    angle_step: float = 0.0  # of the angle's converter [rad]; 0: none
 
 
 class Memory(NamedTuple):
-    """Memory of a filter from sample to sample, changed in place.
+    """Memory of a filter from sample to sample, changed in place."""
 
-    Attributes:
-        x: estimate of the state (n,) [rad, rad/s, Pa, Pa, added states].
-        covariance: P (n, n).
-        cross: covariance with the consider parameters C (n, m).
-        held: last known voltages (2,) [V].
-        clock: memory of the stream's stamps (stamps.CLOCK_SIZE,).
-        innovation: of the last sample (2,) [Pa], NaN where a pressure was not used.
-        innovation_covariance: (2, 2) [Pa²].
-        torque_moments: mean of the torque [N m], its variance, its covariance with each state (2 + n,).
-        noise: diagonal of Q for the present step (n,).
-        encoder: memory of the encoder (encoder.MEMORY,).
-        readings: memory of the pressures' own rate (readings.PRESSURES,).
-    """
-
-    x: np.ndarray
-    covariance: np.ndarray
-    cross: np.ndarray
-    held: np.ndarray
-    clock: np.ndarray
+    x: np.ndarray  # estimate of the state (n,) [rad, rad/s, Pa, Pa, added states]
+    covariance: np.ndarray  # P (n, n)
+    cross: np.ndarray  # covariance with the consider parameters C (n, m)
+    held: np.ndarray  # last known voltages (2,) [V]
+    clock: np.ndarray  # memory of the stream's stamps (stamps.CLOCK_SIZE,)
     counts: np.ndarray
-    innovation: np.ndarray
-    innovation_covariance: np.ndarray
-    torque_moments: np.ndarray
-    noise: np.ndarray
-    encoder: np.ndarray
-    readings: np.ndarray
+    innovation: np.ndarray  # of the last sample (2,) [Pa], NaN where a pressure was not used
+    innovation_covariance: np.ndarray  # (2, 2) [Pa²]
+    torque_moments: np.ndarray  # mean of the torque [N m], its variance, its covariance with each state (2 + n,)
+    noise: np.ndarray  # diagonal of Q for the present step (n,)
+    encoder: np.ndarray  # memory of the encoder (encoder.MEMORY,)
+    readings: np.ndarray  # memory of the pressures' own rate (readings.PRESSURES,)
 
 
 def make_memory(states: int, considered: int) -> Memory:

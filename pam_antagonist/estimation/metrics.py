@@ -47,19 +47,14 @@ def _complete(series: FloatArray) -> NDArray[np.bool_]:
 def rmse(error: ArrayLike) -> float:
     """Root mean square of an error: the paper's I, divided by the number of samples.
 
-    Args:
-        error: estimate minus measurement, (N,), in any unit.
+    `error`: estimate minus measurement, (N,), in any unit.
     """
     z = _finite(error)
     return float(np.sqrt(np.mean(z * z))) if z.size else float("nan")
 
 
 def max_error(error: ArrayLike) -> float:
-    """Largest absolute error: the paper's M.
-
-    Args:
-        error: estimate minus measurement, (N,), in any unit.
-    """
+    """Largest absolute error: the paper's M. `error`: estimate minus measurement, (N,), in any unit."""
     z = _finite(error)
     return float(np.max(np.abs(z))) if z.size else float("nan")
 
@@ -67,9 +62,7 @@ def max_error(error: ArrayLike) -> float:
 def estimation_ratio(error: ArrayLike, signal: ArrayLike) -> float:
     """Largest error over the range of the measured signal: the paper's Q, as a fraction.
 
-    Args:
-        error: estimate minus measurement, (N,).
-        signal: the measured signal, (N,), in the unit of `error`.
+    `error`: estimate minus measurement, (N,). `signal`: the measured signal, (N,), in the unit of `error`.
     """
     measured = _finite(signal)
     span = float(np.ptp(measured)) if measured.size else 0.0
@@ -184,8 +177,7 @@ def nees(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT) -> f
 def chi_square_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
     """Two-sided bounds of a chi-square variable, the same probability left out on either side.
 
-    Returns:
-        (lower, upper); for two degrees of freedom and 95 %: (0.0506, 7.378).
+    Returns (lower, upper); for two degrees of freedom and 95 %: (0.0506, 7.378).
     """
     tail = 0.5 * (1.0 - level)
     return 2.0 * float(gammaincinv(0.5 * dof, tail)), 2.0 * float(gammaincinv(0.5 * dof, 1.0 - tail))
@@ -193,15 +185,10 @@ def chi_square_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class NisConsistency:
-    """How the normalised innovation squared compares with its chi-square law.
+    """How the normalised innovation squared compares with its chi-square law."""
 
-    Attributes:
-        mean: mean over the samples that used both pressures; 2 where the covariance is right.
-        in_95: share of all samples inside the two-sided 95 % bounds for their number of pressures; 0.95 is right.
-    """
-
-    mean: float
-    in_95: float
+    mean: float  # mean over the samples that used both pressures; 2 where the covariance is right
+    in_95: float  # share of all samples inside the two-sided 95 % bounds for their number of pressures; 0.95 is right
     samples: int
 
 
@@ -263,11 +250,8 @@ def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
 
     The mean is not removed: innovations of a right model have mean 0, and an offset is a correlation at every lag.
 
-    Args:
-        series: (N, m), one row a sample at a constant step; rows with NaN are left out.
-
-    Returns:
-        (lags + 1, m, m): mean of e(t) e(t - k)^T for k = 0..lags, NaN without a pair.
+    `series`: (N, m), one row a sample at a constant step; rows with NaN are left out. Returns (lags + 1, m, m): mean of
+    e(t) e(t - k)^T for k = 0..lags, NaN without a pair.
     """
     e = np.asarray(series, dtype=np.float64)
     present = _complete(e)
@@ -285,11 +269,8 @@ def largest_autocorrelation(series: ArrayLike, lags: int = 20) -> float:
 
     It measures the size of the correlation, while :func:`whiteness_p` tests whether there is one.
 
-    Args:
-        series: (N, m), one row a sample at a constant step; rows with NaN are left out.
-
-    Returns:
-        Between -1 and 1; NaN where there are not enough samples.
+    `series`: (N, m), one row a sample at a constant step; rows with NaN are left out. Returns between -1 and 1; NaN
+    where there are not enough samples.
     """
     gamma = np.diagonal(autocorrelation(series, lags), axis1=1, axis2=2)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -306,11 +287,8 @@ def whiteness_p(series: ArrayLike, lags: int = 20) -> float:
     Tens of thousands of samples make it sensitive: a p-value of 0 says that a correlation is certain, not that it is
     large.
 
-    Args:
-        series: (N, m), one row a sample at a constant step, e.g. normalised innovations; rows with NaN are left out.
-
-    Returns:
-        p-value between 0 and 1, NaN for fewer than 5 x `lags` samples or a series that does not vary.
+    `series`: (N, m), one row a sample at a constant step, e.g. normalised innovations; rows with NaN are left out.
+    Returns p-value between 0 and 1, NaN for fewer than 5 x `lags` samples or a series that does not vary.
     """
     e = np.asarray(series, dtype=np.float64)
     present = _complete(e)

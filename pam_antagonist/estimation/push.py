@@ -39,11 +39,7 @@ def jumped(distance, p):
 
 @in_place
 def widen(covariance, p):
-    """Add the variance of a push that has just begun or ended, in place.
-
-    Args:
-        covariance: P (n, n).
-    """
+    """Add the variance of a push that has just begun or ended, in place. `covariance`: P (n, n)."""
     at, variance = int(p[_AT]), p[_PRIOR] * p[_PRIOR]
     unit = _NOTICED / p[INERTIA]
     of_velocity = variance * unit * unit / 3.0

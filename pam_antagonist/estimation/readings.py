@@ -118,9 +118,7 @@ def repeated(values: NDArray[np.float64], stamp_ns: NDArray[np.int64]) -> NDArra
 
     A second pass knows the sensor from its first row on.
 
-    Args:
-        values: of the sensor (N, C), such as both pressures, which one board reads.
-        stamp_ns: of the rows (N,) [ns].
+    `values`: of the sensor (N, C), such as both pressures, which one board reads. `stamp_ns`: of the rows (N,) [ns].
     """
     columns = np.array(values, dtype=np.float64, order="C")
     stamps, memory, out = np.array(stamp_ns, dtype=np.int64), new(columns.shape[1]), np.zeros(len(columns), dtype=bool)

@@ -20,11 +20,8 @@ from pam_antagonist.model.lane_values import LANES
 def beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
     """Parameters of the sigma points, side by side in groups.
 
-    Args:
-        parameter_sets: sets of the first points (1 + 2 m, SIZE); the others have the first set.
-
-    Returns:
-        (G, SIZE, LANES), G groups; unused places of the last group have the first set.
+    `parameter_sets`: sets of the first points (1 + 2 m, SIZE); the others have the first set. Returns (G, SIZE, LANES),
+    G groups; unused places of the last group have the first set.
     """
     steps = range(0, points, LANES)
     each = [parameter_sets[k if k < len(parameter_sets) else 0] for k in range(len(steps) * LANES)]

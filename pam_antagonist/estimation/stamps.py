@@ -63,11 +63,7 @@ def all_ns(stamp_ns: Any) -> np.ndarray:
 
 
 def check_unit(intervals: np.ndarray) -> None:
-    """Refuse stamps that cannot be in ns.
-
-    Args:
-        intervals: between them (M,) [ns].
-    """
+    """Refuse stamps that cannot be in ns. `intervals`: between them (M,) [ns]."""
     if len(intervals) >= _FEW and abs(middle := float(np.median(intervals))) < _SHORTEST_NS:
         raise BadInput(f"stamp_ns: the stamps are {middle:g} ns apart; expected ns, not seconds, ms or us")
 
@@ -83,11 +79,7 @@ def start(clock, stamp):
 
 
 def refuse_other_units(clock: np.ndarray) -> None:
-    """Refuse the first stamps of a stream if they cannot be in ns.
-
-    Args:
-        clock: of a running filter (CLOCK_SIZE,).
-    """
+    """Refuse the first stamps of a stream if they cannot be in ns. `clock`: of a running filter (CLOCK_SIZE,)."""
     seen = int(clock[_SEEN])
     if seen <= _DISTANCES:
         check_unit(clock[_FIRST_DISTANCE : _FIRST_DISTANCE + seen])

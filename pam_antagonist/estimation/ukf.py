@@ -34,49 +34,27 @@ OUTPUTS = 2
 
 
 class Work(NamedTuple):
-    """Scratch arrays of the kernels, so that no step allocates.
+    """Scratch arrays of the kernels, so that no step allocates."""
 
-    Attributes:
-        points: sigma points (1 + 2 m + 2 n, n).
-        lower: lower factor (n, n).
-        scratch: (n, n).
-        gain: K (n, 2).
-        torques: torque of each sigma point (1 + 2 m + 2 n,) [N m].
-        stages: of a Runge-Kutta step (STAGES + 1, n).
-        lane_sets: parameters of the sigma points, side by side (G, SIZE, LANES).
-        lane_states: states of a group of sigma points (n, LANES).
-        lane_stages: of a Runge-Kutta step of such a group (STAGES + 1, n, LANES).
-        inputs: commands over the halves of a gap and over the period after it (3, 2).
-        brackets: bounds of the commands that are searched (2, 2).
-        halves: effects of unknown commands over the halves of a gap on the state (4, n).
-        before_x: state before a gap (n,).
-        before_covariance: P there (n, n).
-        before_cross: C there (n, m).
-    """
-
-    points: np.ndarray
-    lower: np.ndarray
-    scratch: np.ndarray
-    gain: np.ndarray
-    torques: np.ndarray
-    stages: np.ndarray
-    lane_sets: np.ndarray
-    lane_states: np.ndarray
-    lane_stages: np.ndarray
-    inputs: np.ndarray
-    brackets: np.ndarray
-    halves: np.ndarray
-    before_x: np.ndarray
-    before_covariance: np.ndarray
-    before_cross: np.ndarray
+    points: np.ndarray  # sigma points (1 + 2 m + 2 n, n)
+    lower: np.ndarray  # lower factor (n, n)
+    scratch: np.ndarray  # (n, n)
+    gain: np.ndarray  # K (n, 2)
+    torques: np.ndarray  # torque of each sigma point (1 + 2 m + 2 n,) [N m]
+    stages: np.ndarray  # of a Runge-Kutta step (STAGES + 1, n)
+    lane_sets: np.ndarray  # parameters of the sigma points, side by side (G, SIZE, LANES)
+    lane_states: np.ndarray  # states of a group of sigma points (n, LANES)
+    lane_stages: np.ndarray  # of a Runge-Kutta step of such a group (STAGES + 1, n, LANES)
+    inputs: np.ndarray  # commands over the halves of a gap and over the period after it (3, 2)
+    brackets: np.ndarray  # bounds of the commands that are searched (2, 2)
+    halves: np.ndarray  # effects of unknown commands over the halves of a gap on the state (4, n)
+    before_x: np.ndarray  # state before a gap (n,)
+    before_covariance: np.ndarray  # P there (n, n)
+    before_cross: np.ndarray  # C there (n, m)
 
 
 def make_work(states: int, parameter_sets: np.ndarray) -> Work:
-    """Scratch arrays for a number of states and parameters.
-
-    Args:
-        parameter_sets: of the sigma points (1 + 2 m, SIZE).
-    """
+    """Scratch arrays for a number of states and parameters. `parameter_sets`: of the sigma points (1 + 2 m, SIZE)."""
     n, points = states, 2 * states + len(parameter_sets)
     return Work(
         points=np.zeros((points, n)),

@@ -88,8 +88,7 @@ def calibration_names() -> list[str]:
 def load_calibration(name_or_path: str | Path) -> Calibration:
     """Read and check a calibration.
 
-    Args:
-        name_or_path: the path of a YAML file, or the name of one in ``config/hardware`` (``example``).
+    `name_or_path`: the path of a YAML file, or the name of one in ``config/hardware`` (``example``).
     """
     path = _locate(str(name_or_path))
     content = read_mapping(path, "hardware", "config/hardware/example.yaml")
@@ -185,8 +184,7 @@ class _Linear:
 class Converter:
     """Readings to SI units, and back.
 
-    Args:
-        rest: correction that is added to both pressures (2,) [Pa], as measured at rest.
+    `rest`: correction that is added to both pressures (2,) [Pa], as measured at rest.
     """
 
     def __init__(self, calibration: Calibration, rest: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -211,11 +209,7 @@ class Converter:
         return channel.gain, channel.offset + atmosphere
 
     def check(self, info: DeviceInfo) -> None:
-        """Make sure that the device has the channels of the calibration.
-
-        Raises:
-            BadInput: other units, or a channel that the device does not have.
-        """
+        """Make sure that the device has the channels of the calibration."""
         name = self.calibration.name
         if info.unit != self.calibration.unit:
             raise BadInput(f"calibration {name} is for readings in {self.calibration.unit}, not in {info.unit}")
@@ -236,11 +230,7 @@ class Converter:
         return first.value(readings[0]) + self.rest[0], second.value(readings[1]) + self.rest[1]
 
     def suits(self, drive: str) -> None:
-        """Make sure that the calibration fits a rig.
-
-        Args:
-            drive: of the rig, ``valve`` or ``regulator``.
-        """
+        """Make sure that the calibration fits a rig. `drive`: of the rig, ``valve`` or ``regulator``."""
         if drive == "regulator" and self._regulators is None:
             raise BadInput(
                 f"calibration {self.calibration.name} has no regulators, but the rig has; expected regulator_1 and "
@@ -269,8 +259,7 @@ class Converter:
     def action(self, action: SafeAction) -> SafeAction:
         """A safe action in voltages of the device; neither muscle vents faster than the action's rate.
 
-        Args:
-            action: in voltages, or in pressures for a joint with regulators.
+        `action`: in voltages, or in pressures for a joint with regulators.
         """
         if self._regulators is None:
             return action

@@ -15,46 +15,30 @@ SEQUENCES = 1 << 16
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """Properties that a device reports when it starts.
-
-    Attributes:
-        unit: of the readings of pressures and torque, ``V`` or ``code``.
-        period_ns: time between two samples [ns].
-        watchdog_ns: time without a command until the device applies the safe voltages [ns]; None: it has no watchdog,
-            and the valves stay as they are when the host dies.
-        voltage_min: lowest output voltage [V].
-        voltage_max: highest output voltage [V].
-    """
+    """Properties that a device reports when it starts."""
 
     name: str
-    unit: str
+    unit: str  # of the readings of pressures and torque, ``V`` or ``code``
     encoder: bool
     torque: bool
-    period_ns: int
+    period_ns: int  # time between two samples [ns]
+    # time without a command until the device applies the safe voltages [ns]; None: it has no watchdog, and the valves
+    # stay as they are when the host dies.
     watchdog_ns: int | None
-    voltage_min: float
-    voltage_max: float
+    voltage_min: float  # lowest output voltage [V]
+    voltage_max: float  # highest output voltage [V]
 
 
 class RawSample(NamedTuple):
-    """One sample of a device, not yet converted.
+    """One sample of a device, not yet converted."""
 
-    Attributes:
-        sequence: number of the sample, modulo 65536; lost samples count.
-        device_ns: time of the sample on the device's clock, since the start [ns].
-        arrival_ns: time of arrival on the host's steady clock (``time.monotonic_ns``) [ns].
-        pressure: readings of both muscles (2,) [V or code].
-        voltage: on the valves over the sample that ends at ``device_ns`` (2,) [V].
-        torque: reading [V or code], None without a torque meter.
-    """
-
-    sequence: int
-    device_ns: int
-    arrival_ns: int
-    pressure: tuple[float, float]
-    voltage: tuple[float, float]
+    sequence: int  # number of the sample, modulo 65536; lost samples count
+    device_ns: int  # time of the sample on the device's clock, since the start [ns]
+    arrival_ns: int  # time of arrival on the host's steady clock (``time.monotonic_ns``) [ns]
+    pressure: tuple[float, float]  # readings of both muscles (2,) [V or code]
+    voltage: tuple[float, float]  # on the valves over the sample that ends at ``device_ns`` (2,) [V]
     encoder: int | None = None
-    torque: float | None = None
+    torque: float | None = None  # reading [V or code], None without a torque meter
     status: Status = Status(0)
 
 
@@ -69,8 +53,7 @@ class Device(Protocol):
 
         The method is called again after every ``DeviceLost``; it closes what it had opened before.
 
-        Args:
-            action: of the valves until the first command, and whenever commands stop.
+        `action`: of the valves until the first command, and whenever commands stop.
         """
 
     def samples(self, timeout_s: float) -> Sequence[RawSample]:

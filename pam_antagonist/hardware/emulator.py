@@ -31,8 +31,7 @@ LOG_HEADER = "time_ns,device_us,event,voltage_1,voltage_2,safe"
 class Port:
     """A pseudo-terminal, with a link of a fixed name.
 
-    Args:
-        link: path of the link, which is removed with the port; None: no link.
+    `link`: path of the link, which is removed with the port; None: no link.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -89,12 +88,7 @@ class VoltageLog:
             file.write(LOG_HEADER + "\n")
 
     def voltage(self, device_us: int, voltage: tuple[float, float], safe: bool) -> None:
-        """Log the voltages on the valves.
-
-        Args:
-            device_us: time of the device [µs].
-            voltage: on the valves (2,) [V].
-        """
+        """Log the voltages on the valves. `device_us`: time of the device [µs]. `voltage`: on the valves (2,) [V]."""
         if (voltage, safe) != self._last:
             safe_changed = self._last is None or self._last[1] != safe
             self._last = voltage, safe
@@ -123,25 +117,17 @@ class VoltageLog:
 
 @dataclass(frozen=True)
 class DeviceClock:
-    """Clock of the emulated device.
+    """Clock of the emulated device."""
 
-    Attributes:
-        drift: relative rate by which it is faster than the host's [-].
-        first_us: counter at power-on [µs].
-    """
-
-    drift: float = 0.0
-    first_us: int = 0
+    drift: float = 0.0  # relative rate by which it is faster than the host's [-]
+    first_us: int = 0  # counter at power-on [µs]
 
 
 class Emulator:
     """The device: its clock, firmware, sensors and port.
 
-    Args:
-        regulated: whether the voltages are commands of pressure regulators.
-
-    Attributes:
-        missed: samples that were skipped because this process stalled for too long.
+    `missed`: samples that were skipped because this process stalled for too long. `regulated`: whether the voltages are
+    commands of pressure regulators.
     """
 
     def __init__(

@@ -30,41 +30,27 @@ _HALF_SEQUENCE = 1 << 15
 
 @dataclass(frozen=True)
 class Settings:
-    """Fixed settings of the device.
-
-    Attributes:
-        period_us: time between two samples [µs].
-        watchdog_us: time without a valid command until the safe voltages [µs].
-        session_us: time without a valid command until the device becomes silent and waits for a hello [µs].
-        voltage_min: lowest output voltage [V].
-        voltage_max: highest output voltage [V].
-        safe_voltage: on the valves from power-on until a host sends others (2,) [V].
-    """
+    """Fixed settings of the device."""
 
     name: str = "reference"
     features: Feature = Feature.ENCODER | Feature.TORQUE | Feature.VOLTS
-    period_us: int = 1000
-    watchdog_us: int = 20_000
+    period_us: int = 1000  # time between two samples [µs]
+    watchdog_us: int = 20_000  # time without a valid command until the safe voltages [µs]
+    # time without a valid command until the device becomes silent and waits for a hello [µs].
     session_us: int = 1_000_000
-    voltage_min: float = 0.0
-    voltage_max: float = 10.0
-    safe_voltage: tuple[float, float] = (5.5, 5.5)
+    voltage_min: float = 0.0  # lowest output voltage [V]
+    voltage_max: float = 10.0  # highest output voltage [V]
+    safe_voltage: tuple[float, float] = (5.5, 5.5)  # on the valves from power-on until a host sends others (2,) [V]
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of the inputs at a tick.
+    """Readings of the inputs at a tick."""
 
-    Attributes:
-        pressure_1: [V or code].
-        pressure_2: [V or code].
-        torque: [V or code].
-    """
-
-    pressure_1: float
-    pressure_2: float
+    pressure_1: float  # [V or code]
+    pressure_2: float  # [V or code]
     encoder: int = 0
-    torque: float = 0.0
+    torque: float = 0.0  # [V or code]
     fault: Status = Status(0)
 
 
@@ -74,9 +60,8 @@ class Firmware:
     Commands take effect at the next tick, so that the voltages are constant over every sample, and the sample's
     telemetry can report them.
 
-    Attributes:
-        voltage: on the valves now (2,) [V]; changes at ticks and with a goodbye.
-        safe: whether these are the safe voltages for lack of a valid command.
+    `voltage`: on the valves now (2,) [V]; changes at ticks and with a goodbye. `safe`: whether these are the safe
+    voltages for lack of a valid command.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -105,11 +90,7 @@ class Firmware:
         return self._frames.damaged
 
     def receive(self, data: bytes, now_us: int) -> bytes:
-        """Take bytes from the host.
-
-        Args:
-            now_us: device's clock [µs], modulo 2³².
-        """
+        """Take bytes from the host. `now_us`: device's clock [µs], modulo 2³²."""
         answer = b""
         for payload in self._frames.feed(data):
             version = protocol.version_of(payload)
@@ -169,8 +150,7 @@ class Firmware:
     def tick(self, now_us: int, readings: Readings) -> bytes:
         """End a sample: read, report, and put the voltages of the next sample on the valves.
 
-        Args:
-            now_us: device's clock [µs], modulo 2³².
+        `now_us`: device's clock [µs], modulo 2³².
         """
         silence_us = _since(self._command_us, now_us)
         sent = self._telemetry(now_us, silence_us, readings) if self.running else b""

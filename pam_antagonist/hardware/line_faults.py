@@ -41,19 +41,12 @@ _CHANNELS = ("freeze", "nan", "broken", "leak", "stuck")
 
 @dataclass(frozen=True)
 class LineFault:
-    """One fault.
+    """One fault."""
 
-    Attributes:
-        kind: one of ``KINDS``.
-        value: share (0 to 1) or number of the channel; 0 where there is nothing to choose.
-        begin: [s] after the first command.
-        end: [s]; infinite: never ends.
-    """
-
-    kind: str
-    value: float
-    begin: float
-    end: float
+    kind: str  # one of ``KINDS``
+    value: float  # share (0 to 1) or number of the channel; 0 where there is nothing to choose
+    begin: float  # [s] after the first command
+    end: float  # [s]; infinite: never ends
 
 
 def parse_fault(text: str) -> LineFault:
@@ -121,8 +114,7 @@ class FaultOrders:
 class FaultPlan:
     """The faults that are present at a time.
 
-    Args:
-        orders: returns new orders, see :class:`FaultOrders`; None: no orders.
+    `orders`: returns new orders, see :class:`FaultOrders`; None: no orders.
     """
 
     def __init__(
@@ -192,11 +184,7 @@ class Miswired:
         self._off = _OFF * plant.named(("atmosphere.pressure",))["atmosphere.pressure"]
 
     def step(self, voltage: tuple[float, float]) -> PlantSample:
-        """Advance one sample period.
-
-        Args:
-            voltage: outputs of the device (2,) [V].
-        """
+        """Advance one sample period. `voltage`: outputs of the device (2,) [V]."""
         faults = self._faults
         if (wanted := self._wanted()) != self._changed:
             self._plant.change({**self._right, **wanted})

@@ -158,66 +158,45 @@ _JOIN = 0.3  # [s]
 
 
 class Sample(NamedTuple):
-    """One sample in SI units.
+    """One sample in SI units."""
 
-    Attributes:
-        stamp_ns: host time at which it was taken [ns].
-        pressure: of both muscles, absolute, NaN where missing or faulty (2,) [Pa].
-        voltage: on the valves over the sample that ends at the stamp (2,) [V].
-        angle: [rad], None without an encoder.
-        torque: [N m], None without a torque meter.
-    """
-
-    stamp_ns: int
-    pressure: tuple[float, float]
-    voltage: tuple[float, float]
-    angle: float | None
-    torque: float | None
+    stamp_ns: int  # host time at which it was taken [ns]
+    pressure: tuple[float, float]  # of both muscles, absolute, NaN where missing or faulty (2,) [Pa]
+    voltage: tuple[float, float]  # on the valves over the sample that ends at the stamp (2,) [V]
+    angle: float | None  # [rad], None without an encoder
+    torque: float | None  # [N m], None without a torque meter
     status: Status
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Required properties of a device.
+    """Required properties of a device."""
 
-    Attributes:
-        period_ns: time between two samples [ns].
-        voltage_min: lowest voltage of all commands [V].
-        voltage_max: highest voltage of all commands [V].
-    """
-
-    period_ns: int
-    voltage_min: float
-    voltage_max: float
+    period_ns: int  # time between two samples [ns]
+    voltage_min: float  # lowest voltage of all commands [V]
+    voltage_max: float  # highest voltage of all commands [V]
     action: SafeAction
 
 
 @dataclass
 class LinkCounts:
-    """Counters since the start.
-
-    Attributes:
-        backwards: samples left out because their stamps would have decreased.
-        safe_by_itself: samples with the device's own safe voltages for lack of a command.
-    """
+    """Counters since the start."""
 
     samples: int = 0
     lost: int = 0
     without_stamp: int = 0
-    backwards: int = 0
+    backwards: int = 0  # samples left out because their stamps would have decreased
     clock_steps: int = 0
     sessions: int = 0
     lost_devices: int = 0
-    safe_by_itself: int = 0
+    safe_by_itself: int = 0  # samples with the device's own safe voltages for lack of a command
 
 
 class Link:
     """Runs a device.
 
-    Args:
-        now_ns: the clock of the stamps [ns].
-        attend: called on the link's thread after every check for samples, at least every 0.5 ms; it may command the
-            device.
+    `now_ns`: the clock of the stamps [ns]. `attend`: called on the link's thread after every check for samples, at
+    least every 0.5 ms; it may command the device.
     """
 
     def __init__(

@@ -70,100 +70,58 @@ class Status(IntFlag):
 
 
 class Hello(NamedTuple):
-    """Host to device: begin a session.
-
-    Attributes:
-        safe_voltage_1: safe voltage of valve 1, applied at once without commands [V].
-        safe_voltage_2: safe voltage of valve 2 [V].
-        vent_voltage_1: final voltage of valve 1 when venting [V].
-        vent_voltage_2: final voltage of valve 2 when venting [V].
-        vent_rate: rate from safe to final voltages [V/s]; 0: the safe voltages stay.
-    """
+    """Host to device: begin a session."""
 
     version: int
     session: int
-    safe_voltage_1: float
-    safe_voltage_2: float
-    vent_voltage_1: float
-    vent_voltage_2: float
-    vent_rate: float
+    safe_voltage_1: float  # safe voltage of valve 1, applied at once without commands [V]
+    safe_voltage_2: float  # safe voltage of valve 2 [V]
+    vent_voltage_1: float  # final voltage of valve 1 when venting [V]
+    vent_voltage_2: float  # final voltage of valve 2 when venting [V]
+    vent_rate: float  # rate from safe to final voltages [V/s]; 0: the safe voltages stay
 
 
 class Welcome(NamedTuple):
-    """Device to host: the answer to a hello.
-
-    Attributes:
-        result: a ``Result``.
-        features: a ``Feature``.
-        period_us: time between two samples [µs].
-        watchdog_us: time without a valid command until the safe voltages [µs].
-        voltage_min: lowest output voltage [V].
-        voltage_max: highest output voltage [V].
-        name: of the device, up to 16 bytes of ASCII.
-    """
+    """Device to host: the answer to a hello."""
 
     version: int
     session: int
-    result: int
-    features: int
-    period_us: int
-    watchdog_us: int
-    voltage_min: float
-    voltage_max: float
-    name: bytes
+    result: int  # a ``Result``
+    features: int  # a ``Feature``
+    period_us: int  # time between two samples [µs]
+    watchdog_us: int  # time without a valid command until the safe voltages [µs]
+    voltage_min: float  # lowest output voltage [V]
+    voltage_max: float  # highest output voltage [V]
+    name: bytes  # of the device, up to 16 bytes of ASCII
 
 
 class Command(NamedTuple):
-    """Host to device: voltages.
-
-    Attributes:
-        sequence: counts commands, modulo 65536.
-        seen: sequence number of the newest sample at the host when it sent the command.
-        voltage_1: for valve 1 [V].
-        voltage_2: for valve 2 [V].
-    """
+    """Host to device: voltages."""
 
     session: int
-    sequence: int
-    seen: int
-    voltage_1: float
-    voltage_2: float
+    sequence: int  # counts commands, modulo 65536
+    seen: int  # sequence number of the newest sample at the host when it sent the command
+    voltage_1: float  # for valve 1 [V]
+    voltage_2: float  # for valve 2 [V]
 
 
 class Telemetry(NamedTuple):
-    """Device to host: one sample.
+    """Device to host: one sample."""
 
-    Attributes:
-        sequence: counts samples, modulo 65536; samples that the device missed count.
-        time_us: device's clock when the pressures were read [µs], modulo 2³².
-        pressure_1: reading of muscle 1 [V or code].
-        pressure_2: reading of muscle 2 [V or code].
-        encoder: counts; 0 without an encoder.
-        torque: reading of the torque meter [V or code]; 0 without one.
-        voltage_1: on valve 1 over the sample that ends at ``time_us`` [V].
-        voltage_2: on valve 2 over that sample [V].
-        status: a ``Status``.
-        command: sequence number of the newest command that was accepted.
-        command_age_us: time from the command's arrival to ``time_us`` [µs]; 65535: longer, or no command yet.
-        watchdog_trips: how often the watchdog has acted, modulo 65536.
-        damaged: damaged frames received, modulo 65536.
-        refused: refused commands, modulo 65536: other session, old, not finite, out of range.
-    """
-
-    sequence: int
-    time_us: int
-    pressure_1: float
-    pressure_2: float
-    encoder: int
-    torque: float
-    voltage_1: float
-    voltage_2: float
-    status: int
-    command: int
-    command_age_us: int
-    watchdog_trips: int
-    damaged: int
-    refused: int
+    sequence: int  # counts samples, modulo 65536; samples that the device missed count
+    time_us: int  # device's clock when the pressures were read [µs], modulo 2³²
+    pressure_1: float  # reading of muscle 1 [V or code]
+    pressure_2: float  # reading of muscle 2 [V or code]
+    encoder: int  # counts; 0 without an encoder
+    torque: float  # reading of the torque meter [V or code]; 0 without one
+    voltage_1: float  # on valve 1 over the sample that ends at ``time_us`` [V]
+    voltage_2: float  # on valve 2 over that sample [V]
+    status: int  # a ``Status``
+    command: int  # sequence number of the newest command that was accepted
+    command_age_us: int  # time from the command's arrival to ``time_us`` [µs]; 65535: longer, or no command yet
+    watchdog_trips: int  # how often the watchdog has acted, modulo 65536
+    damaged: int  # damaged frames received, modulo 65536
+    refused: int  # refused commands, modulo 65536: other session, old, not finite, out of range
 
 
 class Goodbye(NamedTuple):
@@ -239,8 +197,7 @@ def frame(payload: bytes) -> bytes:
 class FrameReader:
     """Finds the valid frames in a stream of bytes that may be damaged and may begin anywhere.
 
-    Attributes:
-        damaged: number of frames that were cut, wrongly stuffed, too long, or had a wrong check sum.
+    `damaged`: number of frames that were cut, wrongly stuffed, too long, or had a wrong check sum.
     """
 
     def __init__(self) -> None:
@@ -283,11 +240,7 @@ def _checked(piece: bytes) -> bytes | None:
 
 
 def stuffed(data: bytes) -> bytes:
-    """Encode data without zeros; the result is one byte longer.
-
-    Args:
-        data: at most ``LONGEST`` bytes.
-    """
+    """Encode data without zeros; the result is one byte longer. `data`: at most ``LONGEST`` bytes."""
     if len(data) > LONGEST:
         raise ValueError(f"{len(data)} bytes, expected at most {LONGEST}")
     return b"".join(bytes((len(block) + 1,)) + block for block in data.split(b"\0"))

@@ -35,9 +35,8 @@ _NO_COMMAND_YET = 0xFFFF
 class SerialDevice:
     """A microcontroller that speaks the protocol.
 
-    Args:
-        open_transport: opens a new transport; called again after the device was lost.
-        hello_for_s: how long a device may take to answer [s].
+    `open_transport`: opens a new transport; called again after the device was lost. `hello_for_s`: how long a device
+    may take to answer [s].
     """
 
     def __init__(

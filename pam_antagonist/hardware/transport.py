@@ -33,9 +33,8 @@ class Transport(Protocol):
 class SerialTransport:
     """A serial port, opened by pyserial: exclusively, raw, eight bits, no parity, one stop bit, no flow control.
 
-    Args:
-        port: such as ``/dev/ttyACM0``, or a link below ``/dev/serial/by-id``, whose name is fixed.
-        baud: bit rate [1/s]; USB devices ignore it.
+    `port`: such as ``/dev/ttyACM0``, or a link below ``/dev/serial/by-id``, whose name is fixed. `baud`: bit rate
+    [1/s]; USB devices ignore it.
     """
 
     def __init__(self, port: str, baud: int = 921_600) -> None:

@@ -49,8 +49,7 @@ _LAST_EVALUATIONS = 4
 def unknowns(rig: Rig, runs: Sequence[Run] = ()) -> list[Unknown]:
     """The numbers of chambers and valves, or regulators, that no data sheet tells.
 
-    Args:
-        runs: whose pressures the supply has filled.
+    `runs`: whose pressures the supply has filled.
     """
     out = [_positive("gas.polytropic_volume", rig, 0.3, 0.25, 1.9)]
     if rig.drive == "regulator":
@@ -108,8 +107,7 @@ def usable(runs: Sequence[Run]) -> list[Run]:
 def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
     """Errors of the pressures over the longest horizon, RMS [Pa]: of the model, and of pressures that do not change.
 
-    Args:
-        runs: corrected by the found calibration; :func:`usable` ones count.
+    `runs`: corrected by the found calibration; :func:`usable` ones count.
     """
     p, of_model, of_rest = rig.parameters("locked"), [np.zeros(1)], [np.zeros(1)]
     for run in usable(runs):
@@ -126,9 +124,7 @@ def residual_of(
 ) -> Callable[..., Floats]:
     """The residuals of all runs for values of the unknowns, in their units.
 
-    Args:
-        zero: reading of the encoder at ψ = 0 [rad].
-        horizon: of the simulations [s].
+    `zero`: reading of the encoder at ψ = 0 [rad]. `horizon`: of the simulations [s].
     """
     vector = rig.parameters("locked")
 
@@ -158,9 +154,8 @@ def fit_air(
 ) -> Fit | None:
     """Fit chambers and valves, or regulators, with growing horizons; None without commands.
 
-    Args:
-        zero: reading of the encoder at ψ = 0 [rad].
-        refine: whether errors are weighed by their size at last, and each recording may deviate a little.
+    `zero`: reading of the encoder at ψ = 0 [rad]. `refine`: whether errors are weighed by their size at last, and each
+    recording may deviate a little.
     """
     free, given = unknowns(rig) if free is None else list(free), usable(runs)
     if not given:
@@ -207,8 +202,7 @@ def with_air_errors(
 ) -> Fit:
     """A fit over the longest horizon, with the standard errors of its values.
 
-    Args:
-        elsewhere: rig and runs, each with one independent change of the joint by its standard error.
+    `elsewhere`: rig and runs, each with one independent change of the joint by its standard error.
     """
     one, *others = (residual_of(this, usable(parts), 0.0, HORIZONS[-1], found.unknowns)
                     for this, parts in ((rig, runs), *elsewhere))  # fmt: skip

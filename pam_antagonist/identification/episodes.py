@@ -30,16 +30,12 @@ _USED = 600
 
 @dataclass(frozen=True, eq=False)
 class EpisodesIdentified:
-    """What was found.
-
-    Attributes:
-        values: fitted values with 95 % intervals by episode, by dotted path.
-        errors: RMSE [deg] on later and on interleaved episodes, of the rig as configured and as identified.
-    """
+    """What was found."""
 
     start: Rig
     rig: Rig
-    values: Mapping[str, Interval]
+    values: Mapping[str, Interval]  # fitted values with 95 % intervals by episode, by dotted path
+    # RMSE [deg] on later and on interleaved episodes, of the rig as configured and as identified.
     errors: Mapping[str, tuple[Interval, Interval]]
     regulators: RegulatorsFound | None
     counts: tuple[int, int, int]

@@ -67,8 +67,7 @@ _MARGIN = 1.05
 def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1, guessed: bool = True) -> Rig:
     """The rig with process noise of its pressures, and with a gate that lets the errors of their prediction pass.
 
-    Args:
-        guessed: whether the valves were guessed, so that several pairs of the noise's parts are tried.
+    `guessed`: whether the valves were guessed, so that several pairs of the noise's parts are tried.
     """
     rig = _with_start(rig.replaced(directions={}, uncertainty={}), recordings)
     first = _followed(_with_process(rig, _FIRST_RATE, _OPEN_GATE), recordings, jobs)
@@ -139,16 +138,11 @@ def _followed(rig: Rig, recordings: Sequence[Given], jobs: int) -> _Followed:
 
 @dataclass(frozen=True)
 class Covered:
-    """The unknown torque, and what it gives.
-
-    Attributes:
-        torque: its standard deviation [N m].
-        share: of the measured angles in their 95 % intervals, on the fitted recordings.
-    """
+    """The unknown torque, and what it gives."""
 
     rig: Rig
-    torque: float
-    share: float
+    torque: float  # its standard deviation [N m]
+    share: float  # of the measured angles in their 95 % intervals, on the fitted recordings
 
 
 def with_unknown_torque(
@@ -180,8 +174,7 @@ def _next(seen: Sequence[tuple[float, float, float, Covered]]) -> float:
     The interval grows with the torque, but not in proportion where the joint sticks or nears its stop. Between a torque
     that is too small and one that is too large, a straight line is taken.
 
-    Args:
-        seen: of each torque the logarithm, and by how much the logarithm of the interval's width falls short.
+    `seen`: of each torque the logarithm, and by how much the logarithm of the interval's width falls short.
     """
     below = max(((at, lacks) for _, at, lacks, _ in seen if lacks > 0.0), default=None)
     above = min(((at, lacks) for _, at, lacks, _ in seen if lacks <= 0.0), default=None)
@@ -204,8 +197,7 @@ def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -
 def with_least_error(rigs: Sequence[Rig], recordings: Sequence[Given], jobs: int = 1) -> Rig:
     """The one whose filter errs least in angle, or in torque where no angle of a free joint was measured.
 
-    Args:
-        rigs: the first is taken where nothing was measured, or where none is clearly better.
+    `rigs`: the first is taken where nothing was measured, or where none is clearly better.
     """
 
     def error(rig: Rig, given: Given) -> tuple[float, float]:

@@ -185,9 +185,8 @@ def concluded(
 ) -> FromPressures:
     """Noise and covariance of the filter for values that were found, and its errors on held-out data.
 
-    Args:
-        ends: of the fitted part of each [s], see :func:`fitted_until`.
-        air: values of chambers and valves, or regulators; None without commands.
+    `ends`: of the fitted part of each [s], see :func:`fitted_until`. `air`: values of chambers and valves, or
+    regulators; None without commands.
     """
     progress = progress or (lambda text: None)
     own, corrected = with_joint(model or rig, joint, recordings)
@@ -335,8 +334,7 @@ def _refuse_two_rigs(
 ) -> None:
     """Refuse recordings whose common fit is worse on held-out data than separate ones.
 
-    Args:
-        ends: of the fitted part of each [s].
+    `ends`: of the fitted part of each [s].
     """
     if air is None or not any(item.recording for item in air.unknowns):
         return

@@ -59,11 +59,7 @@ _MOVING = 0.05
 
 
 def torques(run: Run, p: Floats) -> Floats:
-    """Torque of the muscles [N m] at the rows of a run whose angle is known.
-
-    Args:
-        p: parameter vector (m,).
-    """
+    """Torque of the muscles [N m] at the rows of a run whose angle is known. `p`: parameter vector (m,)."""
     known = np.isfinite(run.angle)
     return np.asarray(_torques(run.angle[known], run.velocity[known], run.pressure[known], p))
 
@@ -115,8 +111,7 @@ def _line(slope: FreeParameter, intercept: FreeParameter, middle: float, keeps_s
 def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
     """The numbers of joint and muscles that no data sheet tells, with their priors.
 
-    Args:
-        rig: as configured, with forces of the form ``braided``.
+    `rig`: as configured, with forces of the form ``braided``.
     """
     out = []
     for i in (1, 2):
@@ -222,8 +217,7 @@ def simulated(
 def by_the_model(run: Run, p: Floats) -> Run:
     """A run of a free joint without a measured angle, with the angle that the measured pressures give.
 
-    Args:
-        p: parameter vector (m,).
+    `p`: parameter vector (m,).
     """
     p = par.changed(p, NO_REGULATORS)
     start = np.array([[rest_angle(run.pressure[0, 0], run.pressure[0, 1], p), 0.0]])
@@ -238,8 +232,7 @@ def errors_of(
 ) -> Iterator[tuple[str, Run, Floats]]:  # fmt: skip
     """What a model leaves of each run: kind, run, and the known errors of the angle [rad] or the torque [N m].
 
-    Args:
-        horizon: of the simulations [s].
+    `horizon`: of the simulations [s].
     """
     zero, delay, vector = values.get(ZERO, 0.0), values.get(DELAY, 0.0), rig.parameters()
     for name in dict.fromkeys(run.name for run in runs):
@@ -269,9 +262,8 @@ def residual_of(
 ) -> Callable[..., Floats]:
     """The residuals of all runs for values of the unknowns, in their units.
 
-    Args:
-        horizon: of the simulations [s].
-        finer: whether pressures are ahead of straight lines between the rows, and the steps are half as long.
+    `horizon`: of the simulations [s]. `finer`: whether pressures are ahead of straight lines between the rows, and the
+    steps are half as long.
     """
     simulations = [run.finer() for run in runs] if finer else runs
     longest, share = (0.5 * _LONGEST_STEP, 2.0) if finer else (_LONGEST_STEP, 1.0)
@@ -331,10 +323,9 @@ def fit_joint(
 
     Where that one errs by more than the unit of the residuals over whole runs, the next one goes on as well.
 
-    Args:
-        starts: number of starts: the first is the rig file, the others are drawn from the priors.
-        refine: whether errors are weighed by their size at last, and each recording may deviate a little. A rig that
-            only data sheets tell of errs by more than its sensors, and its priors are wide.
+    `starts`: number of starts: the first is the rig file, the others are drawn from the priors. `refine`: whether
+    errors are weighed by their size at last, and each recording may deviate a little. A rig that only data sheets tell
+    of errs by more than its sensors, and its priors are wide.
     """
     progress = progress or (lambda text: None)
     free = unknowns(rig, runs) if free is None else list(free)

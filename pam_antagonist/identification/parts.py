@@ -55,8 +55,7 @@ def is_guessed(rig: Rig) -> bool:
 def fitted_until(recordings: Sequence[Given], holdout: float, whole: int = 0) -> list[float]:
     """For each recording the end of the part that is fitted [s]; 0 where all of it is held out.
 
-    Args:
-        whole: number of recordings at the end that are held out as a whole, in place of the share.
+    `whole`: number of recordings at the end that are held out as a whole, in place of the share.
     """
     free = [k for k, given in enumerate(recordings) if is_free(given) and has_commands(given)]
     out = [recording.duration_s + 1.0 for recording, _, _ in recordings]
@@ -78,8 +77,7 @@ def parts_of(
 ) -> list[Run]:
     """Runs of the fitted parts of recordings, or of the held-out ones of a free joint.
 
-    Args:
-        ends: of the fitted part of each [s].
+    `ends`: of the fitted part of each [s].
     """
     found = []
     for (recording, state, name), end in zip(recordings, ends, strict=True):
@@ -91,11 +89,7 @@ def parts_of(
 
 
 def checked(recordings: Sequence[Given], ends: Sequence[float], rig: Rig) -> list[Run]:
-    """The runs of the fitted parts.
-
-    Args:
-        ends: of the fitted part of each [s].
-    """
+    """The runs of the fitted parts. `ends`: of the fitted part of each [s]."""
     guessed = is_guessed(rig)
     if guessed and not any(is_free(given) for given in recordings):
         raise BadInput("no recording has a joint that moves and a measured angle: expected one at least, to fit")
@@ -155,8 +149,7 @@ def calibration_of(joint: Fit) -> Corrections:
 def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:
     """Runs of the fitted parts; where the angle of a free joint was not measured, the model gives it.
 
-    Args:
-        ends: of the fitted part of each [s].
+    `ends`: of the fitted part of each [s].
     """
     p = rig.parameters()
     runs = parts_of(recordings, ends)

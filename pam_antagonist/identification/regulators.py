@@ -29,19 +29,13 @@ _USED = 300
 
 @dataclass(frozen=True, eq=False)
 class RegulatorsFound:
-    """Regulators that were identified.
+    """Regulators that were identified."""
 
-    Attributes:
-        values: with 95 % intervals by episode, by dotted path.
-        errors: RMSE [Pa] of each muscle's pressure on later episodes.
-        command_errors: RMSE [Pa] of the command itself against each measured pressure.
-        gains: measured over modelled pressure on fitted episodes, of each muscle; 1 where both are on one scale.
-    """
-
-    values: Mapping[str, Interval]
+    values: Mapping[str, Interval]  # with 95 % intervals by episode, by dotted path
     tried: tuple[Tried, ...]
-    errors: tuple[float, float]
-    command_errors: tuple[float, float]
+    errors: tuple[float, float]  # RMSE [Pa] of each muscle's pressure on later episodes
+    command_errors: tuple[float, float]  # RMSE [Pa] of the command itself against each measured pressure
+    # measured over modelled pressure on fitted episodes, of each muscle; 1 where both are on one scale.
     gains: tuple[float, float]
 
     @property

@@ -30,15 +30,10 @@ _KNOWN_RIG = 1.2
 
 
 class Options(NamedTuple):
-    """What the user chose.
+    """What the user chose."""
 
-    Attributes:
-        free: names, or beginnings of names, of parameters that may move beside the usual ones.
-        frozen: names, or beginnings of names, of parameters that may not move.
-    """
-
-    free: tuple[str, ...] = ()
-    frozen: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()  # names, or beginnings of names, of parameters that may move beside the usual ones
+    frozen: tuple[str, ...] = ()  # names, or beginnings of names, of parameters that may not move
     holdout: float = 1.0 / 3.0
     starts: int = 2
     seed: int = 0
@@ -48,16 +43,12 @@ AS_USUAL = Options()
 
 
 class Step(NamedTuple):
-    """A step of the identification.
-
-    Attributes:
-        before: RMS errors before it, by channel [rad, N m, Pa].
-    """
+    """A step of the identification."""
 
     name: str
     source: str
     values: Mapping[str, tuple[float, float]]
-    before: Mapping[str, float]
+    before: Mapping[str, float]  # RMS errors before it, by channel [rad, N m, Pa]
     after: Mapping[str, float]
     note: str = ""
 
@@ -69,23 +60,18 @@ or more on three simulated joints, with the right ones 0.06 or less there."""
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Held-out data of one recording.
-
-    Attributes:
-        from_s: begin of the held-out part [s].
-        replays: the recording, replayed with the identified rig, and as configured with angle and torque only.
-        reports: errors of the held-out part: ``as_configured``, ``identified``, and ``own`` with the recording's own
-            deviations where recordings may deviate.
-        pressures_alone: error of the angle where the measured pressures drive the joint, RMS [deg]; NaN where locked.
-        linear: error of a linear map of the two pressures, fitted to the same data, RMS [deg]; NaN likewise.
-    """
+    """Held-out data of one recording."""
 
     name: str
-    from_s: float
+    from_s: float  # begin of the held-out part [s]
+    # the recording, replayed with the identified rig, and as configured with angle and torque only.
     replays: Mapping[str, Replay]
+    # errors of the held-out part: ``as_configured``, ``identified``, and ``own`` with the recording's own deviations
+    # where recordings may deviate.
     reports: Mapping[str, ReplayReport]
+    # error of the angle where the measured pressures drive the joint, RMS [deg]; NaN where locked.
     pressures_alone: float
-    linear: float
+    linear: float  # error of a linear map of the two pressures, fitted to the same data, RMS [deg]; NaN likewise
     rows: int
 
     @property
@@ -106,8 +92,7 @@ class Held:
     def error(self, column: str) -> float:
         """Error of a free joint's angle, RMS [deg]; NaN without any.
 
-        Args:
-            column: ``identified``, ``as_configured``, ``own``, ``model_alone``, ``pressures_alone`` or ``linear``.
+        `column`: ``identified``, ``as_configured``, ``own``, ``model_alone``, ``pressures_alone`` or ``linear``.
         """
         if self.rows == 0:
             return math.nan
@@ -127,26 +112,19 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class FromPressures:
-    """An identified rig and how it was found.
-
-    Attributes:
-        own: the rig with the deviations of each recording, where recordings may deviate.
-        air: values of chambers and valves, or regulators, likewise; None without commands.
-        final: the same two from all of the data, where the rig was guessed.
-        fitted: name of each recording, and the end of its part that was fitted [s].
-        pressures: errors of the pressures in a second from the commands [Pa]: of the model, and if nothing flowed.
-    """
+    """An identified rig and how it was found."""
 
     start: Rig
     rig: Rig
-    own: tuple[Rig, ...]
+    own: tuple[Rig, ...]  # the rig with the deviations of each recording, where recordings may deviate
     joint: Fit
-    air: Fit | None
-    final: tuple[Fit, Fit | None]
+    air: Fit | None  # values of chambers and valves, or regulators, likewise; None without commands
+    final: tuple[Fit, Fit | None]  # the same two from all of the data, where the rig was guessed
     covered: Covered
     held: tuple[Held, ...]
-    fitted: tuple[tuple[str, float], ...]
+    fitted: tuple[tuple[str, float], ...]  # name of each recording, and the end of its part that was fitted [s]
     notes: tuple[str, ...]
+    # errors of the pressures in a second from the commands [Pa]: of the model, and if nothing flowed.
     pressures: tuple[float, float]
     steps: tuple[Step, ...] = ()
     options: Options = AS_USUAL
@@ -159,8 +137,7 @@ class FromPressures:
     def pooled(self, column: str) -> float:
         """Error of the angle over all held-out rows, RMS [deg]; NaN without any.
 
-        Args:
-            column: as for :meth:`Held.error`.
+        `column`: as for :meth:`Held.error`.
         """
         known = [(item.error(column), item.rows) for item in self.held if math.isfinite(item.error(column))]
         total = sum(rows for _, rows in known)
@@ -218,9 +195,7 @@ def linear_map(runs: Sequence[Run]) -> Floats | None:
 def held_of(given: Given, before: Given, end: float, rigs: Mapping[str, Rig], line: Floats | None) -> Held:
     """Errors of a recording's held-out part.
 
-    Args:
-        end: of the part that was fitted [s].
-        line: coefficients of the linear map (3,); None without any.
+    `end`: of the part that was fitted [s]. `line`: coefficients of the linear map (3,); None without any.
     """
     recording, state, name = given
     begin, replays, reports = max(end, 0.0), {}, {}

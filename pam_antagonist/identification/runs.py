@@ -32,27 +32,17 @@ _HOLE = 2.5
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A stretch of a recording without a hole (N rows).
-
-    Attributes:
-        time: from the begin of the recording (N,) [s].
-        pressure: measured (N, 2) [Pa].
-        command: voltages [V] or commanded pressures [Pa] over the row's step (N, 2); NaN where unknown.
-        angle: measured (N,) [rad], NaN where missing.
-        torque: measured (N,) [N m], NaN where missing.
-        velocity: slope of the measured angle (N,) [rad/s], 0 where unknown.
-        slow: sensors that are slower than the log; their values are linear between their own readings.
-    """
+    """A stretch of a recording without a hole (N rows)."""
 
     name: str
-    time: Floats
-    pressure: Floats
-    command: Floats
-    angle: Floats
-    torque: Floats
-    velocity: Floats
+    time: Floats  # from the begin of the recording (N,) [s]
+    pressure: Floats  # measured (N, 2) [Pa]
+    command: Floats  # voltages [V] or commanded pressures [Pa] over the row's step (N, 2); NaN where unknown
+    angle: Floats  # measured (N,) [rad], NaN where missing
+    torque: Floats  # measured (N,) [N m], NaN where missing
+    velocity: Floats  # slope of the measured angle (N,) [rad/s], 0 where unknown
     locked: bool
-    slow: tuple[str, ...]
+    slow: tuple[str, ...]  # sensors that are slower than the log; their values are linear between their own readings
 
     def __len__(self) -> int:
         return len(self.time)

@@ -36,24 +36,15 @@ _FEWEST_BLOCKS = 100
 
 @dataclass(frozen=True, eq=False)
 class SealedTrial:
-    """Block means of a recording, K of them.
-
-    Attributes:
-        time: (K,) [s].
-        angle: (K,) [rad].
-        velocity: (K,) [rad/s].
-        acceleration: (K,) [rad/s²].
-        pressure: (K, 2) [Pa].
-        external: torque applied from outside (K,) [N m], None where it was not recorded.
-    """
+    """Block means of a recording, K of them."""
 
     name: str
-    time: Floats
-    angle: Floats
-    velocity: Floats
-    acceleration: Floats
-    pressure: Floats
-    external: Floats | None
+    time: Floats  # (K,) [s]
+    angle: Floats  # (K,) [rad]
+    velocity: Floats  # (K,) [rad/s]
+    acceleration: Floats  # (K,) [rad/s²]
+    pressure: Floats  # (K, 2) [Pa]
+    external: Floats | None  # torque applied from outside (K,) [N m], None where it was not recorded
 
     @property
     def states(self) -> Floats:
@@ -63,16 +54,12 @@ class SealedTrial:
 
 @dataclass(frozen=True)
 class SealedStage:
-    """A step of the identification.
-
-    Attributes:
-        residual: RMS of what is left, in ``unit``.
-    """
+    """A step of the identification."""
 
     name: str
     values: dict[str, float]
     std: dict[str, float]
-    residual: float
+    residual: float  # RMS of what is left, in ``unit``
     unit: str
     note: str
 
@@ -83,8 +70,7 @@ def sealed_trial(recording: Recording, name: str, share: float = 1.0) -> SealedT
     Blocks follow the stamps. They need no even grid, as :class:`~pam_antagonist.inference.trial.Trial` has it, because
     nothing is simulated over time here. So gaps do no harm.
 
-    Args:
-        share: of its duration, from 0 to 1.
+    `share`: of its duration, from 0 to 1.
     """
     if recording.angle is None or not np.isfinite(recording.angle).any():
         raise BadInput(
@@ -125,8 +111,7 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
 
     The slope of the volume is fitted. The volume at ψ = 0 stays as declared.
 
-    Args:
-        muscle: 0 or 1.
+    `muscle`: 0 or 1.
     """
     number = muscle + 1
     mean = float(np.mean(np.concatenate([trial.pressure[:, muscle] for trial in trials])))
@@ -163,8 +148,7 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
 def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
     """What acts against the torque from outside: stiffness, friction, and the difference of the muscles' forces.
 
-    Args:
-        trials: recordings; those without a torque from outside are left out.
+    `trials`: recordings; those without a torque from outside are left out.
     """
     used = [trial for trial in trials if trial.external is not None]
     sliding = [np.abs(trial.velocity) > SLIDING for trial in used]
@@ -231,18 +215,14 @@ _LEAST_MOVE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class SealedIdentified:
-    """What was found.
-
-    Attributes:
-        held_from: for each recording, the time from which on it was held out [s].
-        likelihood: mean logarithm of the likelihood of an angle's error, less the square of ln(NIS/2), with the start's
-            tuning and with the new one.
-    """
+    """What was found."""
 
     start: Rig
     rig: Rig
     stages: tuple[SealedStage, ...]
-    held_from: tuple[float, ...]
+    held_from: tuple[float, ...]  # for each recording, the time from which on it was held out [s]
+    # mean logarithm of the likelihood of an angle's error, less the square of ln(NIS/2), with the start's tuning and
+    # with the new one.
     likelihood: tuple[float, float]
     evaluations: int
 
@@ -253,11 +233,7 @@ def identify_sealed(
     holdout: float = 1.0 / 3.0,
     progress: Callable[[str], None] | None = None,
 ) -> SealedIdentified:
-    """Identify a sealed joint.
-
-    Args:
-        rig: start values; ``valves.sealed``.
-    """
+    """Identify a sealed joint. `rig`: start values; ``valves.sealed``."""
     progress = progress or (lambda text: None)
     refuse_moving_valves(recordings, rig)
     share = 1.0 - holdout

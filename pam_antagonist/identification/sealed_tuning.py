@@ -90,9 +90,7 @@ def tuned(
 def drift_noise(size: float, time: float) -> float:
     """Noise that drives a drift, ``drift_1`` and ``drift_2`` of the effect ``pressure_sensor`` [Pa/s^1.5].
 
-    Args:
-        size: standard deviation of the drift [Pa].
-        time: its time constant [s].
+    `size`: standard deviation of the drift [Pa]. `time`: its time constant [s].
     """
     return 2.0 * size / time**1.5
 

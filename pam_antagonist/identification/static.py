@@ -31,19 +31,12 @@ Forms = dict[str, StaticFit | Undetermined]
 
 
 class Reach(NamedTuple):
-    """Range of lengths and pressures of a rig's muscles.
+    """Range of lengths and pressures of a rig's muscles."""
 
-    Attributes:
-        shortest: length [m] of a muscle at one end of the joint's range.
-        longest: at the other [m].
-        lowest: least absolute pressure [Pa].
-        highest: largest [Pa].
-    """
-
-    shortest: float
-    longest: float
-    lowest: float
-    highest: float
+    shortest: float  # length [m] of a muscle at one end of the joint's range
+    longest: float  # at the other [m]
+    lowest: float  # least absolute pressure [Pa]
+    highest: float  # largest [Pa]
 
     def lengths(self, count: int = 41) -> Floats:
         """Lengths (count,) [m] over the range."""
@@ -65,21 +58,16 @@ def reach(rig: Rig) -> Reach:
 
 @dataclass(frozen=True, eq=False)
 class StaticFits:
-    """The results of static tables.
-
-    Attributes:
-        fitted: that rig with the fits, None where only a report was requested.
-        form: the one for the rig, without a rig that with the least error at lengths left out; empty without a map.
-    """
+    """The results of static tables."""
 
     rig: Rig | None
-    fitted: Rig | None
+    fitted: Rig | None  # that rig with the fits, None where only a report was requested
     muscles: tuple[int, ...]
     volumes: StaticTable | None
     volume: StaticFit | None
     force_map: StaticTable | None
     forms: Forms
-    form: str
+    form: str  # the one for the rig, without a rig that with the least error at lengths left out; empty without a map
     warnings: tuple[str, ...]
 
     @property

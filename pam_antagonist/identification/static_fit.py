@@ -42,17 +42,11 @@ no length is near the nominal one, and the table does not show how soon the rubb
 
 
 class Form(NamedTuple):
-    """A form of the force map, or that of the volume, by the model's own functions.
+    """A form of the force map, or that of the volume, by the model's own functions."""
 
-    Attributes:
-        name: a key of ``UNITS``.
-        rest_length: L_0 [m] that the contraction k = 1 − l/L_0 counts from; of ``braided`` L_n.
-        atmosphere: absolute pressure of the surroundings [Pa].
-    """
-
-    name: str
-    rest_length: float = 0.2
-    atmosphere: float = 0.0
+    name: str  # a key of ``UNITS``
+    rest_length: float = 0.2  # L_0 [m] that the contraction k = 1 − l/L_0 counts from; of ``braided`` L_n
+    atmosphere: float = 0.0  # absolute pressure of the surroundings [Pa]
 
     def value(self, coefficients: Sequence[float] | Floats, length: Floats, pressure: Floats | float = 0.0) -> Floats:
         """Contraction forces (N,) [N], or volumes (N,) [m³].
@@ -95,19 +89,13 @@ class Form(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """What a fit without one length predicts there.
+    """What a fit without one length predicts there."""
 
-    Attributes:
-        length: mean of the length [m].
-        errors: prediction minus measured value, one a measured value; NaN where the others do not determine the form.
-        slack: points at it where the muscle was slack or nothing was measured.
-        overshoot: largest force predicted above the limit where the muscle was slack [N].
-    """
-
-    length: float
+    length: float  # mean of the length [m]
+    # prediction minus measured value, one a measured value; NaN where the others do not determine the form.
     errors: Floats
-    slack: int
-    overshoot: float
+    slack: int  # points at it where the muscle was slack or nothing was measured
+    overshoot: float  # largest force predicted above the limit where the muscle was slack [N]
 
     @property
     def measured(self) -> int:
@@ -117,24 +105,17 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StaticFit:
-    """A form fitted to a table, in SI units.
-
-    Attributes:
-        coefficients: (K,), pressures absolute.
-        covariance: (K, K); values at one length count as dependent on each other. NaN where there are only as many
-            volumes as coefficients.
-        scale: standard deviation of the residuals, or its ratio to the declared deviations.
-        errors: of the measured values it was fitted to (N,); they say little about others.
-        left_out: for each length, what the fit without it predicts there.
-    """
+    """A form fitted to a table, in SI units."""
 
     form: Form
-    coefficients: Floats
+    coefficients: Floats  # (K,), pressures absolute
+    # (K, K); values at one length count as dependent on each other. NaN where there are only as many volumes as
+    # coefficients.
     covariance: Floats
     freedom: int
-    scale: float
-    errors: Floats
-    left_out: tuple[LeftOut, ...]
+    scale: float  # standard deviation of the residuals, or its ratio to the declared deviations
+    errors: Floats  # of the measured values it was fitted to (N,); they say little about others
+    left_out: tuple[LeftOut, ...]  # for each length, what the fit without it predicts there
     notes: tuple[str, ...]
 
     @property
@@ -276,9 +257,7 @@ def compare_forms(
 ) -> dict[str, StaticFit | Undetermined]:
     """Every form fitted to the same table, or the reason why the table does not determine it.
 
-    Args:
-        rest_length: as for :func:`fit` [m].
-        nominal: as for :func:`fit`.
+    `rest_length`: as for :func:`fit` [m]. `nominal`: as for :func:`fit`.
     """
     out: dict[str, StaticFit | Undetermined] = {}
     for name in names:

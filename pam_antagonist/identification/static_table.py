@@ -66,30 +66,20 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class StaticTable:
-    """Forces or volumes of a muscle that is held at a length, and for forces at a pressure; N rows.
-
-    Attributes:
-        length: (N,) [m].
-        value: forces (N,) [N] or volumes (N,) [m³].
-        pressure: absolute (N,) [Pa]; of volumes zeros.
-        group: number of the length that each row belongs to (N,), from the shortest on.
-        spread: standard deviation of each value (N,) in its SI unit, ones where it was not given.
-        slack: where a force is not above the limit (N,): the muscle is slack, and only that the map is not above the
-            limit is known.
-        limit: [N] of the forces.
-        atmosphere: absolute pressure of the surroundings [Pa].
-    """
+    """Forces or volumes of a muscle that is held at a length, and for forces at a pressure; N rows."""
 
     name: str
-    length: Floats
-    value: Floats
-    pressure: Floats
-    group: NDArray[np.int64]
-    spread: Floats
+    length: Floats  # (N,) [m]
+    value: Floats  # forces (N,) [N] or volumes (N,) [m³]
+    pressure: Floats  # absolute (N,) [Pa]; of volumes zeros
+    group: NDArray[np.int64]  # number of the length that each row belongs to (N,), from the shortest on
+    spread: Floats  # standard deviation of each value (N,) in its SI unit, ones where it was not given
     declared: bool
+    # where a force is not above the limit (N,): the muscle is slack, and only that the map is not above the limit is
+    # known.
     slack: Bools
-    limit: float = 0.0
-    atmosphere: float = 0.0
+    limit: float = 0.0  # [N] of the forces
+    atmosphere: float = 0.0  # absolute pressure of the surroundings [Pa]
     sha256: str = ""
     issues: tuple[str, ...] = ()
 
@@ -166,8 +156,7 @@ def read_force_map(
 def read_volumes(path: Path, columns: Mapping[str, Choice] | None = None) -> StaticTable:
     """Read a table of length and volume.
 
-    Args:
-        columns: by quantity, those that the user named; the others are found by their names.
+    `columns`: by quantity, those that the user named; the others are found by their names.
     """
     table, labels = _read(path, ("length", "volume"), columns, "", 0.0)
     if table.lengths < 3:

@@ -39,8 +39,7 @@ _SHARE = 1.0 / 3.0
 def beside_the_lag(rig: Rig, trials: Sequence[Trial], jobs: int) -> tuple[dict[str, float], str]:
     """Range, dead zone and largest rate of both regulators, as far as the recordings show them.
 
-    Returns:
-        Values that differ from the rig's, by dotted path [Pa, Pa/s], and a sentence.
+    Returns values that differ from the rig's, by dotted path [Pa, Pa/s], and a sentence.
     """
     joint = _stretches(rig, trials, jobs)
     if len(joint) < _FEWEST:

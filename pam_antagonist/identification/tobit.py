@@ -31,44 +31,28 @@ class Undetermined(Exception):
 
 
 class Observations(NamedTuple):
-    """What was measured, N values.
+    """What was measured, N values."""
 
-    Attributes:
-        value: measured values (N,); where censored, the limit below which the true value lies.
-        censored: which are known only to lie below (N,).
-        spread: standard deviation of each, or its ratio to the others' (N,).
-        declared: whether ``spread`` is known in the unit of the values; else its scale is estimated.
-    """
-
-    value: Floats
-    censored: Bools
-    spread: Floats
-    declared: bool
+    value: Floats  # measured values (N,); where censored, the limit below which the true value lies
+    censored: Bools  # which are known only to lie below (N,)
+    spread: Floats  # standard deviation of each, or its ratio to the others' (N,)
+    declared: bool  # whether ``spread`` is known in the unit of the values; else its scale is estimated
 
 
 class Solution(NamedTuple):
-    """Coefficients of a regression.
+    """Coefficients of a regression."""
 
-    Attributes:
-        coefficients: (K,).
-        covariance: (K, K) for errors that do not depend on each other; NaN where no degree of freedom is left.
-        scale: standard deviation of the residuals over ``spread``; NaN likewise.
-        cost: negative logarithm of the likelihood, but for a constant.
-    """
-
-    coefficients: Floats
-    covariance: Floats
+    coefficients: Floats  # (K,)
+    covariance: Floats  # (K, K) for errors that do not depend on each other; NaN where no degree of freedom is left
     freedom: int
-    scale: float
-    cost: float
+    scale: float  # standard deviation of the residuals over ``spread``; NaN likewise
+    cost: float  # negative logarithm of the likelihood, but for a constant
 
 
 def solve(design: Floats, seen: Observations, others: int = 0) -> Solution:
     """Most likely coefficients of value = design · coefficients + error.
 
-    Args:
-        design: (N, K).
-        others: coefficients that were fitted outside, which take degrees of freedom too.
+    `design`: (N, K). `others`: coefficients that were fitted outside, which take degrees of freedom too.
     """
     measured = ~seen.censored
     rows, values = design / seen.spread[:, None], seen.value / seen.spread
@@ -104,8 +88,7 @@ def solve(design: Floats, seen: Observations, others: int = 0) -> Solution:
 def _maximise(basis: Floats, target: Floats, censored: Bools) -> tuple[Floats, Floats, float]:
     """Newton's method on Olsen's x = δ = coefficients/σ and γ = 1/σ, in which the likelihood is concave.
 
-    Returns:
-        x (K + 1,), the information matrix (K + 1, K + 1), −ln likelihood.
+    Returns x (K + 1,), the information matrix (K + 1, K + 1), −ln likelihood.
     """
     # γ value − row δ is a measured value's error, and a censored one's margin.
     apart = np.column_stack([-basis, target])
@@ -160,9 +143,7 @@ def jackknife(parts: Floats) -> Floats:
 def larger(first: Floats, second: Floats) -> Floats:
     """The least covariance that is below neither of two in any direction.
 
-    Args:
-        first: (K, K); a coefficient that is held has zeros, and keeps them.
-        second: (K, K).
+    `first`: (K, K); a coefficient that is held has zeros, and keeps them. `second`: (K, K).
     """
     free = np.flatnonzero(np.diag(first) > 0.0)
     inside = np.ix_(free, free)

@@ -46,26 +46,19 @@ _FAILED = 1e3
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number that a fit may find.
+    """A number that a fit may find."""
 
-    Attributes:
-        name: what it is; a dotted path where it is a single parameter.
-        std: of the prior; of the logarithm where ``positive``.
-        positive: whether it stays above 0.
-        adds: parameters that are a sum of unknowns: factor of this one in each, by dotted path.
-        reach: how far a fit may move it, in standard deviations of the prior.
-    """
-
-    name: str
+    name: str  # what it is; a dotted path where it is a single parameter
     paths: tuple[str, ...]
     start: float
-    std: float
-    positive: bool = False
+    std: float  # of the prior; of the logarithm where ``positive``
+    positive: bool = False  # whether it stays above 0
     low: float = -math.inf
     high: float = math.inf
+    # parameters that are a sum of unknowns: factor of this one in each, by dotted path.
     adds: Mapping[str, float] = field(default_factory=dict)
     recording: str = ""
-    reach: float = _WIDEST
+    reach: float = _WIDEST  # how far a fit may move it, in standard deviations of the prior
 
     def value(self, amount: float) -> float:
         """Value at an amount, in standard deviations from the start."""
@@ -89,20 +82,15 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Result of a fit.
-
-    Attributes:
-        amounts: found values in standard deviations of the priors (F,).
-        covariance: of the amounts (F, F), from the curvature with the priors, or by :func:`with_errors`.
-        scale: factor of each kind of residual, see :func:`scale_of`; empty for the stage's own.
-        lost: whether the fit stayed so far from the data that its values and their standard errors mean nothing.
-    """
+    """Result of a fit."""
 
     unknowns: tuple[Unknown, ...]
-    amounts: Floats
-    covariance: Floats
+    amounts: Floats  # found values in standard deviations of the priors (F,)
+    covariance: Floats  # of the amounts (F, F), from the curvature with the priors, or by :func:`with_errors`
     cost: float
+    # factor of each kind of residual, see :func:`scale_of`; empty for the stage's own.
     scale: Mapping[str, float] = field(default_factory=dict)
+    # whether the fit stayed so far from the data that its values and their standard errors mean nothing.
     lost: bool = False
 
     @property
@@ -161,8 +149,7 @@ def scale_of(errors: Mapping[str, Floats], least: Mapping[str, float]) -> dict[s
     A model errs by its sensor's noise or by more, and its errors last. So each kind of error counts by its own size,
     and values that follow from each other count as one.
 
-    Args:
-        errors: of each kind (N,).
+    `errors`: of each kind (N,).
     """
     out = {}
     for kind, values in errors.items():
@@ -190,8 +177,7 @@ def deviations(
     A rig is not exactly the same in two recordings: valves warm up, muscles settle. If all values were common, the
     recording with more samples would decide.
 
-    Args:
-        ways: change of the parameters by a relative deviation of 1, by the name of the way; of free ones only.
+    `ways`: change of the parameters by a relative deviation of 1, by the name of the way; of free ones only.
     """
     free = {path for item in unknowns for path in (*item.paths, *item.adds)}
     return [
@@ -211,9 +197,7 @@ def refined(
 ) -> Fit:
     """A fit again, with errors weighed by their size, so that its standard errors are those of the values.
 
-    Args:
-        extra: further unknowns, that begin at the middle of their priors.
-        errors: that values leave, of each kind (N,).
+    `extra`: further unknowns, that begin at the middle of their priors. `errors`: that values leave, of each kind (N,).
     """
     unknowns, amounts = [*found.unknowns, *extra], np.concatenate([found.amounts, np.zeros(len(extra))])
     scale: dict[str, float] = {}
@@ -239,9 +223,8 @@ def fitted(
 ) -> Fit:
     """Find the unknowns that explain the data best, with their priors, within their bounds.
 
-    Args:
-        residual: of the data (N,), in standard deviations, for values by name; not finite where a simulation diverged.
-        begin: first amounts (F,); None: the priors' middles.
+    `residual`: of the data (N,), in standard deviations, for values by name; not finite where a simulation diverged.
+    `begin`: first amounts (F,); None: the priors' middles.
     """
     if not unknowns:
         return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual({}) ** 2)))
@@ -314,8 +297,7 @@ def with_errors(
     * the step by which the fit would still move,
     * the errors of values that another stage found.
 
-    Args:
-        elsewhere: the residual with those values changed by one standard error, for each independent change.
+    `elsewhere`: the residual with those values changed by one standard error, for each independent change.
     """
     if len(found.at_bounds) == len(found.unknowns):
         return found

@@ -32,17 +32,11 @@ _FEWEST = 3
 
 @dataclass(frozen=True, eq=False)
 class SteadyPoints:
-    """Steady pressures of one valve.
+    """Steady pressures of one valve."""
 
-    Attributes:
-        voltage: (K,) [V], increasing.
-        pressure: (K,) [Pa].
-        spread: standard deviation of the pressures at the same voltage (K,) [Pa].
-    """
-
-    voltage: Floats
-    pressure: Floats
-    spread: Floats
+    voltage: Floats  # (K,) [V], increasing
+    pressure: Floats  # (K,) [Pa]
+    spread: Floats  # standard deviation of the pressures at the same voltage (K,) [Pa]
 
 
 def steady_open_rate(pressure: Floats, p: Floats) -> Floats:
@@ -93,11 +87,8 @@ def steady_points(voltage: Floats, pressure: Floats, dt: float) -> SteadyPoints:
 def valve_curve(points: SteadyPoints, p: Floats) -> tuple[Floats, Floats]:
     """Step three: the open rate that gives each steady pressure.
 
-    Args:
-        p: parameter vector (P,).
-
-    Returns:
-        Voltages (K,) [V] and open rates (K,) [-], not decreasing: knots of the curve, linear between them.
+    `p`: parameter vector (P,). Returns voltages (K,) [V] and open rates (K,) [-], not decreasing: knots of the curve,
+    linear between them.
     """
     if len(points.voltage) < _FEWEST:
         raise BadInput(
@@ -116,21 +107,13 @@ _DEVIATING = 2.0
 
 @dataclass(frozen=True, eq=False)
 class CurveFinding:
-    """What the steady pressures say about the curve of one valve.
+    """What the steady pressures say about the curve of one valve."""
 
-    Attributes:
-        valve: 0 or 1.
-        voltage: knots that were measured (K,) [V], less the rig's offsets; empty where there were too few.
-        open_rate: their open rates (K,) [-].
-        declared: the declared curve there (K,) [-].
-        std: standard deviations of the open rates (K,) [-].
-    """
-
-    valve: int
-    voltage: Floats
-    open_rate: Floats
-    declared: Floats
-    std: Floats
+    valve: int  # 0 or 1
+    voltage: Floats  # knots that were measured (K,) [V], less the rig's offsets; empty where there were too few
+    open_rate: Floats  # their open rates (K,) [-]
+    declared: Floats  # the declared curve there (K,) [-]
+    std: Floats  # standard deviations of the open rates (K,) [-]
     replaced: bool
     note: str
 

@@ -78,26 +78,18 @@ def _driven(x0, angle, velocity, acceleration, direction, p, dt, substeps):  # t
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A measured angle as an input.
+    """A measured angle as an input."""
 
-    Attributes:
-        angle: (N,) [rad].
-        velocity: (N,) [rad/s].
-        acceleration: (N,) [rad/s²].
-        direction: of motion (N,), −1 to 1.
-    """
-
-    angle: Floats
-    velocity: Floats
-    acceleration: Floats
-    direction: Floats
+    angle: Floats  # (N,) [rad]
+    velocity: Floats  # (N,) [rad/s]
+    acceleration: Floats  # (N,) [rad/s²]
+    direction: Floats  # of motion (N,), −1 to 1
 
 
 def filled_in(measured: Floats) -> Floats:
     """A measured angle (N,) [rad] with linear interpolation over missing values.
 
-    Args:
-        measured: the angle (N,) [rad], NaN where missing.
+    `measured`: the angle (N,) [rad], NaN where missing.
     """
     known = np.isfinite(measured)
     return np.interp(np.arange(len(measured)), np.flatnonzero(known), measured[known])
@@ -108,9 +100,7 @@ def motion_of(measured: Floats, dt: float) -> Motion:
 
     An angle with noise is smoothed without a phase shift. The direction fades where the velocity is within its noise.
 
-    Args:
-        measured: angle (N,) [rad], NaN where missing.
-        dt: sample period [s].
+    `measured`: angle (N,) [rad], NaN where missing. `dt`: sample period [s].
     """
     known = np.isfinite(measured)
     angle = filled_in(measured)
@@ -134,8 +124,7 @@ def motion_of(measured: Floats, dt: float) -> Motion:
 def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirection]:
     """Directions that the pressure of a sealed muscle determines: the slope of its volume, and its charge.
 
-    Args:
-        number: of the muscle, 1 or 2.
+    `number`: of the muscle, 1 or 2.
     """
     slope, charge = getattr(rig, f"muscle_{number}").volume.d2, f"valves.charge_{number}"
     # The volume at angle 0 does not change.
@@ -148,20 +137,15 @@ def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirect
 
 @dataclass(frozen=True, eq=False)
 class AngleDriven(Experiment):
-    """A part of a driven joint as an experiment: its air, or its balance of torques.
+    """A part of a driven joint as an experiment: its air, or its balance of torques."""
 
-    Attributes:
-        part: ``air`` or ``balance``.
-        resolved: whether only samples count in which the joint slides, and the encoder shows the direction of motion.
-    """
-
-    part: str = AIR
+    part: str = AIR  # ``air`` or ``balance``
+    # whether only samples count in which the joint slides, and the encoder shows the direction of motion.
     resolved: bool = False
 
     @cached_property
     @override
     def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions: as in an identification of a sealed joint, without friction."""
         rig = self.rig
         if self.part == BALANCE:
             apart = {"muscle_1.force.w2": _FORCE, "muscle_2.force.w2": -_FORCE}
@@ -175,7 +159,6 @@ class AngleDriven(Experiment):
     @cached_property
     @override
     def channels(self) -> tuple[int, ...]:
-        """The torque from outside, or the pressure columns, which hold the mean and half the difference."""
         return (TORQUE,) if self.part == BALANCE else (PRESSURE_1, PRESSURE_2)
 
     @override
@@ -184,16 +167,13 @@ class AngleDriven(Experiment):
 
         A model driven by the measured angle does not drift away, so that its errors do not depend on earlier ones.
 
-        Args:
-            before: residual of a model (B, C).
-            after: of another one (B, C).
+        `before`: residual of a model (B, C). `after`: of another one (B, C).
         """
         return in_mean_squares(before, after, self.noise)
 
     @property
     @override
     def titles(self) -> tuple[Channel, ...]:
-        """The channels' names and units."""
         if self.part == BALANCE:
             return (Channel("Torque from outside", "N m", 1.0),)
         return Channel("Mean pressure", "kPa", 1e-3), Channel("Half difference", "kPa", 1e-3)
@@ -201,7 +181,6 @@ class AngleDriven(Experiment):
     @cached_property
     @override
     def measured(self) -> Floats:
-        """Block means of the measurements (B, C)."""
         values = _parted(self.trial.measured)[:, list(self.channels)]
         if self.resolved:
             values = np.where(np.abs(self.motion.velocity)[:, None] > SLIDING, values, np.nan)
@@ -239,24 +218,20 @@ class AngleDriven(Experiment):
     @cached_property
     @override
     def vector(self) -> Floats:
-        """Parameter vector as configured, of a locked joint: the measured angle moves it, not its torques."""
         return self.rig.parameters("locked", 0.0)
 
     @property
     @override
     def runs_by_itself(self) -> bool:
-        """False: the angle is given at every step."""
         return False
 
     @override
     def signals(self, point: Point) -> dict[str, Floats]:
-        """Pressures and motion."""
         course = self.trial.blocks(self.states(point)[0][:, :4])
         return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
 
     @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
-        """Effects that this part can show and that the model does not have yet; the simpler form of each first."""
         present = {path.split(".")[1] for path in taken}
         return tuple(
             Candidate(name, form)
@@ -287,7 +262,6 @@ class AngleDriven(Experiment):
 
     @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
-        """States (N, 4), the measured motion and the model's pressures, and the torque from outside (N,) [N m]."""
         pressure, needed = self.driven(point, whole=True)
         return np.column_stack([self.motion.angle, self.motion.velocity, pressure]), needed
 
@@ -298,8 +272,7 @@ class AngleDriven(Experiment):
         Torque and pressures belong to the measured motion. The angle is that of the model alone under the torque from
         outside; NaN if this torque was not recorded.
 
-        Args:
-            point: not used; the rig has the fitted parameters of both parts.
+        `point`: not used; the rig has the fitted parameters of both parts.
         """
         whole = replace(self, rig=rig, part=BALANCE)
         pressure, needed = whole.driven(whole.origin, whole=True)
@@ -311,24 +284,20 @@ class AngleDriven(Experiment):
     @property
     @override
     def noise_memory(self) -> float:
-        """Blocks per independent value of the noise: the encoder's error is constant while the joint stands."""
         return self.blocks_per_error
 
     @property
     @override
     def judged_channels(self) -> tuple[int, ...]:
-        """All channels, or only the pressures if no torque from outside was recorded."""
         return (ANGLE, TORQUE, PRESSURE_1, PRESSURE_2) if self.trial.has(TORQUE) else (PRESSURE_1, PRESSURE_2)
 
     @property
     @override
     def slides(self) -> NDArray[np.bool_]:
-        """Where the joint slides (N,)."""
         return np.asarray(np.abs(self.motion.velocity) > SLIDING)
 
     @override
     def simulated(self, point: Point, whole: bool = False) -> Floats:
-        """Simulated channels of the measured motion (N, 4), with mean and half difference of the pressures."""
         pressure, needed = self.driven(point, whole)
         return _parted(np.column_stack([self.motion.angle[: len(needed)], needed, pressure]))
 

@@ -30,11 +30,7 @@ class Interval(NamedTuple):
 
     @classmethod
     def of(cls, value: float, draws: Floats, chance: float = CHANCE) -> Interval:
-        """The interval of a bootstrap.
-
-        Args:
-            draws: its value in each draw (D,).
-        """
+        """The interval of a bootstrap. `draws`: its value in each draw (D,)."""
         low, high = np.quantile(draws, [0.5 * chance, 1.0 - 0.5 * chance])
         return cls(float(value), float(low), float(high))
 
@@ -65,9 +61,7 @@ def steps(spans: Sequence[tuple[int, int]], slopes: Floats, left: Floats, seed: 
 def rmse(sums: Floats, counts: Floats) -> Interval:
     """Root mean square error [deg] with its 95 % interval by episode.
 
-    Args:
-        sums: squared errors of each episode (E,) [rad²].
-        counts: number of values of each episode (E,).
+    `sums`: squared errors of each episode (E,) [rad²]. `counts`: number of values of each episode (E,).
     """
     draws = drawn(len(sums))
     spread = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
@@ -77,9 +71,8 @@ def rmse(sums: Floats, counts: Floats) -> Interval:
 def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
     """Ratio of two sums over the same episodes, with an interval by episode.
 
-    Args:
-        first: of each episode (E,).
-        offered: number of ratios from which this one was chosen; the interval is corrected for it.
+    `first`: of each episode (E,). `offered`: number of ratios from which this one was chosen; the interval is corrected
+    for it.
     """
     draws = drawn(len(first))
     spread = first[draws].sum(axis=1) / second[draws].sum(axis=1)

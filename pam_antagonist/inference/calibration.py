@@ -74,12 +74,10 @@ class CalibrationCandidate(Candidate):
     @property
     @override
     def free(self) -> tuple[FreeEffectParameter, ...]:
-        """Its one parameter."""
         return (FreeEffectParameter((path(self.effect),), CALIBRATIONS[self.effect]),)
 
     @override
     def grid(self) -> list[dict[str, float]]:
-        """One empty entry, since a calibration has no shapes."""
         return [{}]
 
 

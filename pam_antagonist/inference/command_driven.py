@@ -56,7 +56,6 @@ class CommandDriven(Episodes):
     @cached_property
     @override
     def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions: frequencies and damping of the lag."""
         paths = [parameter_path("regulator_lag", name) for name in _LAG]
         return tuple(FreeDirection(path, {path: max(self.rig.value(path), 1e-2)}) for path in paths)
 
@@ -64,8 +63,7 @@ class CommandDriven(Episodes):
     def candidates(self, taken: Mapping[str, float]) -> dict[str, tuple[Candidate, ...]]:
         """Effects of a regulator beside its lag; the range only if the rig has one, since a fit needs its start value.
 
-        Args:
-            taken: values of the model's effects' parameters, by dotted path.
+        `taken`: values of the model's effects' parameters, by dotted path.
         """
         offered = {name: one for name, one in _CANDIDATES.items() if not {item.path for item in one.free} & set(taken)}
         if "regulator_limits" not in self.rig.effects:
@@ -102,19 +100,16 @@ class CommandDriven(Episodes):
     @property
     @override
     def measured(self) -> Floats:
-        """The pressures (N, 2) [Pa]."""
         return self.pressure
 
     @property
     @override
     def runaway(self) -> float:
-        """Bound of the residual [Pa]."""
         return 1e7
 
     @property
     @override
     def share_of_steps(self) -> float:
-        """Steps are shorter than usual: there is no stiction here, and the ends of a range are sharp."""
         return 0.1
 
     @cached_property
@@ -125,7 +120,6 @@ class CommandDriven(Episodes):
 
     @override
     def simulated(self, point: Point) -> Floats:
-        """Simulated readings of the pressure sensors (N, 2) [Pa]."""
         p = par.changed(self.rig.parameters("locked", 0.0), self.values(point))
         start = np.ascontiguousarray(self.pressure[self.first[:-1]])
         longest = min(self.longest_step, _LONGEST_STEP)
@@ -134,14 +128,12 @@ class CommandDriven(Episodes):
 
     @override
     def as_if(self, model: Point) -> CommandDriven:
-        """These episodes as simulated by a model, with the noise of the readings added."""
         noise = [noise_of(column) for column in self.pressure.T]
         drawn = np.random.default_rng(0).standard_normal(self.pressure.shape)
         return replace(self, pressure=self.simulated(model) + noise * drawn)
 
     @override
     def shown(self, model: Point) -> dict[str, float]:
-        """The lag, and effects; an end of the range only if commands go beyond it."""
         values = self.values(model)
         least = values.get("effects.regulator_limits.lowest", np.inf)
         if not np.any(self.command < least):

@@ -50,11 +50,7 @@ class Driven(ABC):
         return True
 
     def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
-        """Changes of the residual (B, C) from a point to others nearby.
-
-        Args:
-            residual: at this point (B, C).
-        """
+        """Changes of the residual (B, C) from a point to others nearby. `residual`: at this point (B, C)."""
         return self.side_by_side(lambda there: self.residual(there) - residual, moved)
 
     @property

@@ -48,45 +48,34 @@ _REFITTED = 3
 
 @dataclass(frozen=True)
 class Tried:
-    """An effect in one round of the search.
-
-    Attributes:
-        score: share of the squared error of the fitted episodes that it would remove, to first order; None where all
-            offered effects are fitted.
-        removed: share of the squared error that it removed from unseen episodes, with an interval that is corrected
-            for the number of offered effects; None where the score was too low for a fit.
-    """
+    """An effect in one round of the search."""
 
     name: str
     round: int
+    # share of the squared error of the fitted episodes that it would remove, to first order; None where all offered
+    # effects are fitted.
     score: float | None
+    # share of the squared error that it removed from unseen episodes, with an interval that is corrected for the number
+    # of offered effects; None where the score was too low for a fit.
     removed: Interval | None = None
     taken: bool = False
 
 
 class Begun(NamedTuple):
-    """A candidate before it is fitted.
-
-    Attributes:
-        score: as of :class:`Tried`.
-    """
+    """A candidate before it is fitted."""
 
     name: str
-    score: float | None
+    score: float | None  # as of :class:`Tried`
     starts: tuple[EpisodeModel, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _Folds:
-    """Folds of a cross-validation: episodes that are fitted, and episodes that judge the fit.
-
-    Attributes:
-        order: puts the judged episodes into the order of the recording.
-    """
+    """Folds of a cross-validation: episodes that are fitted, and episodes that judge the fit."""
 
     fitted: tuple[Episodes, ...]
     judged: tuple[Episodes, ...]
-    order: Indices
+    order: Indices  # puts the judged episodes into the order of the recording
 
     @classmethod
     def of(cls, joint: Episodes, pool: Indices, few: int) -> _Folds:
@@ -145,21 +134,16 @@ class _Folds:
 
 @dataclass(frozen=True, eq=False)
 class Searched:
-    """Result of a search for effects.
-
-    Attributes:
-        replaced: variants of the extended model, in which another effect that may explain as much replaces a taken
-            one; by the names of the other and of the taken effect.
-        left: squared error of the extended model over the error that noise alone would leave.
-        longest_step: longest step [s] that is accurate enough for the extended model.
-    """
+    """Result of a search for effects."""
 
     base: EpisodeModel
     model: EpisodeModel
     tried: tuple[Tried, ...]
+    # variants of the extended model, in which another effect that may explain as much replaces a taken one; by the
+    # names of the other and of the taken effect.
     replaced: Mapping[tuple[str, str], EpisodeModel]
-    left: Interval
-    longest_step: float
+    left: Interval  # squared error of the extended model over the error that noise alone would leave
+    longest_step: float  # longest step [s] that is accurate enough for the extended model
 
 
 def search(
@@ -169,9 +153,8 @@ def search(
 ) -> Searched:  # fmt: skip
     """Add effects to the base model, one in each round, as long as the error exceeds the noise.
 
-    Args:
-        begin: chooses the candidates to fit and their start models; default: those with the best scores.
-        few: with fewer episodes than this, each quarter is judged by fits to the rest.
+    `begin`: chooses the candidates to fit and their start models; default: those with the best scores. `few`: with
+    fewer episodes than this, each quarter is judged by fits to the rest.
     """
     begin = begin or by_score
     folds = _Folds.of(joint, pool, few)
@@ -264,9 +247,8 @@ def with_effect(
 ) -> EpisodeModel | None:
     """A model with the simplest form of a candidate at the scale of its sizes, or at given sizes.
 
-    Args:
-        forms: of the candidate, the simplest first; without forms the result is None.
-        shape: values of its shapes, by dotted path; others are neutral.
+    `forms`: of the candidate, the simplest first; without forms the result is None. `shape`: values of its shapes, by
+    dotted path; others are neutral.
     """
     if not forms:
         return None

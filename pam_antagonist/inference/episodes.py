@@ -69,15 +69,10 @@ class EpisodeModel(Point):
 
 
 class Squares(NamedTuple):
-    """Squared errors by episode.
+    """Squared errors by episode."""
 
-    Attributes:
-        sums: of each episode (E,), in the square of the unit.
-        counts: number of values of each episode (E,).
-    """
-
-    sums: Floats
-    counts: Floats
+    sums: Floats  # of each episode (E,), in the square of the unit
+    counts: Floats  # number of values of each episode (E,)
 
     @property
     def rmse(self) -> float:
@@ -87,41 +82,26 @@ class Squares(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Episodes(Driven):
-    """Episodes of a joint whose pressures regulators hold.
-
-    Attributes:
-        first: index of the first row of each episode, then the number of rows (E + 1,).
-        time: of the rows (N,) [s].
-        angle: measured (N,) [rad], NaN where missing.
-        pressure: measured (N, 2) [Pa].
-        signals: further signals (N, S) [SI], in the order of ``rig.signals``, minus their values there.
-        command: commanded pressures over the step that ends at each row (N, 2) [Pa], NaN where unknown.
-        left_out: number of episodes that are too short, or lack pressures, signals or the first angle.
-        usual: mean pressure of each muscle [Pa], at which the free directions of the force map leave the force
-            unchanged; the same for all parts of a recording.
-        longest_step: longest step of the integration [s].
-    """
+    """Episodes of a joint whose pressures regulators hold."""
 
     rig: Rig
     name: str
-    first: Indices
-    time: Floats
-    angle: Floats
-    pressure: Floats
-    signals: Floats
-    command: Floats
+    first: Indices  # index of the first row of each episode, then the number of rows (E + 1,)
+    time: Floats  # of the rows (N,) [s]
+    angle: Floats  # measured (N,) [rad], NaN where missing
+    pressure: Floats  # measured (N, 2) [Pa]
+    signals: Floats  # further signals (N, S) [SI], in the order of ``rig.signals``, minus their values there
+    command: Floats  # commanded pressures over the step that ends at each row (N, 2) [Pa], NaN where unknown
     jobs: int = 1
-    left_out: int = 0
+    left_out: int = 0  # number of episodes that are too short, or lack pressures, signals or the first angle
+    # mean pressure of each muscle [Pa], at which the free directions of the force map leave the force unchanged; the
+    # same for all parts of a recording.
     usual: tuple[float, float] = (0.0, 0.0)
-    longest_step: float = STEPS[0]
+    longest_step: float = STEPS[0]  # longest step of the integration [s]
 
     @classmethod
     def of(cls: type[E], recording: Recording, rig: Rig, also: Sequence[str] = (), jobs: int = 1) -> E:
-        """Prepare a recording.
-
-        Args:
-            also: names of further signals, beside those of the rig file.
-        """
+        """Prepare a recording. `also`: names of further signals, beside those of the rig file."""
         name = bag_name(recording.path)
         if rig.drive != "regulator":
             raise BadInput(f"rig {rig.name} has valves (drive: valve); expected drive: regulator")
@@ -168,11 +148,7 @@ class Episodes(Driven):
         return len(self.first) - 1
 
     def take(self: E, episodes: Indices) -> E:
-        """Some of the episodes.
-
-        Args:
-            episodes: their numbers (K,), in order.
-        """
+        """Some of the episodes. `episodes`: their numbers (K,), in order."""
         spans = [np.arange(self.first[e], self.first[e + 1]) for e in episodes]
         rows = np.concatenate(spans) if spans else np.empty(0, np.intp)
         first = np.concatenate([[0], np.cumsum([len(span) for span in spans])]).astype(np.intp)
@@ -201,8 +177,7 @@ class Episodes(Driven):
     def candidates(self, taken: Mapping[str, float]) -> Mapping[str, tuple[Candidate, ...]]:
         """Effects that may be added to a model, by their names in a report; the simpler form of each first.
 
-        Args:
-            taken: values of the model's effects' parameters, by dotted path.
+        `taken`: values of the model's effects' parameters, by dotted path.
         """
 
     @abstractmethod
@@ -241,7 +216,6 @@ class Episodes(Driven):
 
     @override
     def residual(self, point: Point) -> Floats:
-        """Measured minus simulated values (N, C), 0 where nothing was measured."""
         far = self.runaway
         left = np.nan_to_num(self.measured - self.simulated(point), nan=0.0, posinf=far, neginf=-far)
         return np.asarray(np.clip(left, -far, far))
@@ -258,8 +232,7 @@ class Episodes(Driven):
     def squares(self, left: Floats) -> Squares:
         """Squared errors by episode, without the first row of each, at which the model starts.
 
-        Args:
-            left: a residual (N, C).
+        `left`: a residual (N, C).
         """
         known = np.isfinite(self.measured)
         known[self.first[:-1]] = False
@@ -274,11 +247,7 @@ class Episodes(Driven):
         return np.concatenate([model.theta, own])
 
     def moved(self, model: EpisodeModel, coordinates: Floats) -> EpisodeModel:
-        """A model with other coordinates; all other values stay.
-
-        Args:
-            coordinates: (K + F,).
-        """
+        """A model with other coordinates; all other values stay. `coordinates`: (K + F,)."""
         count = len(self.directions)
         values = dict(model.effects)
         # A step along a poorly determined direction may be very long: bounds limit it, and exp must not overflow.
@@ -287,11 +256,7 @@ class Episodes(Driven):
         return EpisodeModel(np.asarray(coordinates[:count]), values, model.free)
 
     def slopes(self, model: EpisodeModel, left: Floats) -> Floats:
-        """Derivatives of the residual by the coordinates (N C, K + F).
-
-        Args:
-            left: residual of this model (N, C).
-        """
+        """Derivatives of the residual by the coordinates (N C, K + F). `left`: residual of this model (N, C)."""
         effect = effect_jacobian(self, model, left, model.free, self.share_of_steps)
         return np.concatenate([self.jacobian(model, left), effect], axis=2).reshape(left.size, -1)
 

@@ -37,27 +37,24 @@ class Experiment(Driven):
 
     Every recording has base parameters and effects of its own: a day later the rig is warmer, and what is wrong with
     it may have changed. What recordings have in common is looked for afterwards.
-
-    Attributes:
-        fitted: how many of its samples may be fitted; the rest is held out.
-        judged: recordings that are held out as a whole, on which this one's models are judged; `fitted` of theirs is
-            their start, from which nothing but their first state is fitted. Then all of this one is fitted.
-        split: which blocks are fitted and which are held out, where that is not the first part and the rest;
-            `fitted` is then all of the recording.
-        splits: blocks that are held out in turn, where all of the recording is fitted and models are judged by what
-            each split leaves of its held-out blocks; empty where `split` or `fitted` says what is held out.
-        spans: when effects of a point act, by the effect's name; one that is not named acts as :attr:`span` says.
-            Effects of the rig file act throughout.
     """
 
     rig: Rig
     trial: Trial
-    fitted: int
+    fitted: int  # how many of its samples may be fitted; the rest is held out
+    # recordings that are held out as a whole, on which this one's models are judged; `fitted` of theirs is their start,
+    # from which nothing but their first state is fitted. Then all of this one is fitted.
     judged: tuple[Experiment, ...] = ()
     seed: int = 0
     jobs: int = 1
+    # which blocks are fitted and which are held out, where that is not the first part and the rest; `fitted` is then
+    # all of the recording.
     split: Split | None = None
+    # blocks that are held out in turn, where all of the recording is fitted and models are judged by what each split
+    # leaves of its held-out blocks; empty where `split` or `fitted` says what is held out.
     splits: tuple[Split, ...] = ()
+    # when effects of a point act, by the effect's name; one that is not named acts as :attr:`span` says. Effects of the
+    # rig file act throughout.
     spans: Mapping[str, Span] = field(default_factory=dict)
     span: Span = THROUGHOUT
 
@@ -87,16 +84,15 @@ class Experiment(Driven):
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """What the sensors would show, sample by sample.
 
-        Args:
-            whole: over all of the recording, or over the part that may be fitted.
+        `whole`: over all of the recording, or over the part that may be fitted.
         """
 
     @abstractmethod
     def states(self, point: Point) -> tuple[Floats, Floats]:
         """Course of the model over all of the recording.
 
-        Returns:
-            States (N, n), the first of them angle [rad], velocity [rad/s] and pressures [Pa], and torques (N,) [N m].
+        Returns states (N, n), the first of them angle [rad], velocity [rad/s] and pressures [Pa], and torques (N,) [N
+        m].
         """
 
     @property
@@ -119,8 +115,7 @@ class Experiment(Driven):
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Effects that this recording can show, beside those that a model has already.
 
-        Args:
-            taken: values of the model's effects' parameters, by dotted path.
+        `taken`: values of the model's effects' parameters, by dotted path.
         """
 
     def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
@@ -144,9 +139,7 @@ class Experiment(Driven):
     def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
         """What of one residual's excess over noise is gone in another one, and what was there [dB].
 
-        Args:
-            before: residual of a model (B, C).
-            after: of another one (B, C).
+        `before`: residual of a model (B, C). `after`: of another one (B, C).
         """
         return in_decibels(before, after, self.noise, round(self.blocks_per_error))
 
@@ -233,17 +226,12 @@ class Experiment(Driven):
     def near(self, there: Point, point: Point, residual: Floats) -> Floats:
         """Residual (B, C) of a model near one whose residual is known, as exact as derivatives need it.
 
-        Args:
-            residual: which that leaves (B, C).
+        `residual`: which that leaves (B, C).
         """
         return residual + self.differences(point, residual, [there])[0]
 
     def residual_of(self, simulated: Floats) -> Floats:
-        """Measured minus simulated block means (B, C), 0 where nothing was measured.
-
-        Args:
-            simulated: the latter (B, C).
-        """
+        """Measured minus simulated block means (B, C), 0 where nothing was measured. `simulated`: the latter (B, C)."""
         difference = self.measured[: len(simulated)] - simulated
         # A model that runs away is wrong, not undefined.
         bound = _RUNAWAY * self.noise
@@ -252,9 +240,8 @@ class Experiment(Driven):
     def scale(self, residual: Floats | None = None, blocks_per_error: float | None = None) -> Scale:
         """How residuals are judged.
 
-        Args:
-            residual: whose memory counts (B, C); default: of none.
-            blocks_per_error: blocks per value that a fit counts; default: those of a model that lacks something.
+        `residual`: whose memory counts (B, C); default: of none. `blocks_per_error`: blocks per value that a fit
+        counts; default: those of a model that lacks something.
         """
         usual = self.blocks_per_error
         counted = usual if blocks_per_error is None else blocks_per_error

@@ -56,27 +56,19 @@ EFFECT_PARAMETERS = {
 
 @dataclass(frozen=True)
 class Direction:
-    """Parameters that move together.
-
-    Attributes:
-        changes: change of each parameter for an amount of 1, by dotted path.
-    """
+    """Parameters that move together."""
 
     name: str
-    changes: Mapping[str, float]
+    changes: Mapping[str, float]  # change of each parameter for an amount of 1, by dotted path
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A single parameter that a fit may move, in standard deviations of its prior.
-
-    Attributes:
-        prior_std: standard deviation of the prior around it, in the parameter's unit.
-    """
+    """A single parameter that a fit may move, in standard deviations of its prior."""
 
     name: str
     start: float
-    prior_std: float
+    prior_std: float  # standard deviation of the prior around it, in the parameter's unit
     low: float
     high: float
 
@@ -94,8 +86,7 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     ``bounds``). The default prior is 5 % of the value. The bounds are those of a rig file at most, and a factor of five
     either way; a number that may be negative changes by five times its value at most.
 
-    Args:
-        frozen: names, or beginnings of names, to be kept at the start value.
+    `frozen`: names, or beginnings of names, to be kept at the start value.
     """
     for name in (*free, *frozen):
         if not any(_matches(known, name) for known in par.INDEX):
@@ -193,8 +184,7 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
     cancel: one per cent of ``v2`` alone is seven per cent of the force. Volume and polytropic index k_1 only scale the
     flows and are represented by the orifice areas.
 
-    Args:
-        rig: start values; its ``priors`` replace the 5 % of a direction that is a single parameter.
+    `rig`: start values; its ``priors`` replace the 5 % of a direction that is a single parameter.
     """
     flow = [f"valve_{i}.{name}" for i in (1, 2) for name in ("inflow_area", "outflow_area")]
     if rig.drive == "regulator":
@@ -217,8 +207,7 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
 def measured_directions(rig: Rig) -> tuple[Direction, ...]:
     """Directions that are measured directly, so that no fit of one recording moves them; changes of one std each.
 
-    Args:
-        rig: the values; its ``priors`` and ``uncertainty`` replace the 1 % of a direction that is a single parameter.
+    `rig`: the values; its ``priors`` and ``uncertainty`` replace the 1 % of a direction that is a single parameter.
     """
     found = []
     for names in _MEASURED:
@@ -255,13 +244,9 @@ def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
 
 @dataclass(frozen=True)
 class FreeEffectParameter:
-    """A parameter of an effect that a fit may move.
+    """A parameter of an effect that a fit may move."""
 
-    Attributes:
-        paths: dotted paths of the parameters with this value: several if only their sum is observable.
-    """
-
-    paths: tuple[str, ...]
+    paths: tuple[str, ...]  # dotted paths of the parameters with this value: several if only their sum is observable
     item: EffectParameter
 
     @property
@@ -339,14 +324,10 @@ _SPREAD = 4.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect of the catalogue that a fit may add; its sizes show on which muscle it acts.
-
-    Attributes:
-        form: its free parameters; None for the form of the catalogue.
-    """
+    """An effect of the catalogue that a fit may add; its sizes show on which muscle it acts."""
 
     effect: str
-    form: Form | None = None
+    form: Form | None = None  # its free parameters; None for the form of the catalogue
 
     @property
     def catalogued(self) -> Effect:
@@ -405,9 +386,8 @@ def _as_formed(item: EffectParameter, form: Form) -> EffectParameter:
 def candidates(taken: Mapping[str, float], drive: str = "valve") -> tuple[Candidate, ...]:
     """All candidates that a model does not have yet.
 
-    Args:
-        taken: values of the effects' parameters of the model, by dotted path.
-        drive: one of the ways of driving a joint that ``Effect.tested_with`` names.
+    `taken`: values of the effects' parameters of the model, by dotted path. `drive`: one of the ways of driving a joint
+    that ``Effect.tested_with`` names.
     """
     present = {path.split(".")[1] for path in taken}
     return tuple(

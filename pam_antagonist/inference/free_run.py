@@ -31,28 +31,19 @@ _RATE_S = 0.1
 
 
 class Phase(NamedTuple):
-    """A part of a recording in which the same effects act.
+    """A part of a recording in which the same effects act."""
 
-    Attributes:
-        begin_s: since the first sample [s]; it lasts until the next phase or the recording's end.
-        parameters: vector (P,) of the model.
-    """
-
-    begin_s: float
-    parameters: Floats
+    begin_s: float  # since the first sample [s]; it lasts until the next phase or the recording's end
+    parameters: Floats  # vector (P,) of the model
 
 
 class Run(NamedTuple):
-    """A model, and where it starts.
+    """A model, and where it starts."""
 
-    Attributes:
-        parameters: vector (P,).
-        shift: deviation of the true start from what the sensors showed (3,) [rad, Pa, Pa]; None for none.
-        later: what the model is from some times on, in their order. States that a phase adds start settled.
-    """
-
-    parameters: Floats
+    parameters: Floats  # vector (P,)
+    # deviation of the true start from what the sensors showed (3,) [rad, Pa, Pa]; None for none.
     shift: Floats | None = None
+    # what the model is from some times on, in their order. States that a phase adds start settled.
     later: tuple[Phase, ...] = ()
 
     @property
@@ -68,19 +59,12 @@ Key = tuple[bytes, bytes, tuple[tuple[float, bytes], ...]]
 
 @dataclass(frozen=True)
 class Start:
-    """What the sensors showed at the start of a recording.
+    """What the sensors showed at the start of a recording."""
 
-    Attributes:
-        angle: [rad], None where it was not measured.
-        pressure: of both muscles (2,) [Pa].
-        share: standard deviation of these (2,), over that of one sample.
-        rate: how quickly angle and pressures change there (3,) [rad/s, Pa/s, Pa/s].
-    """
-
-    angle: float | None
-    pressure: Floats
-    share: Floats
-    rate: Floats
+    angle: float | None  # [rad], None where it was not measured
+    pressure: Floats  # of both muscles (2,) [Pa]
+    share: Floats  # standard deviation of these (2,), over that of one sample
+    rate: Floats  # how quickly angle and pressures change there (3,) [rad/s, Pa/s, Pa/s]
 
 
 def start_of(trial: Trial) -> Start:
@@ -118,11 +102,8 @@ def _rate(values: Floats) -> float:
 def predict(trial: Trial, model: Run, start: Start) -> Floats:
     """The model alone, from the start of a recording on.
 
-    Args:
-        start: what the sensors showed first; the added states start settled.
-
-    Returns:
-        What the sensors would show (N, 4), in the order of ``trial.CHANNELS``.
+    `start`: what the sensors showed first; the added states start settled. Returns what the sensors would show (N, 4),
+    in the order of ``trial.CHANNELS``.
     """
     return predict_each(trial, [model], start, 1, lambda _, shown: shown)[0]
 
@@ -134,8 +115,7 @@ def predict_each(
 
     Of a long recording, only one group is held at a time.
 
-    Args:
-        made: is called with the number of a model, and with what the sensors would show (N, 4).
+    `made`: is called with the number of a model, and with what the sensors would show (N, 4).
     """
     alike: dict[tuple[float, ...], list[int]] = {}
     for k, model in enumerate(models):
@@ -172,8 +152,7 @@ def _shown(trial: Trial, model: Run, course: Course) -> Floats:
 def courses(trial: Trial, models: Sequence[Run], start: Start) -> list[Course]:
     """States (N, n) and torques (N,) [N m] of models whose phases begin at the same times, side by side.
 
-    Args:
-        models: the models; the step of their friction is that of the integration.
+    `models`: the models; the step of their friction is that of the integration.
     """
     given = trial.voltage if trial.external is None else trial.given
     parts = [_parts(trial, model) for model in models]
@@ -215,9 +194,7 @@ def _joined(phases: Sequence[Course]) -> Course:
 def initial_state(trial: Trial, p: Floats, start: Start, shift: Floats | None = None) -> Floats:
     """State (n,) of the model at the first sample of a recording; the added states are settled.
 
-    Args:
-        p: parameter vector (P,).
-        shift: deviation of the true start from that (3,) [rad, Pa, Pa].
+    `p`: parameter vector (P,). `shift`: deviation of the true start from that (3,) [rad, Pa, Pa].
     """
     moved = np.zeros(3) if shift is None else shift
     pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]

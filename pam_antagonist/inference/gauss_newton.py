@@ -35,22 +35,15 @@ _LEAP = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model of a recording at its best.
-
-    Attributes:
-        residual: measured minus simulated (B, C) of the part that was fitted.
-        base: its derivatives by the base coordinates (B, C, K + S).
-        effect: its derivatives by the effects' coordinates (B, C, m).
-        cost: −2 log posterior, up to a constant.
-    """
+    """A model of a recording at its best."""
 
     point: Point
     free: tuple[FreeEffectParameter, ...]
-    residual: Floats
-    base: Floats
-    effect: Floats
+    residual: Floats  # measured minus simulated (B, C) of the part that was fitted
+    base: Floats  # its derivatives by the base coordinates (B, C, K + S)
+    effect: Floats  # its derivatives by the effects' coordinates (B, C, m)
     scale: Scale
-    cost: float
+    cost: float  # −2 log posterior, up to a constant
     covariance: Floats
 
     @property
@@ -66,22 +59,14 @@ def prior_cost(experiment: Experiment, theta: Floats) -> float:
 
 
 def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale) -> float:
-    """−2 log posterior of a model, up to a constant.
-
-    Args:
-        residual: it leaves (B, C).
-    """
+    """−2 log posterior of a model, up to a constant. `residual`: it leaves (B, C)."""
     return float(scale.misfits(residual).sum()) + prior_cost(experiment, point.theta)
 
 
 def effect_jacobian(
     experiment: Driven, point: Point, residual: Floats, free: Sequence[FreeEffectParameter], share: float = 1.0
 ) -> Floats:
-    """Derivatives of the residual by the coordinates of effects (B, C, m).
-
-    Args:
-        residual: it leaves (B, C).
-    """
+    """Derivatives of the residual by the coordinates of effects (B, C, m). `residual`: it leaves (B, C)."""
     result = np.zeros((*residual.shape, len(free)))
     points, steps = [], []
     for parameter in free:
@@ -202,9 +187,7 @@ def _step(
     The first ones expect the variances that the linear model promises. Where it promises too much they lead nowhere,
     however short: careful ones weigh the channels as they are now, and turn to the steepest descent.
 
-    Args:
-        linear: the residual with its derivatives by the base coordinates and by those.
-        number: from 0.
+    `linear`: the residual with its derivatives by the base coordinates and by those. `number`: from 0.
     """
     held = _held(point, free)
     if number < len(_STEP_LENGTHS):
@@ -215,33 +198,22 @@ def _step(
 
 
 class Near(NamedTuple):
-    """A fit from a point nearby.
-
-    Attributes:
-        residual: of all blocks (B, C).
-        cost: −2 log posterior of what was fitted, up to a constant.
-    """
+    """A fit from a point nearby."""
 
     point: Point
-    residual: Floats
-    cost: float
+    residual: Floats  # of all blocks (B, C)
+    cost: float  # −2 log posterior of what was fitted, up to a constant
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A model of all of a recording with its derivatives, from which fits to parts of it start.
-
-    Attributes:
-        residual: it leaves (B, C).
-        base: derivatives of the residual by the base coordinates (B, C, K + S).
-        effect: likewise by the effects' coordinates (B, C, m).
-    """
+    """A model of all of a recording with its derivatives, from which fits to parts of it start."""
 
     experiment: Experiment
     fitted: Fitted
-    residual: Floats
-    base: Floats
-    effect: Floats
+    residual: Floats  # it leaves (B, C)
+    base: Floats  # derivatives of the residual by the base coordinates (B, C, K + S)
+    effect: Floats  # likewise by the effects' coordinates (B, C, m)
 
     @classmethod
     def of(cls, experiment: Experiment, fitted: Fitted) -> Linear:
@@ -256,8 +228,7 @@ class Linear:
         Each step has the derivatives of the start and is checked by a simulation. Parts differ by little, so that this
         is the most probable model or near it; a step that leads nowhere is not taken.
 
-        Args:
-            part: which blocks are fitted (B,).
+        `part`: which blocks are fitted (B,).
         """
         point, residual, scale = self.fitted.point, self.residual, self.fitted.scale
         cost = cost_of(self.experiment, point, residual[part], scale)
@@ -307,9 +278,7 @@ def relinearised(experiment: Experiment, fitted: Fitted) -> Fitted:
 def moved_by(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, effect: Floats) -> Point:
     """A point after a step, within the bounds of the effects' parameters.
 
-    Args:
-        theta: change of the base coordinates (K + S,).
-        effect: change of the effects' coordinates (m,).
+    `theta`: change of the base coordinates (K + S,). `effect`: change of the effects' coordinates (m,).
     """
     effects = dict(point.effects)
     for parameter, change in zip(free, effect, strict=True):

@@ -14,13 +14,9 @@ FIFTH = 5
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Split of the episodes, as indices.
+    """Split of the episodes, as indices."""
 
-    Attributes:
-        pool: episodes that may be fitted (E,).
-    """
-
-    pool: Indices
+    pool: Indices  # episodes that may be fitted (E,)
     interleaved: Indices
     later: Indices
 
@@ -40,9 +36,5 @@ def thinned(episodes: Indices, most: int) -> Indices:
 
 
 def last(pool: Indices, window: float) -> Indices:
-    """The last share of the episodes that may be fitted.
-
-    Args:
-        pool: episodes that may be fitted (E,).
-    """
+    """The last share of the episodes that may be fitted. `pool`: episodes that may be fitted (E,)."""
     return pool[round(len(pool) * (1.0 - window)) :]

@@ -30,11 +30,7 @@ _FULL = 20.0
 def correlation_length(residual: Floats) -> float:
     """Blocks per independent value: 1 + 2 Σ ρ_k over the initial positive pairs (Geyer 1992).
 
-    Args:
-        residual: (B,), NaN where there is nothing.
-
-    Returns:
-        At least 1, at most a tenth of the series.
+    `residual`: (B,), NaN where there is nothing. Returns at least 1, at most a tenth of the series.
     """
     known = np.isfinite(residual)
     rho = _lagged(np.where(known, residual, 0.0))
@@ -58,15 +54,10 @@ def _lagged(series: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """How residuals are judged.
+    """How residuals are judged."""
 
-    Attributes:
-        noise: least standard deviation of each channel's block means (C,).
-        length: of an independent value of each channel (C,) [blocks]; 1 where a channel is at its noise.
-    """
-
-    noise: Floats
-    length: Floats
+    noise: Floats  # least standard deviation of each channel's block means (C,)
+    length: Floats  # of an independent value of each channel (C,) [blocks]; 1 where a channel is at its noise
     blocks_per_error: float = BLOCKS_PER_ERROR
     fewest: float = BLOCKS_PER_ERROR
 
@@ -80,9 +71,7 @@ class Scale:
     ) -> Scale:
         """With the correlation lengths of a residual.
 
-        Args:
-            residual: (B, C).
-            noise: least standard deviation of each channel's block means (C,).
+        `residual`: (B, C). `noise`: least standard deviation of each channel's block means (C,).
         """
         quiet = np.mean(residual**2, axis=0) <= noise**2
         lengths = [1.0 if still else correlation_length(r) for still, r in zip(quiet, residual.T, strict=True)]
@@ -117,11 +106,7 @@ class Scale:
         return self.misfits_of(np.mean(residual**2, axis=0), len(residual))
 
     def misfits_of(self, squares: Floats, count: int) -> Floats:
-        """:meth:`misfits` by the mean squares of the channels (C,).
-
-        Args:
-            squares: these (C,).
-        """
+        """:meth:`misfits` by the mean squares of the channels (C,). `squares`: these (C,)."""
         variances = self.variances_of(squares)
         return np.asarray(count / self.blocks_per_error * (np.log(variances / self.noise**2) + squares / variances))
 
@@ -132,17 +117,11 @@ class Scale:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Solution of a linear problem.
+    """Solution of a linear problem."""
 
-    Attributes:
-        theta: change of the base coordinates (K + S,).
-        effect: change of the effects' coordinates (m,).
-        squares: mean squares of what the linear model leaves (C,).
-    """
-
-    theta: Floats
-    effect: Floats
-    squares: Floats
+    theta: Floats  # change of the base coordinates (K + S,)
+    effect: Floats  # change of the effects' coordinates (m,)
+    squares: Floats  # mean squares of what the linear model leaves (C,)
     information: Floats
     keep: NDArray[np.intp]
     equations: Equations
@@ -164,23 +143,14 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """A linear problem, and the sums over its blocks that any weights of the channels need.
+    """A linear problem, and the sums over its blocks that any weights of the channels need."""
 
-    Attributes:
-        residual: measured minus simulated (B, C).
-        base: its derivatives by the base coordinates (B, C, K + S).
-        effect: its derivatives by the effects' coordinates (B, C, m).
-        gram: sums of products of all derivatives, the base first (C, K + S + m, K + S + m).
-        slope: sums of their products with the residual (C, K + S + m).
-        squares: sums of the residual's squares (C,).
-    """
-
-    residual: Floats
-    base: Floats
-    effect: Floats
-    gram: Floats
-    slope: Floats
-    squares: Floats
+    residual: Floats  # measured minus simulated (B, C)
+    base: Floats  # its derivatives by the base coordinates (B, C, K + S)
+    effect: Floats  # its derivatives by the effects' coordinates (B, C, m)
+    gram: Floats  # sums of products of all derivatives, the base first (C, K + S + m, K + S + m)
+    slope: Floats  # sums of their products with the residual (C, K + S + m)
+    squares: Floats  # sums of the residual's squares (C,)
 
     @classmethod
     def of(cls, residual: Floats, base: Floats, effect: Floats) -> Equations:

@@ -15,8 +15,7 @@ Floats = NDArray[np.float64]
 def in_steps(trial: Trial, longest: float) -> Trial:
     """A recording as a model in longer steps sees it: every so many-th sample, and the means of the inputs between.
 
-    Args:
-        longest: step [s]; whole blocks have a whole number of them.
+    `longest`: step [s]; whole blocks have a whole number of them.
     """
     most = max(1, round(longest / trial.dt))
     stride = max(count for count in range(1, most + 1) if trial.block % count == 0)
@@ -40,8 +39,7 @@ def in_steps(trial: Trial, longest: float) -> Trial:
 def stride_blocks(values: Floats, stride: int, count: int, size: int) -> Floats:
     """What :func:`~pam_antagonist.inference.trial.blocks` gives of the samples between as well, (count, C).
 
-    Args:
-        values: every stride-th sample (N, C).
+    `values`: every stride-th sample (N, C).
     """
     steps = size // stride
     missing = max(count * steps + 1 - len(values), 0)

@@ -93,15 +93,10 @@ def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substep
 
 @dataclass(frozen=True, eq=False)
 class ShownMotion(Motion):
-    """The motion that an encoder shows; its direction is −1 or 1, and 0 where the velocity is within its noise.
+    """The motion that an encoder shows; its direction is −1 or 1, and 0 where the velocity is within its noise."""
 
-    Attributes:
-        clear: whether a parabola fits the motion (N,).
-        noise: standard deviations (3,) of angle [rad], velocity [rad/s] and acceleration [rad/s²].
-    """
-
-    clear: NDArray[np.bool_]
-    noise: Floats
+    clear: NDArray[np.bool_]  # whether a parabola fits the motion (N,)
+    noise: Floats  # standard deviations (3,) of angle [rad], velocity [rad/s] and acceleration [rad/s²]
 
 
 def motion_of(trial: Trial) -> ShownMotion:
@@ -146,7 +141,6 @@ class MeasuredMotion(ValveDriven):
     @cached_property
     @override
     def measured(self) -> Floats:
-        """Block means of the measurements (B, C); 0 for the imbalance, NaN where the motion is not clear."""
         values = self.trial.measured[:, list(self.channels)].copy()
         values[:, self.channels.index(ANGLE)] = self.measured_samples
         return self.trial.blocks(values)
@@ -173,14 +167,12 @@ class MeasuredMotion(ValveDriven):
     @property
     @override
     def titles(self) -> tuple[Channel, ...]:
-        """The channels' names and units."""
         named = zip(self.channels, super().titles, strict=True)
         return tuple(Channel("Balance of torques", "N m", 1.0) if c == ANGLE else title for c, title in named)
 
     @property
     @override
     def free_run(self) -> Experiment:
-        """The recording with a model that runs from the first sample without the measured angle."""
         judged = tuple(other.free_run for other in self.judged)
         return ValveDriven(**{**_fields(self), "judged": judged})
 
@@ -202,8 +194,7 @@ class MeasuredMotion(ValveDriven):
     def residual_of(self, simulated: Floats) -> Floats:
         """Measured minus simulated block means (B, C), 0 where nothing was measured.
 
-        Args:
-            simulated: simulated block means (B, C).
+        `simulated`: simulated block means (B, C).
         """
         residual = super().residual_of(simulated)
         residual[:, self.channels.index(ANGLE)] *= self.weights[: len(residual)]
@@ -219,19 +210,16 @@ class MeasuredMotion(ValveDriven):
 
     @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
-        """States (N, n) and torques (N,) [N m] of the model along the motion of the whole recording."""
         states, torque, _ = self._course(self.trial, point)
         return states, torque
 
     @override
     def _shown(self, trial: Trial, point: Point) -> Floats:
-        """Simulated readings (N, 4), in the steps of a trial, with the imbalance in the angle's place."""
         states, torque, imbalance = self._course(trial, point)
         return np.column_stack([imbalance, torque, sensor.readings(states[:, 2:4], self.parameters(point))])
 
     @override
     def _made_of_each(self, trial: Trial, points: Sequence[Point], made: Callable[[Floats], Floats]) -> list[Floats]:
-        """Apply a function to :meth:`_shown` of several models."""
         return self.side_by_side(lambda point: made(self._shown(trial, point)), points)
 
     def _course(self, trial: Trial, point: Point) -> tuple[Floats, Floats, Floats]:
@@ -287,8 +275,7 @@ def sticking_share(experiment: ValveDriven) -> float:
 def torque_noise(trial: Trial, p: Floats) -> float:
     """Standard deviation [N m] of the computed torque due to the noise of the pressures' block means.
 
-    Args:
-        p: parameter vector (P,).
+    `p`: parameter vector (P,).
     """
     x = _middle(trial, p)
     moved = []

@@ -13,15 +13,10 @@ Floats = NDArray[np.float64]
 
 
 class Span(NamedTuple):
-    """When an effect acts.
+    """When an effect acts."""
 
-    Attributes:
-        begin_s: since the first sample [s].
-        end_s: likewise [s].
-    """
-
-    begin_s: float = -np.inf
-    end_s: float = np.inf
+    begin_s: float = -np.inf  # since the first sample [s]
+    end_s: float = np.inf  # likewise [s]
 
     @property
     def edges(self) -> tuple[float, ...]:
@@ -34,14 +29,10 @@ THROUGHOUT = Span()
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point in the space of models of one recording.
+    """A point in the space of models of one recording."""
 
-    Attributes:
-        theta: amounts of the free directions (K,), then the start's deviations in standard deviations (S,).
-        effects: values of the effects' parameters, and of calibrations, by dotted path.
-    """
-
-    theta: Floats
+    theta: Floats  # amounts of the free directions (K,), then the start's deviations in standard deviations (S,)
+    # values of the effects' parameters, and of calibrations, by dotted path.
     effects: Mapping[str, float] = field(default_factory=dict)
 
 

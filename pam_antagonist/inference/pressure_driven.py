@@ -46,7 +46,6 @@ class PressureDriven(Episodes):
     @cached_property
     @override
     def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions: forces, stiffness and viscous friction, as far as the data can determine them."""
         rig, middle = self.rig, self.rig.geometry.length
         forces = []
         for i in (1, 2):
@@ -70,8 +69,7 @@ class PressureDriven(Episodes):
     def candidates(self, taken: Mapping[str, float]) -> dict[str, tuple[Candidate, ...]]:
         """Effects that may be added to a model, by their names in a report; the simpler form of each first.
 
-        Args:
-            taken: values of the model's effects' parameters, by dotted path.
+        `taken`: values of the model's effects' parameters, by dotted path.
         """
         out: dict[str, tuple[Candidate, ...]] = {}
         for name, effect in CATALOGUE.items():
@@ -109,25 +107,21 @@ class PressureDriven(Episodes):
     @property
     @override
     def measured(self) -> Floats:
-        """The angle (N, 1) [rad]."""
         return self.angle[:, None]
 
     @property
     @override
     def runaway(self) -> float:
-        """Bound of the residual [rad]."""
         return 10.0
 
     @override
     def simulated(self, point: Point) -> Floats:
-        """Simulated readings of the encoder (N, 1) [rad]."""
         p = par.changed(self.rig.parameters(), {**self.values(point), **NO_REGULATORS})
         found = angles(self.first, self._start, self.time, self.pressure, self.signals, p, self.longest_step)
         return np.asarray(found)[:, None]
 
     @override
     def as_if(self, model: Point) -> PressureDriven:
-        """These episodes as simulated by a model, with the noise of the readings added."""
         rng = np.random.default_rng(0)
 
         def noisier(readings: Floats, shown: Floats) -> Floats:
@@ -139,7 +133,6 @@ class PressureDriven(Episodes):
 
     @override
     def shown(self, model: Point) -> dict[str, float]:
-        """Stiffness, viscous friction, slope of each muscle's force over pressure at the middle length, and effects."""
         values = self.values(model)
         out = {name: values[name] for name in ("joint.stiffness", "joint.viscous_friction")}
         middle = self.rig.geometry.length

@@ -34,20 +34,14 @@ _CHI_SQUARE = 3.84
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The profile of one parameter.
-
-    Attributes:
-        value: values at which it was held (K,), increasing.
-        loss: of the log posterior at these values (K,), 0 at the best.
-        flat: whether half of the size explains the recordings as well.
-    """
+    """The profile of one parameter."""
 
     name: str
     best: float
     std: float
-    value: Floats
-    loss: Floats
-    flat: bool = False
+    value: Floats  # values at which it was held (K,), increasing
+    loss: Floats  # of the log posterior at these values (K,), 0 at the best
+    flat: bool = False  # whether half of the size explains the recordings as well
 
     @property
     def parabola(self) -> Floats:
@@ -77,8 +71,7 @@ class Profile:
 def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffectParameter, jobs: int = 1) -> Profile:
     """Profile of an effect's size in one recording: at 0, at half of the best value, and near the best value.
 
-    Args:
-        parameter: a free size of the model that is not 0.
+    `parameter`: a free size of the model that is not 0.
     """
     best = fitted.point.effects[parameter.path]
     k = len(fitted.covariance) - len(fitted.free) + fitted.free.index(parameter)

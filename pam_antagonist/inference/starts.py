@@ -30,8 +30,7 @@ def best_of_starts(experiment: Experiment, fitted: Fitted, starts: int = STARTS,
     Its derivatives by the base coordinates may be those of a point nearby;
     :func:`~pam_antagonist.inference.gauss_newton.relinearised` renews them.
 
-    Args:
-        finer: whether a fit that ends at the noise of every channel may count every block.
+    `finer`: whether a fit that ends at the noise of every channel may count every block.
     """
     best = min((fitted, *_from_elsewhere(experiment, fitted, starts)), key=lambda found: found.cost)
     if finer and np.max(experiment.times_noise(best.residual)) <= MAY_BE_NOISE:

@@ -14,8 +14,7 @@ _Result = TypeVar("_Result")
 def side_by_side(work: Callable[[_Item], _Result], items: Iterable[_Item], jobs: int) -> list[_Result]:
     """Call a function for several items in parallel.
 
-    Args:
-        work: function of one item; mostly compiled code, so that threads run in parallel.
+    `work`: function of one item; mostly compiled code, so that threads run in parallel.
     """
     return list(map(work, items) if jobs == 1 else _workers(jobs).map(work, items))
 

@@ -40,40 +40,25 @@ _SLOW_S = 3e-3
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Fitted and held-out blocks of a recording, if they are not simply its first part and its end.
+    """Fitted and held-out blocks of a recording, if they are not simply its first part and its end."""
 
-    Attributes:
-        fitted: blocks that may be fitted (B,).
-        held: blocks that are held out (B,).
-    """
-
-    fitted: Mask
-    held: Mask
+    fitted: Mask  # blocks that may be fitted (B,)
+    held: Mask  # blocks that are held out (B,)
     errors_from: int
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One recording on an even grid.
-
-    Attributes:
-        joint: ``free`` or ``locked``.
-        lock_angle: angle [rad] at which a locked joint is held.
-        dt: sample period [s].
-        voltage: (N, 2) [V]; row k is held over the step that ends at sample k.
-        measured: (N, 4) in the order of ``CHANNELS``; NaN where there is no measurement.
-        external: torque from outside (N,) [N m], None where nothing was applied.
-        longest_step: longest step of the integration [s].
-    """
+    """One recording on an even grid."""
 
     name: str
-    joint: str
-    lock_angle: float
-    dt: float
-    voltage: Floats
-    measured: Floats
-    external: Floats | None = None
-    longest_step: float = LONGEST_STEP
+    joint: str  # ``free`` or ``locked``
+    lock_angle: float  # angle [rad] at which a locked joint is held
+    dt: float  # sample period [s]
+    voltage: Floats  # (N, 2) [V]; row k is held over the step that ends at sample k
+    measured: Floats  # (N, 4) in the order of ``CHANNELS``; NaN where there is no measurement
+    external: Floats | None = None  # torque from outside (N,) [N m], None where nothing was applied
+    longest_step: float = LONGEST_STEP  # longest step of the integration [s]
 
     @cached_property
     def given(self) -> Floats:
@@ -145,11 +130,8 @@ class Trial:
 def blocks(values: Floats, size: int) -> Floats:
     """Means over blocks of samples.
 
-    Args:
-        values: columns (N, C), NaN where a value is missing.
-
-    Returns:
-        (N // size, C); NaN where less than half of a block is known.
+    `values`: columns (N, C), NaN where a value is missing. Returns (N // size, C); NaN where less than half of a block
+    is known.
     """
     count = len(values) // size
     cut = values[: count * size].reshape(count, size, values.shape[1])
@@ -160,12 +142,7 @@ def blocks(values: Floats, size: int) -> Floats:
 
 
 def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:
-    """Put a recording on an even grid of its own period; :func:`check` then checks its content.
-
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: [rad].
-    """
+    """Put a recording on an even grid of its own period; :func:`check` then checks its content. `lock_angle` [rad]."""
     dt, step = recording.even_grid(rig.sample_period)
     keep = np.concatenate(([True], np.diff(step) > 0))
     step = step[keep]
@@ -258,9 +235,8 @@ def _stands(trial: Trial, series: Floats, name: str, scale: float, unit: str) ->
 def white_std(values: Floats, dt: float) -> float:
     """Standard deviation of the noise of a slow signal: that of its differences over √2.
 
-    Args:
-        values: readings of the sensor (N,), NaN where missing.
-        dt: sample period [s]; if it is long, second differences replace the first.
+    `values`: readings of the sensor (N,), NaN where missing. `dt`: sample period [s]; if it is long, second differences
+    replace the first.
     """
     if dt > _SLOW_S and np.isfinite(values).sum() > 2:
         return _smooth_noise(values)
@@ -275,8 +251,7 @@ def converter_step(values: Floats) -> float:
     Differences of neighbouring samples of a slow signal are mostly 0. So the noise estimated from them is smaller than
     the error of a reading, which includes the step.
 
-    Args:
-        values: readings of the sensor (N,), NaN where missing.
+    `values`: readings of the sensor (N,), NaN where missing.
     """
     levels, counts = np.unique(values[np.isfinite(values)], return_counts=True)
     apart = np.diff(levels[counts >= np.quantile(counts, 0.5)]) if len(levels) > 1 else np.zeros(0)
@@ -295,8 +270,7 @@ def block_noise(values: Floats, size: int) -> float:
     twentieth of the differences is left out, because jumps of the joint are not noise. If the step of a converter is
     larger than the noise, all samples of a block are rounded to the same value, and this error does not average out.
 
-    Args:
-        values: readings of the sensor (N,), NaN where missing.
+    `values`: readings of the sensor (N,), NaN where missing.
     """
     white, step = _smooth_noise(values), converter_step(values)
     averaged = white / np.sqrt(size)

@@ -59,31 +59,26 @@ class ValveDriven(Experiment):
     @cached_property
     @override
     def directions(self) -> tuple[FreeDirection, ...]:
-        """Free base directions."""
         return base_directions(self.rig)
 
     @cached_property
     @override
     def channels(self) -> tuple[int, ...]:
-        """What was measured and can show something, indices of ``CHANNELS``."""
         return tuple(c for c in range(len(CHANNELS)) if self.trial.has(c))
 
     @property
     @override
     def titles(self) -> tuple[Channel, ...]:
-        """The channels' names and units."""
         return tuple(_TITLES[c] for c in self.channels)
 
     @cached_property
     @override
     def measured(self) -> Floats:
-        """Block means of the measurements (B, C) of these channels."""
         return self.trial.blocks(self.trial.measured[:, list(self.channels)])
 
     @cached_property
     @override
     def noise(self) -> Floats:
-        """Standard deviation of a block mean by the sensor alone (C,)."""
         return np.array([self.trial.noise(c) for c in self.channels])
 
     @cached_property
@@ -94,7 +89,6 @@ class ValveDriven(Experiment):
     @cached_property
     @override
     def start_std(self) -> Floats:
-        """How well the start is known (3,) [rad, Pa, Pa]."""
         sensors = self.rig.sensors
         sample = float(np.hypot(sensors.pressure_std, sensors.pressure_step / np.sqrt(12.0)))
         known = np.hypot([_START_ANGLE, *(sample * self.first.share)], _CLOCKS_S * self.first.rate)
@@ -103,12 +97,10 @@ class ValveDriven(Experiment):
     @property
     @override
     def runs_by_itself(self) -> bool:
-        """It does: from the voltages."""
         return True
 
     @override
     def signals(self, point: Point) -> dict[str, Floats]:
-        """Voltages, pressures and, of a free joint, its motion."""
         model, voltage = (self.trial.blocks(v) for v in (self.simulated(point, whole=True), self.trial.voltage))
         out = {f"voltage {i + 1}": voltage[:, i] for i in (0, 1)}
         out |= {f"pressure {i + 1}": model[:, PRESSURE_1 + i] for i in (0, 1)}
@@ -120,8 +112,7 @@ class ValveDriven(Experiment):
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """What could be wrong beside the effects that a model has already.
 
-        Args:
-            taken: values of the model's effects' parameters, by dotted path.
+        `taken`: values of the model's effects' parameters, by dotted path.
         """
         # What a rig file says of its regulators is no candidate any more, and no effect is that it expects.
         known = {**taken, **dict.fromkeys(expected_sizes(self.rig), 0.0)}
@@ -131,12 +122,10 @@ class ValveDriven(Experiment):
 
     @override
     def calibrations(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
-        """Zeros, scales and late stamps that could be wrong, beside those that a model has already."""
         return calibration.candidates(self.trial, self.channels, taken)
 
     @override
     def start_shift(self, point: Point) -> Floats:
-        """Deviations of the start from what the sensors showed first (3,) [rad, Pa, Pa], with the encoder's zero."""
         shift = super().start_shift(point)
         zero = calibration.values_of(point.effects).get("encoder_zero", 0.0)
         return shift - np.array([zero if self.trial.joint != "locked" or self._lock_measured else 0.0, 0.0, 0.0])
@@ -147,7 +136,6 @@ class ValveDriven(Experiment):
 
     @override
     def depends_on(self, k: int) -> bool:
-        """Whether anything that is compared depends on a base coordinate."""
         if self.trial.joint != "locked":
             return True
         if k < len(self.directions):
@@ -156,13 +144,11 @@ class ValveDriven(Experiment):
 
     @override
     def simulated(self, point: Point, whole: bool = False) -> Floats:
-        """What the sensors would show (N, 4): in the part that is fitted, or in all of the recording."""
         trial = self.trial if whole else self._part
         return self._shown(trial, point)
 
     @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
-        """States (N, n) and torques (N,) [N m] of the model over all of the recording."""
         return courses(self.trial, [self._run(point)], self.first)[0]
 
     def _shown(self, trial: Trial, point: Point) -> Floats:
@@ -218,8 +204,7 @@ class ValveDriven(Experiment):
         Derivatives are most of what a fit works out, and need no steps as fine as the residual itself: theirs are
         longer wherever the model in longer steps goes the same way.
 
-        Args:
-            residual: there (B, C).
+        `residual`: there (B, C).
         """
         coarse, here = self._coarsest(point, residual)
         p = self.vector.copy()
@@ -241,7 +226,6 @@ class ValveDriven(Experiment):
 
     @override
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
-        """Measured minus simulated block means (B, C) of several models, which run side by side."""
         channels = list(self.channels)
 
         def left(shown: Floats) -> Floats:
@@ -273,8 +257,7 @@ class ValveDriven(Experiment):
     def goes_its_way(self, change: Floats) -> bool:
         """Whether longer steps change what is compared by so little that they serve for derivatives.
 
-        Args:
-            change: of the block means (B, C).
+        `change`: of the block means (B, C).
         """
         return bool(np.all(np.sqrt(np.nanmean(change**2, axis=0)) <= _ASTRAY * self.noise))
 

@@ -31,12 +31,7 @@ _UNIT_PRESSURE = 1e5
 
 @inlined
 def braided_force(base, muscle_length, pressure, p):
-    """Contraction force [N], and its derivative by the length [N/m].
-
-    Args:
-        muscle_length: l_i [m].
-        pressure: P_i [Pa].
-    """
+    """Contraction force [N], and its derivative by the length [N/m]. `muscle_length`: l_i [m]. `pressure`: P_i [Pa]."""
     contraction = 1.0 - muscle_length / p[base + NOMINAL]
     driving = p[base + AREA] * ((pressure - p[ATMOSPHERE]) / _UNIT_PRESSURE)
     beyond, steepness, rubber = contraction - p[base + REST], p[base + STEEPNESS], p[base + RUBBER]

@@ -287,8 +287,7 @@ def _asks(function: Any) -> bool:
 def source_text(effects: Mapping[str, Effect]) -> str:
     """Source of the module that composes the effects.
 
-    Args:
-        effects: by name; their parameters and states are in the parameter vector.
+    `effects`: by name; their parameters and states are in the parameter vector.
     """
     for effect in effects.values():
         for name in effect.hooks:
@@ -336,8 +335,7 @@ def remembered(what: str, generate: Callable[[], str]) -> str:
 def imported(text: str, what: str) -> ModuleType:
     """Import a text as a module. Its file is kept in the folder of the compiled kernels.
 
-    Args:
-        what: first part of the module's name; the second is a hash of the text.
+    `what`: first part of the module's name; the second is a hash of the text.
     """
     name = f"{what}_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     file = cache_dir() / f"{name}.py"

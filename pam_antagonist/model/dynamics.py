@@ -78,24 +78,14 @@ def _muscle_force(i, sine, cosine, x, p, effects):
 
 @inlined
 def forces(x, p, effects=True):
-    """Contraction forces F_1, F_2 [N] of a state.
-
-    Args:
-        x: state (n,).
-        p: parameter vector (m,).
-    """
+    """Contraction forces F_1, F_2 [N] of a state. `x`: state (n,). `p`: parameter vector (m,)."""
     sine, cosine, _ = _leverage(x[ANGLE], p)
     return _muscle_force(FIRST, sine, cosine, x, p, effects), _muscle_force(SECOND, sine, cosine, x, p, effects)
 
 
 @inlined
 def torque(x, p, effects=True):
-    """τ [N m] of a state, the last row of equation (11b).
-
-    Args:
-        x: state (n,).
-        p: parameter vector (m,).
-    """
+    """τ [N m] of a state, the last row of equation (11b). `x`: state (n,). `p`: parameter vector (m,)."""
     force_1, force_2 = forces(x, p, effects)
     _, cosine, _ = _leverage(x[ANGLE], p)
     return _muscle_torque(cosine, force_1, force_2, p)
@@ -105,9 +95,7 @@ def torque(x, p, effects=True):
 def torque_slope(x, p, effects=True):
     """Slope ∂τ/∂ψ of the torque [N m/rad], minus the stiffness, at constant pressures, from (2), (6), (7), (9).
 
-    Args:
-        x: state (n,).
-        p: parameter vector (m,).
+    `x`: state (n,). `p`: parameter vector (m,).
     """
     force_1, force_2 = forces(x, p, effects)
     sine, cosine, bend = _leverage(x[ANGLE], p)
@@ -133,8 +121,8 @@ def _stopped(angle, velocity, p):
 def _air(i, alpha, wanted, pressure, chamber, muscle_length, length_rate, supply, x, p, effects):
     """Equations (3) to (5) of one muscle.
 
-    Returns:
-        Ṗ of the chamber without cooling and with it [Pa/s], mass flow through the valve and out of the supply [kg/s].
+    Returns ṗ of the chamber without cooling and with it [Pa/s], mass flow through the valve and out of the supply
+    [kg/s].
     """
     volume, volume_slope = _volume(i, muscle_length, p)
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
@@ -159,9 +147,7 @@ def _motion(angle, velocity, sine, cosine, force_1, force_2, chamber_1, chamber_
 def sliding_friction(x, direction, p):
     """Friction torque [N m] of a sliding joint, equation (10).
 
-    Args:
-        x: state (n,), of which angle, velocity and pressures count.
-        direction: of the motion, −1 to 1.
+    `x`: state (n,), of which angle, velocity and pressures count. `direction`: of the motion, −1 to 1.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
     force_1, force_2 = forces(x, p)
@@ -226,11 +212,7 @@ def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, 
 
 @inlined
 def external_torque(u):
-    """External torque [N m] of an input that has one.
-
-    Args:
-        u: as for :func:`derivative`.
-    """
+    """External torque [N m] of an input that has one. `u`: as for :func:`derivative`."""
     return u[2] if u.shape[0] > 2 else 0.0
 
 
@@ -302,9 +284,7 @@ def subsystem(x, p, effects=True):
     σ = 1 + 6 a + 2 b + c with the flow regimes a, b of muscles 1 and 2 (0: only the inflow choked,
     1: both, 2: only the outflow) and c = 1 where the joint slides.
 
-    Args:
-        x: state (n,).
-        effects: as for :func:`forces`.
+    `x`: state (n,). `effects`: as for :func:`forces`.
     """
     slides = 0.0
     if p[LOCKED] == 0.0:

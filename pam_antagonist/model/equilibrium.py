@@ -26,8 +26,7 @@ _LARGEST_WITHOUT_STOP = math.pi / 3.0
 def largest_angle(p):
     """Largest angle at which a joint may rest, to both sides [rad]: its stop, or 60° without one.
 
-    Args:
-        p: parameter vector (m,).
+    `p`: parameter vector (m,).
     """
     return p[STOP] if p[STOP] < math.inf else _LARGEST_WITHOUT_STOP
 
@@ -36,8 +35,7 @@ def largest_angle(p):
 def pull(x, p, effects=True):
     """Torque [N m] on a joint at rest, without friction and without a torque from outside.
 
-    Args:
-        x: state (n,), of which angle and pressures count.
+    `x`: state (n,), of which angle and pressures count.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
     load = 0.0 if effects is None else _joint_torque(0.0, x[ANGLE], 0.0, sine, x, p)

@@ -76,9 +76,7 @@ def openings(alpha, overlap):
     are shut in the middle only. A larger c has a range of open rates at which no air passes (overlap), a smaller one
     a range at which both orifices are open (underlap).
 
-    Args:
-        alpha: open rate α [-].
-        overlap: c [-].
+    `alpha`: open rate α [-]. `overlap`: c [-].
     """
     if overlap == 0.0:
         return alpha, 1.0 - alpha
@@ -176,9 +174,7 @@ def _lapped_open_rate(flow, most, least, inflow, outflow, overlap):
 def voltage_for(valve, alpha, p):
     """Voltage [V] of an open rate, the inverse of κ; beyond the curve, the voltage of its nearest end.
 
-    Args:
-        valve: 0 or 1.
-        alpha: open rate α [-].
+    `valve`: 0 or 1. `alpha`: open rate α [-].
     """
     along, across = curve_shift(valve, p)
     wanted = alpha - across

@@ -26,9 +26,7 @@ _slopes, _rows, _torque, _subsystem = dynamics.slopes, dynamics.rows, dynamics.t
 def apply_stop(x, p):
     """The mechanical stop, an inelastic impact: the angle is held at ±``joint.stop``, the velocity into it is lost.
 
-    Args:
-        x: state (n,), changed in place.
-        p: parameter vector (m,).
+    `x`: state (n,), changed in place. `p`: parameter vector (m,).
     """
     stop = p[STOP]
     if x[ANGLE] >= stop:
@@ -139,9 +137,7 @@ def rk4_step(x, u, p, dt, result, effects=True):
 def substeps_of(period: float, longest: float = LONGEST_STEP) -> int:
     """Number of Runge-Kutta steps in a sample.
 
-    Args:
-        period: sample period [s].
-        longest: longest step [s]; a tenth more is allowed.
+    `period`: sample period [s]. `longest`: longest step [s]; a tenth more is allowed.
     """
     return max(1, math.ceil(period / longest - 0.1))
 

@@ -28,11 +28,8 @@ def width(features: str) -> tuple[int, int]:
 
     With AVX2, eight numbers need two registers: they take as long a number as four, and fill up more rarely.
 
-    Args:
-        features: what the processor can do, in LLVM's words, separated by commas.
-
-    Returns:
-        Both, as measured. With SSE2 alone, a step in lanes is never faster.
+    `features`: what the processor can do, in LLVM's words, separated by commas. Returns both, as measured. With SSE2
+    alone, a step in lanes is never faster.
     """
     each = features.split(",")
     if "+avx512f" in each:
@@ -323,11 +320,7 @@ def put(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def shared(typingctx: Any, array: Any, index: Any) -> Any:
-    """An entry of an array of lanes that is the same in all of them, as a number.
-
-    Args:
-        array: (n, LANES).
-    """
+    """An entry of an array of lanes that is the same in all of them, as a number. `array`: (n, LANES)."""
     if not isinstance(array, types.Array) or array.layout != "C" or array.ndim != 2:
         return None
 

@@ -54,8 +54,7 @@ def courses(
 def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
     """Parameters of several models that run side by side (P, LANES). All take the branches that any of them needs.
 
-    Args:
-        vectors: parameter vector (P,) of each.
+    `vectors`: parameter vector (P,) of each.
     """
     p = np.stack(vectors, axis=1)
     p[par.PLAIN], p[par.STATELESS_EFFECTS] = p[par.PLAIN].min(), p[par.STATELESS_EFFECTS].max()
@@ -65,13 +64,9 @@ def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
 def step(plain: bool) -> Any:
     """The Runge-Kutta step of several models, compiled; None where single steps are faster or lanes cannot be compiled.
 
-    Args:
-        plain: whether all models are known to be plain: much less is compiled then.
-
-    Returns:
-        :func:`~pam_antagonist.model.integration.plain_step` or
-        :func:`~pam_antagonist.model.integration.rk4_step_within`, for states (n, LANES), parameters (P, LANES) and
-        scratch (STAGES + 1, n, LANES).
+    `plain`: whether all models are known to be plain: much less is compiled then. Returns
+    :func:`~pam_antagonist.model.integration.plain_step` or :func:`~pam_antagonist.model.integration.rk4_step_within`,
+    for states (n, LANES), parameters (P, LANES) and scratch (STAGES + 1, n, LANES).
     """
     if FEWEST > LANES:
         return None
@@ -87,8 +82,7 @@ def step(plain: bool) -> Any:
 def groups(models: Sequence[Sequence[np.ndarray]]) -> list[list[int]]:
     """Groups of models that can run side by side, as indices; at most LANES in a group.
 
-    Args:
-        models: parameter vectors (P,) of each model, one for each of its phases.
+    `models`: parameter vectors (P,) of each model, one for each of its phases.
     """
     by_structure: dict[tuple[bytes, ...], list[int]] = {}
     for k, vectors in enumerate(models):

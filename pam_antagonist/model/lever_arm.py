@@ -23,11 +23,7 @@ from pam_antagonist.model.parameters import CAM_1, CAM_2, PULLEY
 def leverage(angle, p):
     """Travel of the muscles' ends over r, with its first derivative (the lever arm over r) and its second.
 
-    Args:
-        angle: ψ [rad].
-
-    Returns:
-        s, s', s''. Without a cam: sin ψ, cos ψ, −sin ψ for a lever; ψ, 1, 0 for a pulley.
+    `angle`: ψ [rad]. Returns s, s', s''. Without a cam: sin ψ, cos ψ, −sin ψ for a lever; ψ, 1, 0 for a pulley.
     """
     if p[PULLEY] != 0.0:
         travel, arm, bend = angle, 1.0, 0.0

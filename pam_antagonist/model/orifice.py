@@ -16,9 +16,7 @@ def orifice_flow(upstream, downstream, p):
     (a chamber above the tank's or below the atmosphere's pressure, which the paper leaves out) the flow
     reverses by the same law.
 
-    Args:
-        upstream: absolute pressure before the orifice [Pa].
-        downstream: absolute pressure behind it [Pa].
+    `upstream`: absolute pressure before the orifice [Pa]. `downstream`: absolute pressure behind it [Pa].
     """
     sign = 1.0
     if downstream > upstream:

@@ -166,8 +166,7 @@ def refresh(p: np.ndarray) -> np.ndarray:
 
     These are the constants of equation (5) that do not depend on a pressure, and the states that the effects add.
 
-    Args:
-        p: parameter vector (SIZE,), changed in place.
+    `p`: parameter vector (SIZE,), changed in place.
     """
     k, gas, root_t = p[HEAT_RATIO], p[GAS_CONSTANT], np.sqrt(p[TEMPERATURE])
     p[CRITICAL_RATIO] = (2.0 / (k + 1.0)) ** (k / (k - 1.0))
@@ -222,11 +221,7 @@ def set_curve(p: np.ndarray, valve: int, voltage: np.ndarray, open_rate: np.ndar
 def changed(p: np.ndarray, changes: Mapping[str, float]) -> np.ndarray:
     """A copy of the vector with some named values set.
 
-    Args:
-        p: parameter vector (SIZE,).
-
-    Returns:
-        The new vector (SIZE,), refreshed.
+    `p`: parameter vector (SIZE,). Returns the new vector (SIZE,), refreshed.
     """
     result = p.copy()
     for name, value in changes.items():

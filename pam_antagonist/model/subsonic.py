@@ -21,11 +21,7 @@ TERMS = 16
 
 @lru_cache(maxsize=64)
 def series(heat_ratio: float) -> tuple[float, ...]:
-    """Coefficients of h by powers of s, the constant first (TERMS).
-
-    Args:
-        heat_ratio: k [-], above 1.
-    """
+    """Coefficients of h by powers of s, the constant first (TERMS). `heat_ratio`: k [-], above 1."""
     k = heat_ratio
     widest = 1.0 - (2.0 / (k + 1.0)) ** (k / (k - 1.0))
     s = 0.5 * widest * (chebpts1(TERMS) + 1.0)

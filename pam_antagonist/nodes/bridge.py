@@ -153,11 +153,7 @@ def _unchanged(command: tuple[float, float]) -> tuple[float, float]:
 
 
 class _SharedPort(ValvePort):
-    """A valve port that two threads use: the device's and the executor's.
-
-    Args:
-        others: as :class:`ValvePort`.
-    """
+    """A valve port that two threads use: the device's and the executor's. `others`: as :class:`ValvePort`."""
 
     def __init__(self, lock: threading.RLock, *others: Any) -> None:
         self._lock = lock
@@ -170,7 +166,6 @@ class _SharedPort(ValvePort):
 
     @override
     def stop(self, reason: str) -> None:
-        """As :class:`ValvePort`, from any thread."""
         with self._lock:
             super().stop(reason)
 
@@ -182,9 +177,7 @@ class BridgeNode(PamNode):
     them. A command goes to the device at once. Without a command, the guard's voltages are sent every period, so that
     the device's watchdog acts only when this process fails.
 
-    Args:
-        device: makes the device; None: a device at the serial port of the parameters.
-        options: as :class:`PamNode`.
+    `device`: makes the device; None: a device at the serial port of the parameters. `options`: as :class:`PamNode`.
     """
 
     def __init__(self, device: Callable[[], Device] | None = None, **options: Any) -> None:
@@ -198,7 +191,6 @@ class BridgeNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Make everything except the connection to the device."""
         values = self.values
         if self.get_parameter("use_sim_time").value:
             raise BadInput(
@@ -243,20 +235,17 @@ class BridgeNode(PamNode):
 
     @override
     def activate(self) -> None:
-        """Open the device and take commands."""
         self.port.listen()
         self._link.start()
 
     @override
     def deactivate(self) -> None:
-        """Close the device, which then applies its safe voltages."""
         with self._lock:
             self.port.rest()
         self._link.stop()
 
     @override
     def close(self) -> None:
-        """Close the device in any state."""
         link = getattr(self, "_link", None)
         if link is not None:
             link.stop()
@@ -311,7 +300,6 @@ class BridgeNode(PamNode):
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Health of the device and of its clock."""
         self._link.check()
         self._log_trouble(self._link.trouble)
         with self._lock:
@@ -332,8 +320,7 @@ class BridgeNode(PamNode):
 class JointOutput:
     """Publishes ``measured/joint_states`` with the available channels, and ``angle_sensor`` if wanted.
 
-    Args:
-        angle_sensor: ``encoder`` publishes the angle as ``angle_sensor`` as well.
+    `angle_sensor`: ``encoder`` publishes the angle as ``angle_sensor`` as well.
     """
 
     def __init__(self, node: PamNode, name: str, frame_id: str, angle_sensor: str) -> None:
@@ -363,7 +350,6 @@ class JointOutput:
 def main(argv: list[str] | None = None, device: Callable[[], Device] | None = None) -> int:
     """Run the node; see ``bridge --help``.
 
-    Args:
-        device: makes the device; default: a device at the serial port of the parameters.
+    `device`: makes the device; default: a device at the serial port of the parameters.
     """
     return run_node(partial(BridgeNode, device), argv, name="bridge", description=DESCRIPTION, table=PARAMETERS)

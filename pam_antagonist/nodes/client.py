@@ -42,8 +42,7 @@ class PipelineClient:
     Use it as a context manager. Inside, SIGINT and SIGTERM raise a ``KeyboardInterrupt`` in the next method call, or at
     the end. Raised during a call into rclpy, it would be replaced by another exception.
 
-    Args:
-        published: logical name, message type and quality of service of the published topic.
+    `published`: logical name, message type and quality of service of the published topic.
     """
 
     def __init__(
@@ -114,8 +113,7 @@ class PipelineClient:
 class VoltageClient(PipelineClient):
     """Commands valve voltages, or pressures of regulators, in a pipeline that has no controller.
 
-    Args:
-        drive: of the joint's rig: ``valve`` or ``regulator``.
+    `drive`: of the joint's rig: ``valve`` or ``regulator``.
     """
 
     def __init__(
@@ -135,10 +133,7 @@ class VoltageClient(PipelineClient):
     ) -> None:
         """Command a profile in real time.
 
-        Args:
-            voltage: (N, 2) [V], one row for each period.
-            period: [s].
-            progress: called with the time since the start [s].
+        `voltage`: (N, 2) [V], one row for each period. `progress`: called with the time since the start [s].
         """
         start, reported = time.monotonic(), 0.0
         while (elapsed := time.monotonic() - start) < len(voltage) * period:
@@ -153,9 +148,8 @@ class VoltageClient(PipelineClient):
 class ReferenceClient(PipelineClient):
     """Reads estimate, measurement and commands, and publishes references.
 
-    Args:
-        listening: False: only publish, so that the pipeline does not deliver messages to this node.
-        drive: of the joint's rig: ``valve`` or ``regulator``.
+    `listening`: False: only publish, so that the pipeline does not deliver messages to this node. `drive`: of the
+    joint's rig: ``valve`` or ``regulator``.
     """
 
     def __init__(self, namespace: str = DEFAULT_NAMESPACE, listening: bool = True, drive: str = "valve") -> None:
@@ -184,11 +178,7 @@ class ReferenceClient(PipelineClient):
         return bool(self._plant.service_is_ready())
 
     def push(self, torque: float) -> None:
-        """Push the simulated joint until the next call.
-
-        Args:
-            torque: about +z [N m].
-        """
+        """Push the simulated joint until the next call. `torque`: about +z [N m]."""
         self._check()
         self._plant.call_async(SetParameters.Request(parameters=[Parameter("push", value=torque).to_parameter_msg()]))
 
@@ -237,11 +227,7 @@ class Announcer:
         rclpy.shutdown(context=self._node.context)
 
     def say(self, text: str, seconds: float | None = None) -> None:
-        """Begin a step of the command.
-
-        Args:
-            seconds: its duration [s]; None: not known.
-        """
+        """Begin a step of the command. `seconds`: its duration [s]; None: not known."""
         self._said = text, time.monotonic(), seconds
 
     def _go_on(self) -> None:
@@ -265,8 +251,7 @@ _PRESSURES = ("pressure_1", "pressure_2")
 class DriveClient(VoltageClient):
     """Commands valves or regulators in a pipeline without a controller, and watches the sensors.
 
-    Args:
-        drive: as of :class:`VoltageClient`.
+    `drive`: as of :class:`VoltageClient`.
     """
 
     def __init__(self, namespace: str = DEFAULT_NAMESPACE, drive: str = "valve") -> None:
@@ -279,7 +264,6 @@ class DriveClient(VoltageClient):
 
     @override
     def missing(self) -> str:
-        """Topics without messages or subscribers, in words; an encoder is not required."""
         return ", ".join(part for part in super().missing().split(", ") if "joint_states" not in part)
 
     def seen(self) -> tuple[Floats, float]:

@@ -55,16 +55,12 @@ _CHECKS = 4  # checks of the estimates' time-out and of the valves, within ``max
 class ControllerNode(PamNode):
     """Sends one command for each estimate; safe voltages without a valid estimate or reference.
 
-    Args:
-        linked: whether the estimator is in the same process and calls :meth:`estimate`; then the node does not
-            subscribe to ``joint_estimate``.
-        options: as :class:`PamNode`.
-
-    Attributes:
-        deliver: called with each command: stamp [ns], voltages (2,) [V]; None: not called.
+    `linked`: whether the estimator is in the same process and calls :meth:`estimate`; then the node does not subscribe
+    to ``joint_estimate``. `options`: as :class:`PamNode`.
     """
 
     stopped = ""
+    # called with each command: stamp [ns], voltages (2,) [V]; None: not called.
     deliver: Callable[[int, tuple[float, float]], None] | None = None
 
     def __init__(self, *, linked: bool = False, **options: Any) -> None:
@@ -73,7 +69,6 @@ class ControllerNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Make the laws, the supervision and the publishers."""
         values = self.values
         COMPILING.tell = self.get_logger().info
         self._rig = rig = load_rig(values["rig"], regulators=True)
@@ -118,12 +113,10 @@ class ControllerNode(PamNode):
 
     @override
     def cleanup(self) -> None:
-        """Stop accepting parameter changes."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     @override
     def activate(self) -> None:
-        """Subscribe and start the supervision; earlier references are forgotten."""
         self._heard_ns = None
         self._laws.stop()
         self._supervision.reset()
@@ -136,13 +129,11 @@ class ControllerNode(PamNode):
 
     @override
     def deactivate(self) -> None:
-        """Send the safe voltages once, then be silent."""
         if self._enabled:
             self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
 
     @override
     def close(self) -> None:
-        """Deactivate at the end."""
         if self.active:
             self.deactivate()
 
@@ -211,9 +202,7 @@ class ControllerNode(PamNode):
     def estimate(self, stamp: int, *values: float) -> None:
         """Send the command for an estimate.
 
-        Args:
-            stamp: of the sample [ns].
-            values: as in ``wire.ESTIMATE_FOR_CONTROL``.
+        `stamp`: of the sample [ns]. `values`: as in ``wire.ESTIMATE_FOR_CONTROL``.
         """
         if not self.active:
             return
@@ -307,7 +296,6 @@ class ControllerNode(PamNode):
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Health of the control loop: rate, losses and states since the last report."""
         rate = self._rate.take(self._commands, steady_ns)
         statuses, self._statuses = self._statuses, dict.fromkeys(Status, 0)
         safe = sum(count for status, count in statuses.items() if status.safe)

@@ -100,16 +100,11 @@ _TUNING = next(parameter for parameter in PARAMETERS if parameter.name == "tunin
 class EstimatorNode(PamNode):
     """Pairs the messages of a sample, steps the filter and publishes one estimate for each sample, in order.
 
-    Args:
-        linked: whether the plant is in the same process and calls :meth:`sample`; then the node does not subscribe to
-            the samples' topics.
-        options: as :class:`PamNode`.
-
-    Attributes:
-        deliver: called with each estimate: stamp [ns], and the values of ``wire.ESTIMATE_FOR_CONTROL``; None: not
-            called.
+    `linked`: whether the plant is in the same process and calls :meth:`sample`; then the node does not subscribe to the
+    samples' topics. `options`: as :class:`PamNode`.
     """
 
+    # called with each estimate: stamp [ns], and the values of ``wire.ESTIMATE_FOR_CONTROL``; None: not called.
     deliver: Callable[..., None] | None = None
 
     def __init__(self, *, linked: bool = False, **options: Any) -> None:
@@ -118,7 +113,6 @@ class EstimatorNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Make the filter, which waits for its first sample, and the publishers."""
         values = self.values
         COMPILING.tell = self.get_logger().info
         self._rig = rig = load_rig(values["rig"], regulators=True)
@@ -158,12 +152,10 @@ class EstimatorNode(PamNode):
 
     @override
     def cleanup(self) -> None:
-        """Stop accepting parameter changes."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     @override
     def activate(self) -> None:
-        """Reset the filter and subscribe."""
         self._estimator.reset()
         self._pairing.reset()
         self._last = None
@@ -314,7 +306,6 @@ class EstimatorNode(PamNode):
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Health of the estimate: rate, losses and pairing since the last report."""
         rate = self._rate.take(self._published, steady_ns)
         pairing, counts = self._pairing.counts, self._estimator.counts
         counts_before, incomplete_before, jumps_before = self._before

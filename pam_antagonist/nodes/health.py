@@ -46,15 +46,11 @@ class Health:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, 99th percentile and maximum of some values; NaN without values.
-
-    Attributes:
-        p99: 99th percentile.
-    """
+    """Median, 99th percentile and maximum of some values; NaN without values."""
 
     count: int
     median: float
-    p99: float
+    p99: float  # 99th percentile
     largest: float
 
     def as_values(self, name: str, unit: str, scale: float = 1.0) -> dict[str, str]:
@@ -96,11 +92,7 @@ class Rate:
         self._since: int | None = None
 
     def take(self, count: int, now_ns: int) -> float:
-        """Rate [1/s] since the last call; NaN at the first.
-
-        Args:
-            now_ns: steady time [ns].
-        """
+        """Rate [1/s] since the last call; NaN at the first. `now_ns`: steady time [ns]."""
         if self._since is None or now_ns <= self._since:
             rate = math.nan
         else:
@@ -148,8 +140,7 @@ QOS_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidQoSProfileExc
 def overridable(topic: str, profile: Any, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     """A copied profile and rclpy's options for a topic whose quality of service a user may change.
 
-    Args:
-        topic: name of the topic; ``/diagnostics`` and the topics of ROS itself cannot be changed.
+    `topic`: name of the topic; ``/diagnostics`` and the topics of ROS itself cannot be changed.
     """
     if topic in _FIXED or not isinstance(profile, QoSProfile):
         return profile, options

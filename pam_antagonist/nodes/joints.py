@@ -67,15 +67,10 @@ _KNOWN = tuple({parameter.name for table in _TABLES for parameter in table})
 
 
 class Joint(NamedTuple):
-    """The nodes of one joint.
+    """The nodes of one joint."""
 
-    Attributes:
-        namespace: absolute, such as ``/left/elbow``.
-        source: the node that owns the valves; None if it runs elsewhere.
-    """
-
-    namespace: str
-    source: PlantNode | bridge.BridgeNode | None
+    namespace: str  # absolute, such as ``/left/elbow``
+    source: PlantNode | bridge.BridgeNode | None  # the node that owns the valves; None if it runs elsewhere
     estimator: EstimatorNode
     controller: ControllerNode
 
@@ -91,9 +86,7 @@ def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
 
     Add all of them to one single-threaded executor: each node calls the next one in its own callback.
 
-    Args:
-        source: ``plant``, ``bridge`` or ``none``.
-        options: as :class:`PamNode`, for each of the nodes.
+    `source`: ``plant``, ``bridge`` or ``none``. `options`: as :class:`PamNode`, for each of the nodes.
     """
     # The service that describes message types takes 0.2 MB in each node, and the node ``joints`` has it already.
     overrides = [Override(_TYPES, value=False), *options.pop("parameter_overrides", ())]
@@ -115,8 +108,7 @@ def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
 class JointsNode(PamNode):
     """Makes the joints, reports their health, and can stop all of them.
 
-    Args:
-        options: as :class:`PamNode`, for this node and for those of the joints.
+    `options`: as :class:`PamNode`, for this node and for those of the joints.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -131,7 +123,6 @@ class JointsNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Start the report of the joints' health."""
         self.start_diagnostics("robot")
 
     def _make(self, options: Mapping[str, Any]) -> None:
@@ -178,7 +169,6 @@ class JointsNode(PamNode):
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Part ``joints``: which joints are stopped or not active."""
         states = {joint.namespace: _state(joint) for joint in self.joints}
         stopped = [name for name, words in states.items() if words.startswith("stopped")]
         if stopped:

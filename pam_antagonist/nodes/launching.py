@@ -19,8 +19,7 @@ def refuse_unknown(file: str, given: Sequence[str], known: Sequence[str]) -> Non
 
     An included launch file is not checked, because the arguments belong to the including file.
 
-    Args:
-        given: arguments, such as ``rig:=my_rig``.
+    `given`: arguments, such as ``rig:=my_rig``.
     """
     if file not in {Path(word).name for word in sys.argv[1:]}:
         return

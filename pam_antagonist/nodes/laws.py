@@ -228,11 +228,7 @@ def model_gains(values: Mapping[str, Any]) -> ModelGains:
 
 
 def make_laws(values: Mapping[str, Any], rig: Rig, limits: VoltageLimits, safe_voltage: tuple[float, float]) -> Laws:
-    """Both laws of a rig.
-
-    Args:
-        safe_voltage: (2,) [V].
-    """
+    """Both laws of a rig. `safe_voltage`: (2,) [V]."""
     period, resume, blend = rig.sample_period, values["resume_time"], values["blend_time"]
     pi = None
     if rig.drive == "valve":

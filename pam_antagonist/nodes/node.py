@@ -32,16 +32,11 @@ _EARLY = 500_000  # [ns] by which a call may come early; otherwise it would come
 
 @dataclass(eq=False)
 class Entry:
-    """One timer.
+    """One timer."""
 
-    Attributes:
-        period_ns: time between two calls [ns].
-        next_ns: steady time of the next call [ns].
-    """
-
-    period_ns: int
+    period_ns: int  # time between two calls [ns]
     callback: Callable[[], object]
-    next_ns: int
+    next_ns: int  # steady time of the next call [ns]
 
 
 class SharedTimers:
@@ -65,11 +60,7 @@ class SharedTimers:
         self._entries: list[Entry] = []
 
     def add(self, period: float, callback: Callable[[], object]) -> Entry:
-        """Add a timer.
-
-        Args:
-            period: time between two calls [s].
-        """
+        """Add a timer. `period`: time between two calls [s]."""
         period_ns = round(period * 1e9)
         entry = Entry(period_ns, callback, self._clock() + period_ns)
         self._entries = [*self._entries, entry]
@@ -157,7 +148,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     finished = False
     active = False
-    members: Sequence[PamNode] = ()
+    members: Sequence[PamNode] = ()  # nodes in the same executor that start and end with this one
 
     def __init__(
         self,

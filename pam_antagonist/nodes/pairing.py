@@ -25,23 +25,14 @@ _LIMIT = 5000  # largest number of waiting samples; only invalid stamps lead to 
 
 
 class Sample(NamedTuple):
-    """One sample; NaN where a value is missing.
+    """One sample; NaN where a value is missing."""
 
-    Attributes:
-        stamp_ns: time of the sample [ns].
-        pressure_1: absolute [Pa].
-        pressure_2: absolute [Pa].
-        voltage_1: on valve 1 over the sample that ends at the stamp [V].
-        voltage_2: on valve 2 [V].
-        angle: as the encoder reads it [rad].
-    """
-
-    stamp_ns: int
-    pressure_1: float
-    pressure_2: float
-    voltage_1: float
-    voltage_2: float
-    angle: float = math.nan
+    stamp_ns: int  # time of the sample [ns]
+    pressure_1: float  # absolute [Pa]
+    pressure_2: float  # absolute [Pa]
+    voltage_1: float  # on valve 1 over the sample that ends at the stamp [V]
+    voltage_2: float  # on valve 2 [V]
+    angle: float = math.nan  # as the encoder reads it [rad]
 
 
 @dataclass

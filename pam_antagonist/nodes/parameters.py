@@ -27,23 +27,18 @@ _ROS_PREFIXES = ("qos_overrides.", "diagnostic_updater.")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter.
+    """One parameter."""
 
-    Attributes:
-        name: as in ``-p name:=value``.
-        low: lowest value, also of each element of a list; None: no bound.
-        left: value by which a parameter is left to the rig file (:func:`by_rig`), beside the range; None: none.
-    """
-
-    name: str
+    name: str  # as in ``-p name:=value``
     default: Value
     description: str
-    low: float | None = None
+    low: float | None = None  # lowest value, also of each element of a list; None: no bound
     high: float | None = None
     length: int = 2
     choices: tuple[str, ...] = ()
     solid: bool = False
     read_only: bool = True
+    # value by which a parameter is left to the rig file (:func:`by_rig`), beside the range; None: none.
     left: float | None = None
 
     @property
@@ -63,11 +58,7 @@ class Parameter:
         return text
 
     def check(self, value: Any) -> Value:
-        """The value in this parameter's type.
-
-        Raises:
-            BadInput: wrong type or out of range.
-        """
+        """The value in this parameter's type."""
         kind = type(self.default)
         if kind is float and type(value) is int:
             value = float(value)
@@ -243,11 +234,7 @@ def by_rig(values: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
 
 
 def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
-    """Refuse a rig with valves without measured pressures.
-
-    Args:
-        pressure_sensors: one of ``PRESSURE_SENSORS``.
-    """
+    """Refuse a rig with valves without measured pressures. `pressure_sensors`: one of ``PRESSURE_SENSORS``."""
     if pressure_sensors == "none" and rig.drive == "valve":
         raise BadInput(
             f"pressure_sensors is none, but rig {rig.name} has valves, whose voltages do not determine the pressures; "
@@ -264,8 +251,7 @@ DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two mess
 def declare(node: Node, table: Sequence[Parameter], known_elsewhere: Sequence[str] = ()) -> dict[str, Any]:
     """Declare the parameters of a table and return their values.
 
-    Args:
-        known_elsewhere: names of other nodes' parameters, which a shared parameter file may set.
+    `known_elsewhere`: names of other nodes' parameters, which a shared parameter file may set.
     """
     # rclpy gives overrides only to declarations, so that a misspelled name would be silently ignored.
     given = dict(getattr(node, "_parameter_overrides", {}))

@@ -109,16 +109,12 @@ class PlantNode(PamNode):
     Sample k is stamped start + k T, without drift, and is published when the clock reaches this time. After a stall all
     missed samples are published, as by a device that runs independently.
 
-    Args:
-        linked: whether the controller is in the same process and calls :meth:`command`; then the node does not
-            subscribe to ``valve_command``.
-        options: as :class:`PamNode`.
-
-    Attributes:
-        deliver: called with each sample: stamp [ns], two pressures [Pa], two voltages [V], and the encoder's
-            angle [rad], NaN where none is published; None: not called.
+    `linked`: whether the controller is in the same process and calls :meth:`command`; then the node does not subscribe
+    to ``valve_command``. `options`: as :class:`PamNode`.
     """
 
+    # called with each sample: stamp [ns], two pressures [Pa], two voltages [V], and the encoder's angle [rad], NaN
+    # where none is published; None: not called.
     deliver: Callable[[int, float, float, float, float, float], None] | None = None
 
     def __init__(self, *, linked: bool = False, **options: Any) -> None:
@@ -127,7 +123,6 @@ class PlantNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Make a joint at rest."""
         values = self.values
         COMPILING.tell = self.get_logger().info
         rig = load_rig(values["rig"], regulators=True)
@@ -181,7 +176,6 @@ class PlantNode(PamNode):
 
     @override
     def cleanup(self) -> None:
-        """Stop accepting parameter changes."""
         self.remove_on_set_parameters_callback(self._on_parameters)
 
     def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
@@ -197,12 +191,10 @@ class PlantNode(PamNode):
 
     @override
     def activate(self) -> None:
-        """Take commands and publish samples."""
         self.port.listen()
 
     @override
     def deactivate(self) -> None:
-        """Apply safe voltages and be silent; the simulated time goes on."""
         self.port.rest()
 
     def _tick(self) -> None:
@@ -268,15 +260,12 @@ class PlantNode(PamNode):
     def command(self, stamp_ns: int, voltage: tuple[float, float]) -> None:
         """Take a command of the controller in the same process.
 
-        Args:
-            stamp_ns: of the command's sample [ns].
-            voltage: command (2,) [V].
+        `stamp_ns`: of the command's sample [ns]. `voltage`: command (2,) [V].
         """
         self.port.command(stamp_ns, voltage, self.now_ns() if self._now is None else self._now)
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Health of the simulation: rate and lateness since the last report."""
         lateness = self._lateness.take()
         rate = self._rate.take(self._samples, steady_ns)
         jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps

@@ -80,11 +80,7 @@ def _unused(port: int) -> bool:
 
 
 def ros_arguments(parameters: Mapping[str, object], remappings: Mapping[str, str]) -> list[str]:
-    """Command line for a node.
-
-    Args:
-        remappings: from -> to, such as ``__ns`` -> ``/pam``.
-    """
+    """Command line for a node. `remappings`: from -> to, such as ``__ns`` -> ``/pam``."""
     arguments = ["--ros-args"]
     for name, value in parameters.items():
         arguments += ["-p", f"{name}:={_yaml(value)}"]
@@ -111,8 +107,7 @@ class Processes:
     of their own, so that only the caller gets Ctrl-C, and they end when the caller is killed. If permitted, they run
     under the real-time scheduler.
 
-    Args:
-        logs: existing folder for the log files, one for each process.
+    `logs`: existing folder for the log files, one for each process.
     """
 
     def __init__(self, logs: Path) -> None:
@@ -134,11 +129,7 @@ class Processes:
         environment: Mapping[str, str] | None = None,
         module: str = "pam_antagonist",
     ) -> Process:
-        """Start an executable.
-
-        Args:
-            name: of the executable, such as ``plant``; the first argument of the module.
-        """
+        """Start an executable. `name`: of the executable, such as ``plant``; the first argument of the module."""
         log = self._logs / f"{name}.log"
         priority = _RECORDER_PRIORITY if name == "record" else _PRIORITY
         ours = {PARENT_VARIABLE: str(os.getpid()), PRIORITY_VARIABLE: str(priority)}
@@ -156,11 +147,7 @@ class Processes:
         return process
 
     def check(self) -> None:
-        """Make sure that all processes run.
-
-        Raises:
-            ProcessFailed: a process has ended.
-        """
+        """Make sure that all processes run."""
         for process in self.running.values():
             if process.popen.poll() is not None:
                 status = process.popen.returncode
@@ -183,8 +170,7 @@ class Processes:
     def stop(self, *names: str) -> dict[str, int]:
         """End processes one after the other and wait for each; kill those that do not end.
 
-        Args:
-            names: processes to end, in this order; none: all, in the order of their start.
+        `names`: processes to end, in this order; none: all, in the order of their start.
         """
         statuses = {}
         for name in names or tuple(self.running):

@@ -57,14 +57,10 @@ _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 @dataclass(frozen=True)
 class Options:
-    """Options of ``record``.
-
-    Attributes:
-        duration: of the recording [s]; None: until it is stopped.
-    """
+    """Options of ``record``."""
 
     out: Path
-    duration: float | None
+    duration: float | None  # of the recording [s]; None: until it is stopped
     limits: Limits = field(default_factory=Limits)
     namespaces: tuple[str, ...] = ()
 
@@ -119,8 +115,7 @@ class RecorderNode(PamNode):
     The node empties the middleware's queues fifty times a second. A callback for each of 7000 messages a second would
     take twice the processor time. The times of reception come from the middleware and stay exact.
 
-    Args:
-        node_options: as :class:`PamNode`.
+    `node_options`: as :class:`PamNode`.
     """
 
     def __init__(self, options: Options, **node_options: Any) -> None:
@@ -141,7 +136,6 @@ class RecorderNode(PamNode):
 
     @override
     def configure(self) -> None:
-        """Make the bag."""
         self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
         self._ended = False
         for name, topic in self._wanted():
@@ -162,7 +156,6 @@ class RecorderNode(PamNode):
 
     @override
     def activate(self) -> None:
-        """Subscribe to all topics."""
         for name, topic in self._wanted():
             profile = qos.LATCHED if topic.name in _KEPT else qos.RECORD
             self._topics[name] = self.collect(message_class(topic.type), name, profile)
@@ -175,14 +168,12 @@ class RecorderNode(PamNode):
 
     @override
     def deactivate(self) -> None:
-        """Write the remaining messages; later ones do not count as lost."""
         if self._reason is None:
             self._collect()
         self._topics = {}
 
     @override
     def cleanup(self) -> None:
-        """Finish the bag; another bag needs another folder, so another recorder."""
         self._end_bag()
 
     @property
@@ -222,7 +213,6 @@ class RecorderNode(PamNode):
 
     @override
     def close(self) -> None:
-        """Write the remaining messages, finish the bag, and print its content."""
         self._line.close()
         if self._reason is not None:
             self._diagnose()  # the last message of this node
@@ -258,7 +248,6 @@ class RecorderNode(PamNode):
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        """Health of the recording: rate, size and losses since the last report."""
         total, size, lost = sum(self._counts.values()), self._bag.size, self.lost
         rate, growth = self._rate.take(total, steady_ns), self._bytes_rate.take(size, steady_ns)
         lost_now, self._lost_before = lost - self._lost_before, lost

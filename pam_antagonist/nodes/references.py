@@ -36,8 +36,7 @@ class ReferenceInput:
     Make it in ``configure``, and call :meth:`listen` in ``activate``. It reads references every 5 ms; reading at each
     estimate would add 10 to 20 µs to the round trip of each sample.
 
-    Args:
-        nearest: gives the nearest reference that the active law can follow.
+    `nearest`: gives the nearest reference that the active law can follow.
     """
 
     def __init__(self, node: PamNode, nearest: Nearest | None = None) -> None:
@@ -166,8 +165,7 @@ class ReferenceInput:
     def repeat(self, stamp_ns: int) -> None:
         """Publish the reference at a sample as a JointReference for bags, at most every 20 ms.
 
-        Args:
-            stamp_ns: of the sample [ns].
+        `stamp_ns`: of the sample [ns].
         """
         references = self.references
         if self._echo is None or not math.isfinite(references.value) or references.mode is None:

@@ -32,8 +32,7 @@ def announce(node: PamNode, rig: Rig) -> RigIdentity:
 class RigWatch:
     """Compares the rigs of other nodes with the node's own.
 
-    Args:
-        disagree: called with the problem in words when a node publishes the rig of another joint.
+    `disagree`: called with the problem in words when a node publishes the rig of another joint.
     """
 
     def __init__(self, node: PamNode, own: RigIdentity, disagree: Callable[[str], object]) -> None:

@@ -116,9 +116,8 @@ class _Interrupted(BaseException):
 class _Stop:
     """Handler of signals, which stores the signal.
 
-    Attributes:
-        waits: whether the attribute ``signal`` is checked soon. This is not so while a node is made, which may compile
-            for a minute; then the first signal raises ``_Interrupted``.
+    `waits`: whether the attribute ``signal`` is checked soon. This is not so while a node is made, which may compile
+    for a minute; then the first signal raises ``_Interrupted``.
     """
 
     def __init__(self) -> None:

@@ -49,31 +49,22 @@ _ASTRAY_VOLTAGE, _ASTRAY_PRESSURE = 0.25, 25e3
 
 
 class Topics(NamedTuple):
-    """Topics of the commands and of the outputs.
-
-    Attributes:
-        state: topic of the voltages or pressures that valves or regulators got, relative.
-    """
+    """Topics of the commands and of the outputs."""
 
     message: type
     command: str
-    state: str
+    state: str  # topic of the voltages or pressures that valves or regulators got, relative
     frame_id: str
 
 
 class Drive(NamedTuple):
-    """Limits of the commands, in V for valves or Pa for regulators.
-
-    Attributes:
-        slew: largest change of each command [V/s] or [Pa/s].
-        astray: largest normal difference between command and output [V] or [Pa].
-    """
+    """Limits of the commands, in V for valves or Pa for regulators."""
 
     topics: Topics
     limits: VoltageLimits
     action: SafeAction
-    slew: float
-    astray: float
+    slew: float  # largest change of each command [V/s] or [Pa/s]
+    astray: float  # largest normal difference between command and output [V] or [Pa]
 
 
 def topics_of(rig: Rig) -> Topics:
@@ -84,11 +75,7 @@ def topics_of(rig: Rig) -> Topics:
 
 
 def drive_of(rig: Rig, values: Mapping[str, Any]) -> Drive:
-    """Limits of the commands of a rig.
-
-    Args:
-        values: the node's parameters by name, including ``SAFETY``.
-    """
+    """Limits of the commands of a rig. `values`: the node's parameters by name, including ``SAFETY``."""
     topics = topics_of(rig)
     low, high = rig.command_limits
     if rig.drive == "valve":

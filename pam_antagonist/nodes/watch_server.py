@@ -55,11 +55,7 @@ class Source(Protocol):
 
 
 class Server:
-    """Serves the page until it is stopped.
-
-    Args:
-        port: to listen on; 0: any free port.
-    """
+    """Serves the page until it is stopped. `port`: to listen on; 0: any free port."""
 
     def __init__(self, source: Source, host: str = "127.0.0.1", port: int = 8765, commands: bool = False) -> None:
         self.source = source

@@ -57,8 +57,7 @@ _SECOND = 1_000_000_000
 def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple[object, ...]]]:
     """Layout of a ``sensor_msgs/JointState`` of one joint.
 
-    Returns:
-        The body, and a function that inserts (position, [velocity,] effort) between the constant parts.
+    Returns the body, and a function that inserts (position, [velocity,] effort) between the constant parts.
     """
     text = name.encode() + b"\0"
     one = (("I", 4), ("d", 8))
@@ -78,8 +77,7 @@ def joint_position(name: str) -> tuple[Body, Callable[[float], tuple[object, ...
 def position_in(data: bytes, joint: str) -> tuple[int, float]:
     """Stamp [ns] and position of one joint in a serialised ``sensor_msgs/JointState``.
 
-    Returns:
-        The stamp [ns], and the position [rad]; NaN where the message has none for this joint.
+    Returns the stamp [ns], and the position [rad]; NaN where the message has none for this joint.
     """
     order = "<" if data[1] & 1 else ">"
     number = struct.Struct(f"{order}I")
@@ -105,11 +103,7 @@ def position_in(data: bytes, joint: str) -> tuple[int, float]:
 
 @lru_cache(maxsize=64)
 def layout(body: Body, frame_bytes: int, order: str = "<") -> struct.Struct:
-    """The whole message as one struct.
-
-    Args:
-        order: of the bytes, ``<`` or ``>``.
-    """
+    """The whole message as one struct. `order`: of the bytes, ``<`` or ``>``."""
     text = f"{order}{_HEADER}{frame_bytes}s"
     for part, alignment in body:
         position = struct.calcsize(text) - 4
@@ -151,11 +145,7 @@ class Incoming:
 
 
 def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:
-    """The values of :data:`ESTIMATE_FOR_CONTROL` without a message.
-
-    Args:
-        numbers: memory of an ``ESTIMATE_DTYPE``.
-    """
+    """The values of :data:`ESTIMATE_FOR_CONTROL` without a message. `numbers`: memory of an ``ESTIMATE_DTYPE``."""
     first = struct.unpack_from(f"={_FOR_CONTROL}", numbers)
     return (*first, flags, *struct.unpack_from(f"={_EXTERNAL}", numbers, len(numbers) - 8 * EXTERNAL_VALUES))
 
@@ -180,8 +170,7 @@ class Gaps:
     The middleware numbers the messages of each publisher, but does not tell which publisher a message is from. So gaps
     are counted only while there is one publisher. Counting ends with a second one.
 
-    Args:
-        publishers: returns the present number of publishers; called only at a gap.
+    `publishers`: returns the present number of publishers; called only at a gap.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:

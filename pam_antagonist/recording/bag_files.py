@@ -37,15 +37,10 @@ MODES = {
 
 @dataclass(frozen=True)
 class Limits:
-    """When to begin the next file of a bag; checked after every batch of messages.
+    """When to begin the next file of a bag; checked after every batch of messages."""
 
-    Attributes:
-        size: size of a full file, which may be exceeded by one chunk (1 MB) [bytes]; None: no limit.
-        duration: time since the file's first message [s]; None: no limit.
-    """
-
-    size: int | None = None
-    duration: float | None = None
+    size: int | None = None  # size of a full file, which may be exceeded by one chunk (1 MB) [bytes]; None: no limit
+    duration: float | None = None  # time since the file's first message [s]; None: no limit
 
     @property
     def split(self) -> bool:
@@ -68,7 +63,6 @@ class _File(Writer):
 
     @override
     def open(self) -> None:
-        """Make the file; rosbags names it after the folder, so it is renamed where it has a name of its own."""
         self.storage = self.STORAGE_PLUGINS[self.storage_plugin](self._folder, self.compression_mode)
         if self._name is not None:
             target = self.storage.path.with_name(f"{self._name}{self.storage.path.suffix}")

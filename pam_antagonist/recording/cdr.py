@@ -36,15 +36,10 @@ class CdrError(ValueError):
 
 @dataclass(frozen=True)
 class Payloads:
-    """Raw messages of one topic, end to end.
+    """Raw messages of one topic, end to end."""
 
-    Attributes:
-        data: All payloads (B,) uint8.
-        length: Length of each payload (N,) int64 [bytes].
-    """
-
-    data: NDArray[np.uint8]
-    length: NDArray[np.int64]
+    data: NDArray[np.uint8]  # All payloads (B,) uint8
+    length: NDArray[np.int64]  # Length of each payload (N,) int64 [bytes]
 
     @classmethod
     def of(cls, messages: Sequence[bytes | bytearray | memoryview]) -> Payloads:
@@ -58,25 +53,17 @@ class Payloads:
 
 @dataclass
 class Group:
-    """Messages of one layout, being decoded.
+    """Messages of one layout, being decoded."""
 
-    Attributes:
-        matrix: their bytes (k, size).
-        position: where decoding goes on, from the end of the encapsulation [bytes].
-        pending: path and type of the fields that are still to be decoded, the next one last.
-        rows: numbers of the messages (k,).
-        columns: Field path -> values (k,) or, for arrays and sequences of primitives, (k, count); strings are (k,)
-            bytes. Members of messages are written "header.stamp.sec", elements "name[0]".
-        counts: Path of every array or sequence -> number of its elements.
-    """
-
-    rows: NDArray[np.intp]
-    matrix: NDArray[np.uint8]
+    rows: NDArray[np.intp]  # numbers of the messages (k,)
+    matrix: NDArray[np.uint8]  # their bytes (k, size)
     order: str
-    position: int
-    pending: list[tuple[str, Any]]
+    position: int  # where decoding goes on, from the end of the encapsulation [bytes]
+    pending: list[tuple[str, Any]]  # path and type of the fields that are still to be decoded, the next one last
+    # Field path -> values (k,) or, for arrays and sequences of primitives, (k, count); strings are (k,) bytes. Members
+    # of messages are written "header.stamp.sec", elements "name[0]".
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)  # Path of every array or sequence -> number of its elements
 
 
 @dataclass(frozen=True)
@@ -110,9 +97,8 @@ class Decoded:
 def decode(payloads: Payloads, msgtype: str, stores: Sequence[Typestore] = ()) -> Decoded:
     """Decode all messages of one topic.
 
-    Args:
-        msgtype: Message type known to :func:`~pam_antagonist.recording.messages.typestore`.
-        stores: definitions to try in order; the first that fits all payloads is taken. Default: the present one.
+    `msgtype`: Message type known to :func:`~pam_antagonist.recording.messages.typestore`. `stores`: definitions to try
+    in order; the first that fits all payloads is taken. Default: the present one.
     """
     first: CdrError | None = None
     for store in stores or (typestore(),):
@@ -295,12 +281,9 @@ class _Encoder:
 def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian: bool = True) -> NDArray[np.uint8]:
     """Encode ``size`` messages of one type and one layout.
 
-    Args:
-        columns: Field path -> values: a primitive (N,) or one number for all; an array or sequence (N, count); one
-            string for all; a list of strings for a sequence of strings. Every field of the type is needed.
-
-    Returns:
-        One message a row (N, L) uint8.
+    `columns`: Field path -> values: a primitive (N,) or one number for all; an array or sequence (N, count); one string
+    for all; a list of strings for a sequence of strings. Every field of the type is needed. Returns one message a row
+    (N, L) uint8.
     """
     out = _Encoder(size, little_endian)
     pending = _members("", msgtype, typestore())
@@ -325,33 +308,22 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
 
 @dataclass(frozen=True)
 class Channel:
-    """A bag's description of one of its topics.
-
-    Attributes:
-        msgtype: Message type, such as "sensor_msgs/msg/FluidPressure"; "" where the bag does not say.
-        encoding: Serialization, "cdr" for ROS 2.
-        digest: RIHS01 hash of the type, or "".
-    """
+    """A bag's description of one of its topics."""
 
     topic: str
-    msgtype: str
-    encoding: str
+    msgtype: str  # Message type, such as "sensor_msgs/msg/FluidPressure"; "" where the bag does not say
+    encoding: str  # Serialization, "cdr" for ROS 2
     definition: str = ""
-    digest: str = ""
+    digest: str = ""  # RIHS01 hash of the type, or ""
 
 
 @dataclass(frozen=True)
 class RawTopic:
-    """Messages of one channel in the order of the file.
-
-    Attributes:
-        log_ns: Time of reception of each message (N,) [ns].
-        payloads: The messages, or None where this type was not requested.
-    """
+    """Messages of one channel in the order of the file."""
 
     channel: Channel
-    log_ns: NDArray[np.int64]
-    payloads: Payloads | None
+    log_ns: NDArray[np.int64]  # Time of reception of each message (N,) [ns]
+    payloads: Payloads | None  # The messages, or None where this type was not requested
 
     @staticmethod
     def joined(channel: Channel, parts: list[RawTopic]) -> RawTopic:
@@ -366,22 +338,14 @@ class RawTopic:
 
 @dataclass
 class Collector:
-    """Gathers messages of one channel, block by block.
-
-    Attributes:
-        wanted: whether the messages are kept; otherwise only their times are.
-    """
+    """Gathers messages of one channel, block by block."""
 
     channel: Channel
-    wanted: bool
+    wanted: bool  # whether the messages are kept; otherwise only their times are
     _blocks: list[RawTopic] = field(default_factory=list)
 
     def add(self, log_ns: NDArray[np.int64], payloads: Payloads | None) -> None:
-        """Append messages.
-
-        Args:
-            log_ns: times of reception (N,) [ns].
-        """
+        """Append messages. `log_ns`: times of reception (N,) [ns]."""
         self._blocks.append(RawTopic(self.channel, log_ns, payloads))
 
     def __len__(self) -> int:

@@ -31,11 +31,7 @@ def most_unpacked(size: int) -> int:
 
 
 class Room:
-    """Bytes that the files of one bag may unpack to in total.
-
-    Args:
-        size: of all files [bytes].
-    """
+    """Bytes that the files of one bag may unpack to in total. `size`: of all files [bytes]."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -51,9 +47,7 @@ class Room:
 def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
     """Unpack a block whose unpacked size is known.
 
-    Args:
-        compression: "", "zstd" or "lz4" (frame format).
-        size: Unpacked size [bytes]; no more is ever allocated.
+    `compression`: "", "zstd" or "lz4" (frame format). `size`: Unpacked size [bytes]; no more is ever allocated.
     """
     if compression == "":
         result = bytes(data)
@@ -88,11 +82,8 @@ def inflate_message(data: bytes | memoryview, limit: int = MAX_MESSAGE) -> bytes
 def inflate_file(source: Path, target: Path, limit: int) -> str | None:
     """Unpack a zstd file piece by piece.
 
-    Args:
-        limit: largest size of ``target`` [bytes].
-
-    Returns:
-        None, or how the file is damaged; ``target`` then holds the data before the damage.
+    `limit`: largest size of ``target`` [bytes]. Returns none, or how the file is damaged; ``target`` then holds the
+    data before the damage.
     """
     written = 0
     decompressor = zstd.ZstdDecompressor()

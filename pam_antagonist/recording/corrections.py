@@ -27,39 +27,25 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Corrections:
-    """Changes to a recording before it is used.
-
-    Attributes:
-        gauge: the pressures are gauge pressures; the standard atmosphere is added.
-        swap_pressures: ``pressure_1`` belongs to muscle 2, and the other way round.
-        swap_valves: the first voltage belongs to muscle 2's valve, and the other way round.
-        unwrap_angle: the encoder is absolute and begins again after a turn; its jumps are removed.
-        encoder_zero: by how much the encoder reads too high [rad].
-        torque_zero: by how much the torque meter reads too high [N m].
-        torque_scale: reading of the torque meter over the torque, after its zero is subtracted.
-        delay_voltage: by how much the voltages are stamped too early relative to all other signals [s].
-        delay_angle: by how much the angle is stamped too early [s].
-        delay_torque: by how much the torque is stamped too early [s].
-        delay_pressure: by how much both pressures are stamped too early [s].
-        align_clocks: topics with a clock of their own get the stamps of the pressures' clock, by times of reception.
-    """
+    """Changes to a recording before it is used."""
 
     pressure_unit: str = "Pa"
-    gauge: bool = False
-    swap_pressures: bool = False
-    swap_valves: bool = False
+    gauge: bool = False  # the pressures are gauge pressures; the standard atmosphere is added
+    swap_pressures: bool = False  # ``pressure_1`` belongs to muscle 2, and the other way round
+    swap_valves: bool = False  # the first voltage belongs to muscle 2's valve, and the other way round
     angle_unit: str = "rad"
     flip_angle: bool = False
-    unwrap_angle: bool = False
+    unwrap_angle: bool = False  # the encoder is absolute and begins again after a turn; its jumps are removed
     torque_unit: str = "N m"
     flip_torque: bool = False
-    encoder_zero: float = 0.0
-    torque_zero: float = 0.0
-    torque_scale: float = 1.0
-    delay_voltage: float = 0.0
-    delay_angle: float = 0.0
-    delay_torque: float = 0.0
-    delay_pressure: float = 0.0
+    encoder_zero: float = 0.0  # by how much the encoder reads too high [rad]
+    torque_zero: float = 0.0  # by how much the torque meter reads too high [N m]
+    torque_scale: float = 1.0  # reading of the torque meter over the torque, after its zero is subtracted
+    delay_voltage: float = 0.0  # by how much the voltages are stamped too early relative to all other signals [s]
+    delay_angle: float = 0.0  # by how much the angle is stamped too early [s]
+    delay_torque: float = 0.0  # by how much the torque is stamped too early [s]
+    delay_pressure: float = 0.0  # by how much both pressures are stamped too early [s]
+    # topics with a clock of their own get the stamps of the pressures' clock, by times of reception.
     align_clocks: bool = False
 
     def __post_init__(self) -> None:
@@ -135,8 +121,7 @@ class Corrections:
     def followed_by(self, further: Corrections) -> Corrections:
         """These corrections, combined with zeros, a scale and delays that were found in the corrected recording.
 
-        Args:
-            further: the corrections that were found; all but zeros, scale and delays are ignored.
+        `further`: the corrections that were found; all but zeros, scale and delays are ignored.
         """
         delays = {name: getattr(self, name) + getattr(further, name) for name in _TYPED if name.startswith("delay_")}
         return replace(
@@ -255,9 +240,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def from_options(arguments: argparse.Namespace, known: Mapping[str, float] = MappingProxyType({})) -> Corrections:
     """The corrections of the command line, completed by the rig file's calibration.
 
-    Args:
-        arguments: of a parser with :func:`add_options`.
-        known: zeros, scale and delays of the rig file, by name; default: none.
+    `arguments`: of a parser with :func:`add_options`. `known`: zeros, scale and delays of the rig file, by name;
+    default: none.
     """
     values = {item.name: getattr(arguments, item.name) for item in fields(Corrections)}
     for name, typed in _TYPED.items():

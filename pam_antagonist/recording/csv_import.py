@@ -107,8 +107,7 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
 def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
     """Notes for a bag that is made of this file: its source, the sealed muscles, a missing regulator command.
 
-    Returns:
-        Name -> text, for :func:`~pam_antagonist.recording.notes.write_notes`.
+    Returns name -> text, for :func:`~pam_antagonist.recording.notes.write_notes`.
     """
     path = Path(path)
     digest = hashlib.sha256()

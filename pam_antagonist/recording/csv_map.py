@@ -211,8 +211,7 @@ def example_text() -> str:
 def load_map(name_or_path: str | Path) -> CsvMap:
     """Read and check a map.
 
-    Args:
-        name_or_path: the path of a YAML file, or the name of one in ``config/maps`` (``sealed_joint``).
+    `name_or_path`: the path of a YAML file, or the name of one in ``config/maps`` (``sealed_joint``).
     """
     path = _locate(str(name_or_path))
     content = read_mapping(path, "map", typed("import_csv --example"))

@@ -27,15 +27,10 @@ _NO_VALUE = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Numbers of a CSV file, N rows.
+    """Numbers of a CSV file, N rows."""
 
-    Attributes:
-        values: Quantity -> cells (N,), NaN where a cell holds no value.
-        line: Line number of each row in the file (N,), counted from 1.
-    """
-
-    values: Mapping[str, Floats]
-    line: NDArray[np.int32]
+    values: Mapping[str, Floats]  # Quantity -> cells (N,), NaN where a cell holds no value
+    line: NDArray[np.int32]  # Line number of each row in the file (N,), counted from 1
     labels: Mapping[str, str]
     issues: tuple[str, ...]
 
@@ -46,11 +41,7 @@ class Table:
 def read_table(
     path: Path, layout: Layout, columns: Mapping[str, Name], progress: Callable[[int], object] | None = None
 ) -> Table:
-    """Read some columns of a CSV file.
-
-    Args:
-        columns: Quantity -> name or number (from 1) of its column.
-    """
+    """Read some columns of a CSV file. `columns`: Quantity -> name or number (from 1) of its column."""
     kind = array_files.kind_of(path)
     if kind:
         return _of_arrays(path, kind, layout, columns)

@@ -67,8 +67,7 @@ def opened(path: Path, layout: Layout) -> Iterator[TextIO]:
 def labview(path: Path, layout: Layout) -> Layout:
     """The layout that a LabVIEW measurement file declares in its header; that of the map for any other file.
 
-    Args:
-        layout: of the map; kept where it skips lines, since it then knows the header.
+    `layout`: of the map; kept where it skips lines, since it then knows the header.
     """
     if layout.skip_lines:
         return layout
@@ -90,13 +89,9 @@ def labview(path: Path, layout: Layout) -> Layout:
 
 
 class Line(NamedTuple):
-    """A line of the file.
+    """A line of the file."""
 
-    Attributes:
-        number: counted from 1, as editors do.
-    """
-
-    number: int
+    number: int  # counted from 1, as editors do
     text: str
 
 

@@ -38,26 +38,19 @@ _DROPPED_SHARE = 0.05  # a larger share of rows out of order has another cause, 
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """Stamps of the rows.
+    """Stamps of the rows."""
 
-    Attributes:
-        stamp_ns: Stamps of the kept rows (M,) [ns], strictly increasing.
-        keep: Indices of the kept rows in the file (M,).
-        episode_ns: Stamps at which episodes begin (E,) [ns]; None for a file in one piece.
-    """
-
-    stamp_ns: Stamps
-    keep: NDArray[np.intp]
+    stamp_ns: Stamps  # Stamps of the kept rows (M,) [ns], strictly increasing
+    keep: NDArray[np.intp]  # Indices of the kept rows in the file (M,)
     issues: tuple[str, ...]
-    episode_ns: Stamps | None = None
+    episode_ns: Stamps | None = None  # Stamps at which episodes begin (E,) [ns]; None for a file in one piece
 
 
 def timing(where: str, time: Time, table: Table, sampled: NDArray[np.bool_]) -> Timing:
     """Stamps of the rows.
 
-    Args:
-        table: The file's numbers; those of "time" are used where the map names a column.
-        sampled: Which rows are samples (N,); the intervals between them are judged.
+    `table`: The file's numbers; those of "time" are used where the map names a column. `sampled`: Which rows are
+    samples (N,); the intervals between them are judged.
     """
     if len(table) < 2:
         raise BadInput(f"{where}: {len(table)} row of numbers, expected at least two")

@@ -29,17 +29,12 @@ _DECIMALS = 1
 
 @dataclass(frozen=True)
 class JointCondition:
-    """Whether the joint was free or locked.
+    """Whether the joint was free or locked."""
 
-    Attributes:
-        condition: ``free`` or ``locked``.
-        lock_angle: angle of a locked joint [rad].
-        source: origin of the condition: ``command line``, ``measured angle``, ``recorded estimate``, ``stop`` (a joint
-            that rests there) or ``nothing``.
-    """
-
-    condition: str
-    lock_angle: float
+    condition: str  # ``free`` or ``locked``
+    lock_angle: float  # angle of a locked joint [rad]
+    # origin of the condition: ``command line``, ``measured angle``, ``recorded estimate``, ``stop`` (a joint that rests
+    # there) or ``nothing``.
     source: str
 
 
@@ -106,11 +101,7 @@ def with_stops(recordings: Sequence[Recording], conditions: Sequence[JointCondit
 
 
 def refuse_other_condition(recording: Recording, condition: str, name: str) -> None:
-    """Refuse a recording whose measured angle contradicts what is said of the joint.
-
-    Args:
-        condition: ``free`` or ``locked``.
-    """
+    """Refuse a recording whose measured angle contradicts what is said of the joint."""
     moved = _range(_finite(recording.angle))
     said = f"its measured angle moves by {math.degrees(moved):.1f}°"
     if condition == "locked" and moved > _GIVES_WAY:

@@ -47,40 +47,31 @@ class Damage(Exception):
 
 @dataclass
 class McapContents:
-    """Result of a scan.
+    """Result of a scan."""
 
-    Attributes:
-        topics: One entry for each channel, with payloads only of the requested message types.
-        damage: Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before
-            it, and those in whole chunks behind it.
-    """
-
-    topics: list[RawTopic]
+    topics: list[RawTopic]  # One entry for each channel, with payloads only of the requested message types
+    # Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before it, and
+    # those in whole chunks behind it.
     damage: str | None
     lost: list[Lost] = field(default_factory=list)
 
 
 @dataclass
 class Lost:
-    """A part of a file that could not be read.
-
-    Attributes:
-        since: when the last message before it was received, from the first message that was read on [s]; NaN for none.
-        until: when the first message behind it was received [s]; NaN for none.
-    """
+    """A part of a file that could not be read."""
 
     begin: int
     end: int
+    # when the last message before it was received, from the first message that was read on [s]; NaN for none.
     since: float = math.nan
-    until: float = math.nan
+    until: float = math.nan  # when the first message behind it was received [s]; NaN for none
 
 
 def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> McapContents:
     """Read all messages of the given types.
 
-    Args:
-        types: Message types whose payloads are wanted; messages of other types are only counted.
-        room: Limit on unpacked bytes; None for the limit of this file alone.
+    `types`: Message types whose payloads are wanted; messages of other types are only counted. `room`: Limit on
+    unpacked bytes; None for the limit of this file alone.
     """
     with path.open("rb") as file:
         if path.stat().st_size == 0:

@@ -25,9 +25,8 @@ def _number(data: NDArray[np.uint8], at: int, count: int) -> Any:
 def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray[np.int64]) -> tuple[int, int]:
     """Take consecutive complete message records, up to any other record.
 
-    Args:
-        data: bytes of the file or chunk (B,).
-        run: result (M, 4): channel, log time [ns], first byte and size of the payload of each.
+    `data`: bytes of the file or chunk (B,). `run`: result (M, 4): channel, log time [ns], first byte and size of the
+    payload of each.
     """
     count = 0
     while count < run.shape[0] and position + 9 + MESSAGE_HEAD <= end and data[position] == MESSAGE:

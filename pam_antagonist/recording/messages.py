@@ -119,8 +119,7 @@ FORMER: Mapping[str, str] = MappingProxyType(
 def typestore(*, former: bool = False) -> Typestore:
     """Types of ROS 2 Jazzy with this project's messages registered.
 
-    Args:
-        former: Whether to use the definitions in ``FORMER``.
+    `former`: Whether to use the definitions in ``FORMER``.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in {**DEFINITIONS, **(FORMER if former else {})}.items():
@@ -132,9 +131,7 @@ def typestore(*, former: bool = False) -> Typestore:
 def stores_of(msgtype: str, digest: str, definition: str) -> tuple[Typestore, ...]:
     """Type stores whose definition of a message type agrees with the bag's.
 
-    Args:
-        msgtype: Message type, known to :func:`typestore`.
-        digest: RIHS01 hash that the bag states, or "".
+    `msgtype`: Message type, known to :func:`typestore`. `digest`: RIHS01 hash that the bag states, or "".
     """
     stores = (typestore(), typestore(former=True)) if msgtype in FORMER else (typestore(),)
     return tuple(store for store in stores if not _differs(store, msgtype, digest, definition))

@@ -125,8 +125,7 @@ def joints_in(bag: RawBag) -> list[str]:
 def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:
     """Drive of a joint: ``regulator`` where pressure commands but no voltages were recorded, else ``valve``.
 
-    Args:
-        renamed: Logical name -> topic in the bag, for topics that have another name there.
+    `renamed`: Logical name -> topic in the bag, for topics that have another name there.
     """
 
     def there(name: str) -> bool:

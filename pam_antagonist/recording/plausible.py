@@ -37,11 +37,7 @@ NO_VALUE = 1e30
 
 
 def finite_only(topic: str, what: str, values: Floats, issues: list[str]) -> Floats:
-    """Values with NaN for everything that is not finite.
-
-    Args:
-        values: any numbers (N,) or (N, 2).
-    """
+    """Values with NaN for everything that is not finite. `values`: any numbers (N,) or (N, 2)."""
     bad = ~(np.abs(values) < NO_VALUE)
     if not np.any(bad):
         return values
@@ -65,11 +61,7 @@ def _implausible(topic: str, values: Floats, odd: NDArray[np.bool_], what: str, 
 
 
 def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) -> None:
-    """Refuse values that are no absolute pressures in Pa.
-
-    Args:
-        pressure: (N, 2) [Pa].
-    """
+    """Refuse values that are no absolute pressures in Pa. `pressure`: (N, 2) [Pa]."""
     values = _finite(where, topic, "pressure", pressure)
     expected = "expected absolute pressure in Pa"
     low = values < MIN_PRESSURE
@@ -90,11 +82,7 @@ def check_pressure(where: str, topic: str, pressure: Floats, issues: list[str]) 
 
 
 def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) -> None:
-    """Refuse voltages outside the valves' range.
-
-    Args:
-        voltage: (N, 2) [V].
-    """
+    """Refuse voltages outside the valves' range. `voltage`: (N, 2) [V]."""
     values = _finite(where, topic, "voltage", voltage)
     odd = (values < MIN_VOLTAGE) | (values > MAX_VOLTAGE)
     if _implausible(topic, values, odd, "lie outside 0 to 10 V", issues):
@@ -108,9 +96,8 @@ def check_voltage(where: str, topic: str, voltage: Floats, issues: list[str]) ->
 def unwrapped(angle: Floats, turn: float) -> Floats:
     """Readings of an absolute encoder without jumps, moved by whole turns to lie around 0.
 
-    Args:
-        angle: readings (N,), NaN where missing [any unit].
-        turn: after how much the encoder begins again, in the same unit.
+    `angle`: readings (N,), NaN where missing [any unit]. `turn`: after how much the encoder begins again, in the same
+    unit.
     """
     known = np.isfinite(angle)
     out = angle.copy()
@@ -123,9 +110,8 @@ def unwrapped(angle: Floats, turn: float) -> Floats:
 def turns(angle: Floats, turn: float) -> int:
     """Number of places at which an absolute encoder begins again; 0 where the readings are not those of one.
 
-    Args:
-        angle: readings (N,), NaN where missing [any unit].
-        turn: after how much the encoder begins again, in the same unit.
+    `angle`: readings (N,), NaN where missing [any unit]. `turn`: after how much the encoder begins again, in the same
+    unit.
     """
     values = angle[np.isfinite(angle)]
     jumps = np.abs(np.diff(values)) > _JUMP * turn
@@ -133,11 +119,7 @@ def turns(angle: Floats, turn: float) -> int:
 
 
 def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> None:
-    """Refuse an angle in degrees, and one that jumps by a turn.
-
-    Args:
-        angle: (N,) [rad].
-    """
+    """Refuse an angle in degrees, and one that jumps by a turn. `angle`: (N,) [rad]."""
     values = angle[np.isfinite(angle)]
     if turns(values, 2.0 * np.pi):
         raise BadInput(
@@ -152,11 +134,7 @@ def check_angle(where: str, topic: str, angle: Floats, issues: list[str]) -> Non
 
 
 def check_torque(where: str, topic: str, torque: Floats, issues: list[str]) -> None:
-    """Refuse a torque in N mm.
-
-    Args:
-        torque: (N,) [N m].
-    """
+    """Refuse a torque in N mm. `torque`: (N,) [N m]."""
     values = torque[np.isfinite(torque)]
     if _implausible(topic, values, np.abs(values) > MAX_TORQUE, f"lie beyond {MAX_TORQUE:g} N m", issues):
         raise BadInput(
@@ -182,14 +160,10 @@ _STILL = math.radians(0.5)
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """Numbers of a CSV column.
-
-    Attributes:
-        values: (N,) in the unit, NaN where missing.
-    """
+    """Numbers of a CSV column."""
 
     label: str
-    values: Floats
+    values: Floats  # (N,) in the unit, NaN where missing
     unit: str
     reference: str = ""
 

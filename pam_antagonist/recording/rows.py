@@ -40,16 +40,11 @@ _SHOWN = 3
 
 @dataclass(frozen=True)
 class Resets:
-    """Resets of a recording.
-
-    Attributes:
-        rows: first rows after the jumps (K,).
-        times: times of these rows from the start of the recording (K,) [s].
-    """
+    """Resets of a recording."""
 
     signal: str
-    rows: tuple[int, ...]
-    times: tuple[float, ...]
+    rows: tuple[int, ...]  # first rows after the jumps (K,)
+    times: tuple[float, ...]  # times of these rows from the start of the recording (K,) [s]
 
     @property
     def sentence(self) -> str:
@@ -99,9 +94,8 @@ def resets(recording: Recording) -> Resets | None:
 def _jumps(values: Floats, joined: NDArray[np.bool_], least: float) -> NDArray[np.intp]:
     """First rows after a jump.
 
-    Args:
-        values: a signal (N,), NaN where missing.
-        joined: whether no time is missing between a row and the next (N - 1,).
+    `values`: a signal (N,), NaN where missing. `joined`: whether no time is missing between a row and the next (N -
+    1,).
     """
     moved = np.where(joined, np.diff(values), np.nan)
     sizes = np.abs(moved)
@@ -157,9 +151,7 @@ def own_readings(recording: Recording) -> tuple[Floats, Floats | None, Floats | 
 def said(name: str, again: NDArray[np.bool_]) -> str:
     """What a user should know of a slow sensor.
 
-    Args:
-        name: of the sensor, of ``SLOW``.
-        again: rows that repeat its last reading (N,).
+    `name`: of the sensor, of ``SLOW``. `again`: rows that repeat its last reading (N,).
     """
     subject, verb = ("both pressures", "repeat") if name == "pressures" else (f"the measured {name}", "repeats")
     return (
@@ -180,9 +172,7 @@ def _repeated(values: Floats, stamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 def between(time: Floats, values: Floats, again: NDArray[np.bool_] | None) -> Floats:
     """Values of a slow sensor (N,) or (N, C), linear between its own readings; as they are for none.
 
-    Args:
-        time: of the rows (N,) [s].
-        again: rows that repeat the last reading (N,); None: none do.
+    `time`: of the rows (N,) [s]. `again`: rows that repeat the last reading (N,); None: none do.
     """
     if again is None or not again.any():
         return values
@@ -204,8 +194,7 @@ def reading_times(time: NDArray[np.float64], period_s: float) -> NDArray[np.floa
     The log shows a reading in its next row. So the reading's age varies by up to a row, which a quick joint
     shows. A sensor with a period of its own has taken its readings at one distance.
 
-    Args:
-        time: of the rows that show a new reading first (K,) [s].
+    `time`: of the rows that show a new reading first (K,) [s].
     """
     if len(time) < _FEWEST_READINGS:
         return time

@@ -44,13 +44,9 @@ _TYPE_OF = {unit: kind for kind, (_, unit) in KINDS.items()}
 
 
 class FurtherSignal(NamedTuple):
-    """A further signal.
+    """A further signal."""
 
-    Attributes:
-        values: at the samples (N,), NaN where missing.
-    """
-
-    values: Floats
+    values: Floats  # at the samples (N,), NaN where missing
     unit: str
 
 
@@ -59,8 +55,7 @@ def blocks(
 ) -> dict[Topic, tuple[Stamps, NDArray[np.uint8]]]:
     """Messages of the further signals and of the episodes' beginnings.
 
-    Returns:
-        Topic -> stamps (K,) and messages (K, L).
+    Returns topic -> stamps (K,) and messages (K, L).
     """
     out: dict[Topic, tuple[Stamps, NDArray[np.uint8]]] = {}
     size = len(recording)
@@ -141,11 +136,7 @@ def _decoded(bag: RawBag, topic: str, path: str) -> tuple[Decoded, NDArray[np.in
 
 
 def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None:
-    """Stamps of the first samples of episodes (E,) [ns]; None where the bag marks none.
-
-    Args:
-        samples: stamps (N,) [ns].
-    """
+    """Stamps of the first samples of episodes (E,) [ns]; None where the bag marks none. `samples`: stamps (N,) [ns]."""
     topic = EPISODE.resolve(namespace)
     raw = bag.topics.get(topic)
     if raw is None or raw.channel.msgtype != EPISODE.type or not len(raw.log_ns):
@@ -188,8 +179,7 @@ _ARRAYS = ("state", "covariance", "cross", "voltage", "distances", "angle_sensor
 def read_checkpoints(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[Checkpoint, ...]:
     """Checkpoints of the live filter, unchecked: a filter that is given one checks it.
 
-    Args:
-        keep: numbers of the messages to take, in the order of the result (K,).
+    `keep`: numbers of the messages to take, in the order of the result (K,).
     """
     if len(keep) == 0:
         return ()

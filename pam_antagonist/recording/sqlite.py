@@ -51,9 +51,8 @@ def _cut_off(file: Path) -> str | None:
 def read_sqlite(file: Path, types: Collection[str], *, whole: bool = True) -> tuple[list[RawTopic], str | None]:
     """Read all messages of the given types.
 
-    Args:
-        types: Message types whose payloads are wanted; messages of other types are only counted.
-        whole: Whether a damaged file is not read at all; otherwise the rows on whole pages are.
+    `types`: Message types whose payloads are wanted; messages of other types are only counted. `whole`: Whether a
+    damaged file is not read at all; otherwise the rows on whole pages are.
     """
     damage = _cut_off(file)
     if damage is not None and whole:

@@ -157,9 +157,8 @@ def clock_shifts(
     Messages of one moment are received together. So the delays of reception tell how far two clocks are apart, at the
     beginning and at the end.
 
-    Args:
-        times: Topic -> times of reception and stamps of its messages (K,) [ns]; the first topic's clock counts.
-        align: Whether stamps of another clock are shifted; otherwise no topic is.
+    `times`: Topic -> times of reception and stamps of its messages (K,) [ns]; the first topic's clock counts. `align`:
+    Whether stamps of another clock are shifted; otherwise no topic is.
     """
     (first, (log_ns, stamp_ns)), *others = times.items()
     shifts = {}
@@ -221,9 +220,7 @@ def _delay(log_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], at_ns: NDArra
 def nearest(stamp_ns: NDArray[np.int64], samples: NDArray[np.int64]) -> NDArray[np.int64]:
     """Stamps (K,), each moved to the nearest sample within half a period.
 
-    Args:
-        stamp_ns: stamps, sorted (K,) [ns].
-        samples: stamps of the samples, sorted (N,) [ns].
+    `stamp_ns`: stamps, sorted (K,) [ns]. `samples`: stamps of the samples, sorted (N,) [ns].
     """
     after = np.clip(np.searchsorted(samples, stamp_ns), 1, len(samples) - 1)
     before = samples[after - 1]

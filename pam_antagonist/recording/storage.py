@@ -33,15 +33,12 @@ MAX_UNPACKED = 4 << 30
 
 @dataclass
 class RawBag:
-    """A bag as raw messages.
-
-    Attributes:
-        topics: Topic name -> messages; of several message types the one with most messages.
-        conflicts: Topic name -> its message types, for topics with more than one.
-    """
+    """A bag as raw messages."""
 
     path: Path
+    # Topic name -> messages; of several message types the one with most messages.
     topics: dict[str, RawTopic] = field(default_factory=dict)
+    # Topic name -> its message types, for topics with more than one.
     conflicts: dict[str, tuple[str, ...]] = field(default_factory=dict)
     issues: list[str] = field(default_factory=list)
 

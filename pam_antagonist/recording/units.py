@@ -42,8 +42,7 @@ def canonical(where: str, quantity: str, unit: str) -> str:
 
     Upper and lower case matter: MPa is not mPa.
 
-    Args:
-        quantity: a key of ``UNITS``.
+    `quantity`: a key of ``UNITS``.
     """
     known = UNITS[quantity]
     bare = {_bare(name): name for name in known}

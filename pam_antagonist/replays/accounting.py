@@ -23,18 +23,12 @@ measured."""
 
 @dataclass(frozen=True)
 class Latency:
-    """Times from the recorder's reception of a sample's first message to its reception of the command [ms].
-
-    Attributes:
-        median: median time [ms].
-        p99: 99 % quantile [ms].
-        largest: largest time [ms].
-    """
+    """Times from the recorder's reception of a sample's first message to its reception of the command [ms]."""
 
     samples: int
-    median: float
-    p99: float
-    largest: float
+    median: float  # median time [ms]
+    p99: float  # 99 % quantile [ms]
+    largest: float  # largest time [ms]
 
 
 @dataclass(frozen=True)
@@ -43,24 +37,17 @@ class Accounting:
 
     Counting begins at the first stamp at which every stage has begun, and ends at the last stamp before one stage ends.
     In between, one sample a period is expected.
-
-    Attributes:
-        out_of_order: stage -> messages that were received before one with an earlier stamp.
     """
 
     expected: int
     lost: Mapping[str, int]
-    out_of_order: Mapping[str, int]
+    out_of_order: Mapping[str, int]  # stage -> messages that were received before one with an earlier stamp
     late: int
     latency: Latency
 
 
 def account(recording: Recording, sample_period: float) -> Accounting | None:
-    """Account for the samples of a recording.
-
-    Args:
-        sample_period: [s].
-    """
+    """Account for the samples of a recording."""
     found = _between(recording)
     if found is None:
         return None
@@ -83,29 +70,20 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
 
 @dataclass(frozen=True)
 class OverTime:
-    """The account in consecutive blocks of equal length.
+    """The account in consecutive blocks of equal length."""
 
-    Attributes:
-        time: middle of each block since the first sample that counts (B,) [s].
-        lost: stage -> samples without a message (B,).
-        median: time from pressure to command, as in :class:`Latency` (B,) [ms]; NaN in a block without commands.
-        p99: (B,) [ms].
-        largest: (B,) [ms].
-    """
-
-    time: NDArray[np.float64]
-    lost: Mapping[str, NDArray[np.float64]]
+    time: NDArray[np.float64]  # middle of each block since the first sample that counts (B,) [s]
+    lost: Mapping[str, NDArray[np.float64]]  # stage -> samples without a message (B,)
+    # time from pressure to command, as in :class:`Latency` (B,) [ms]; NaN in a block without commands.
     median: NDArray[np.float64]
-    p99: NDArray[np.float64]
-    largest: NDArray[np.float64]
+    p99: NDArray[np.float64]  # (B,) [ms]
+    largest: NDArray[np.float64]  # (B,) [ms]
 
 
 def over_time(recording: Recording, sample_period: float, block: float) -> OverTime | None:
     """Account for the samples block by block; the losses of all blocks are those of :func:`account`.
 
-    Args:
-        sample_period: [s].
-        block: length of a block [s].
+    `block`: length of a block [s].
     """
     found = _between(recording)
     if found is None or found[1] > found[2]:

@@ -27,21 +27,13 @@ ENDED = "the recording ended while the live filter ran"
 
 
 class LiveInput(NamedTuple):
-    """Inputs of a filter for N samples.
+    """Inputs of a filter for N samples."""
 
-    Attributes:
-        pressure: (N, 2) [Pa], NaN where the live filter had none.
-        voltage: (N, 2) [V], NaN where the live filter had none.
-        angle: of the encoder (N,) [rad], NaN where the live filter had none.
-        had: whether the live filter had the sample at all (N,).
-        lacked: whether the live filter lacked the sample or a value that was recorded (N,).
-    """
-
-    pressure: NDArray[np.float64]
-    voltage: NDArray[np.float64]
-    angle: NDArray[np.float64]
-    had: NDArray[np.bool_]
-    lacked: NDArray[np.bool_]
+    pressure: NDArray[np.float64]  # (N, 2) [Pa], NaN where the live filter had none
+    voltage: NDArray[np.float64]  # (N, 2) [V], NaN where the live filter had none
+    angle: NDArray[np.float64]  # of the encoder (N,) [rad], NaN where the live filter had none
+    had: NDArray[np.bool_]  # whether the live filter had the sample at all (N,)
+    lacked: NDArray[np.bool_]  # whether the live filter lacked the sample or a value that was recorded (N,)
 
 
 def as_live(recording: Recording, impossible: NDArray[np.bool_]) -> LiveInput:
@@ -51,8 +43,7 @@ def as_live(recording: Recording, impossible: NDArray[np.bool_]) -> LiveInput:
     flagged as missing are left out of the replay, too, except those that no filter uses. So are samples without an
     estimate between the first and the last recorded estimate.
 
-    Args:
-        impossible: which pressures and voltages the filter itself takes for missing (N, 4).
+    `impossible`: which pressures and voltages the filter itself takes for missing (N, 4).
     """
     pressure, voltage = recording.pressure.copy(), recording.voltage.copy()
     had = np.ones(len(recording.stamp_ns), dtype=bool)
@@ -88,24 +79,17 @@ def same_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LiveComparison:
-    """Comparison of recorded estimates with replayed ones.
-
-    Attributes:
-        equal: compared samples that agree in every field except the ``LATE`` flag.
-        only_replay: samples between the first and the last recorded estimate that have only a replayed one.
-        first_difference_ns: stamp of the first sample that differs [ns], or None.
-        not_compared: samples with a live estimate for which the replay had a filter of its own.
-        apart_deg: largest difference of the angle in the samples not compared, and the last one [deg].
-    """
+    """Comparison of recorded estimates with replayed ones."""
 
     compared: int
-    equal: int
+    equal: int  # compared samples that agree in every field except the ``LATE`` flag
     only_live: int
-    only_replay: int
-    first_difference_ns: int | None
+    only_replay: int  # samples between the first and the last recorded estimate that have only a replayed one
+    first_difference_ns: int | None  # stamp of the first sample that differs [ns], or None
     differing: Mapping[str, int]
-    not_compared: int = 0
+    not_compared: int = 0  # samples with a live estimate for which the replay had a filter of its own
     why_not: tuple[str, ...] = ()
+    # largest difference of the angle in the samples not compared, and the last one [deg].
     apart_deg: tuple[float, float] | None = None
 
 
@@ -114,15 +98,10 @@ _LATER = ("external_torque", "external_torque_covariance")
 
 
 class Apart(NamedTuple):
-    """Consecutive samples for which a replay has a filter of its own.
+    """Consecutive samples for which a replay has a filter of its own."""
 
-    Attributes:
-        first_ns: stamp of the first sample [ns].
-        end_ns: end of the range, after the stamp of the last sample [ns].
-    """
-
-    first_ns: int
-    end_ns: int
+    first_ns: int  # stamp of the first sample [ns]
+    end_ns: int  # end of the range, after the stamp of the last sample [ns]
     why: str
 
 
@@ -170,11 +149,7 @@ def _within(stamp_ns: NDArray[np.int64], apart: Sequence[Apart]) -> NDArray[np.b
 
 
 def taken(run: EstimateRun, keep: NDArray[np.bool_]) -> EstimateRun:
-    """Some of the estimates of a run.
-
-    Args:
-        keep: whether to keep each estimate (M,).
-    """
+    """Some of the estimates of a run. `keep`: whether to keep each estimate (M,)."""
     arrays = {name: getattr(run, name)[keep] for name in ("rows", "stamp_ns", "index", "started_ns")}
     return dataclasses.replace(run, added={name: values[keep] for name, values in run.added.items()}, **arrays)
 
@@ -216,41 +191,28 @@ NOT_RECORDED = "the sample that started the live filter was not recorded"
 
 
 class Segment(NamedTuple):
-    """Samples between two starts of the filter.
+    """Samples between two starts of the filter."""
 
-    Attributes:
-        first: index of the first sample; the segment ends before the next one.
-        started_ns: start of the live filter [ns], None where none was recorded.
-        checkpoint: from which the filter goes on; None: it starts at the first complete sample.
-        why_not: why the filter differs from the live one; empty where it does not, or none was recorded.
-    """
-
-    first: int
-    started_ns: int | None = None
-    checkpoint: Checkpoint | None = None
-    why_not: str = ""
+    first: int  # index of the first sample; the segment ends before the next one
+    started_ns: int | None = None  # start of the live filter [ns], None where none was recorded
+    checkpoint: Checkpoint | None = None  # from which the filter goes on; None: it starts at the first complete sample
+    why_not: str = ""  # why the filter differs from the live one; empty where it does not, or none was recorded
 
 
 @dataclass
 class Plan:
-    """How a recording is replayed.
-
-    Attributes:
-        skipped: index of the first sample that the filter runs for; earlier ones are not needed.
-        model_first: index of the first sample of the model alone, which also runs over skipped samples.
-    """
+    """How a recording is replayed."""
 
     segments: list[Segment]
     refused: dict[str, None]
-    skipped: int = 0
-    model_first: int = 0
+    skipped: int = 0  # index of the first sample that the filter runs for; earlier ones are not needed
+    model_first: int = 0  # index of the first sample of the model alone, which also runs over skipped samples
 
 
 def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None) -> Plan:
     """Plan the starts of the filter.
 
-    Args:
-        begin_ns: stamp from which estimates are wanted [ns]; None: for the whole recording.
+    `begin_ns`: stamp from which estimates are wanted [ns]; None: for the whole recording.
     """
     out = Plan([], {})
     live = recording.estimate

@@ -30,22 +30,15 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Innovation:
-    """Consistency of the filter: whether its errors agree with its covariance, in the pressures, angle and torque.
+    """Consistency of the filter: whether its errors agree with its covariance, in the pressures, angle and torque."""
 
-    Attributes:
-        nis_mean: mean normalised innovation squared; 2 is right for two pressures.
-        nis_in_95: share of the samples with a NIS within the 95 % interval of its chi-square distribution.
-        nees_angle: mean normalised error squared of the angle [-]; 1 is right, None: not measured.
-        nees_torque: mean normalised error squared of the torque [-], likewise.
-    """
-
-    nis_mean: float
-    nis_in_95: float
+    nis_mean: float  # mean normalised innovation squared; 2 is right for two pressures
+    nis_in_95: float  # share of the samples with a NIS within the 95 % interval of its chi-square distribution
     whiteness_p: float
     largest_correlation: float
     samples: int
-    nees_angle: float | None = None
-    nees_torque: float | None = None
+    nees_angle: float | None = None  # mean normalised error squared of the angle [-]; 1 is right, None: not measured
+    nees_torque: float | None = None  # mean normalised error squared of the torque [-], likewise
 
 
 @dataclass(frozen=True)
@@ -59,34 +52,23 @@ class RecordedRig:
 
 @dataclass(frozen=True)
 class RecordingFacts:
-    """The recording that was replayed.
-
-    Attributes:
-        topics: logical name of each of the package's topics -> name in the bag.
-        first_stamp_ns: stamp of the first sample [ns].
-    """
+    """The recording that was replayed."""
 
     name: str
     sha256: str
-    topics: Mapping[str, str]
-    first_stamp_ns: int
+    topics: Mapping[str, str]  # logical name of each of the package's topics -> name in the bag
+    first_stamp_ns: int  # stamp of the first sample [ns]
     issues: tuple[str, ...]
     rigs: Mapping[str, RecordedRig]
 
 
 @dataclass(frozen=True)
 class JointFacts:
-    """Whether the joint was free or locked.
+    """Whether the joint was free or locked."""
 
-    Attributes:
-        condition: ``free`` or ``locked``.
-        lock_angle_rad: angle of a locked joint [rad].
-        source: origin of the condition: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``.
-    """
-
-    condition: str
-    lock_angle_rad: float | None
-    source: str
+    condition: str  # ``free`` or ``locked``
+    lock_angle_rad: float | None  # angle of a locked joint [rad]
+    source: str  # origin of the condition: ``command line``, ``measured angle``, ``recorded estimate`` or ``nothing``
 
     @classmethod
     def of(cls, joint: JointCondition) -> JointFacts:
@@ -96,34 +78,22 @@ class JointFacts:
 
 @dataclass(frozen=True)
 class FilterFacts:
-    """Starts and counts of the filter.
+    """Starts and counts of the filter."""
 
-    Attributes:
-        started_ns: stamps at which the filter was started [ns].
-        resumed_ns: stamps of the live filter's checkpoints from which the filter went on [ns].
-    """
-
-    started_ns: tuple[int, ...]
+    started_ns: tuple[int, ...]  # stamps at which the filter was started [ns]
     counts: Counts
-    resumed_ns: tuple[int, ...] = ()
+    resumed_ns: tuple[int, ...] = ()  # stamps of the live filter's checkpoints from which the filter went on [ns]
     refused: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How long a replay took.
+    """How long a replay took."""
 
-    Attributes:
-        read_s: reading the recording [s].
-        filter_s: the filter [s].
-        model_s: the model alone [s].
-        total_s: all of it [s].
-    """
-
-    read_s: float
-    filter_s: float
-    model_s: float
-    total_s: float
+    read_s: float  # reading the recording [s]
+    filter_s: float  # the filter [s]
+    model_s: float  # the model alone [s]
+    total_s: float  # all of it [s]
 
 
 @dataclass(frozen=True, repr=False)
@@ -283,8 +253,7 @@ def write_estimate(path: Path, replay: Replay, overwrite: bool = False) -> None:
     A bag holds ``joint_estimate`` (estimate, covariance, innovations, stamps) beside the recording's own topics, with
     the definitions of all message types.
 
-    Args:
-        path: of a new file, ``*.csv`` or ``*.mcap``.
+    `path`: of a new file, ``*.csv`` or ``*.mcap``.
     """
     check_estimate(path, overwrite)
     try:

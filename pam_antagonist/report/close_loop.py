@@ -102,7 +102,6 @@ class DiagnoseResult(Diagnosis, Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
@@ -167,12 +166,10 @@ class DiagnoseResult(Diagnosis, Result):
 
     @override
     def blocks(self) -> Sequence[Block]:
-        """What a terminal shows."""
         return pages.summary(self)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         return pages.document(self, figures)
 
     def to_dataframe(self) -> DataFrame:

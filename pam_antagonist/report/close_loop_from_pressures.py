@@ -96,15 +96,11 @@ def _values(item: Tried) -> Table:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PressuresDiagnoseResult(Result):
-    """An effect that the model of a rig lacks, from measured pressures.
-
-    Attributes:
-        hashes: SHA-256 of the recordings.
-    """
+    """An effect that the model of a rig lacks, from measured pressures."""
 
     start: Rig
     found: FoundFromPressures
-    hashes: tuple[str, ...]
+    hashes: tuple[str, ...]  # SHA-256 of the recordings
 
     @override
     def _brief(self) -> str:
@@ -151,7 +147,6 @@ class PressuresDiagnoseResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
         base, best = self.found.recalibrated, self.found.extended or self.found.recalibrated
         values, stds = base.final[0].values, base.final[0].stds
         three = {
@@ -197,7 +192,6 @@ class PressuresDiagnoseResult(Result):
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        """What a terminal shows."""
         found = self.found
         items = [note(text) for text in (found.extended or found.recalibrated).notes]
         if found.ambiguous_with:
@@ -209,7 +203,6 @@ class PressuresDiagnoseResult(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
         found, rig = self.found, self.found.recalibrated.start.name
         best = found.proposed
         now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
@@ -238,7 +231,6 @@ class PressuresDiagnoseResult(Result):
 
     @override
     def _write_rigs(self, folder: Path) -> None:
-        """The proposed rig file, if there is one."""
         about = textwrap.wrap(f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}", 110)
         if self.next_rig is not None:
             write_rig(self.rig_extended, folder / self.next_rig, about)

@@ -180,7 +180,6 @@ class Demo(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        """An overview figure, the numbers of the loop, and the replay's report below."""
         replayed = replay_document([self.replay], figures)
         what = self.mode.quantity.name.lower()
         task = "yielded to pushes" if self.yielding is not None else f"followed steps of its {what}"

@@ -239,7 +239,6 @@ class IdentifyResult(Result):
 
     @override
     def _write_rigs(self, folder: Path) -> None:
-        """``rig.yaml``, and ``rig_1.yaml`` ...; a rejected rig as ``rig_rejected.yaml`` alone, of several none."""
         start = self.found.start
         when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
         about = [

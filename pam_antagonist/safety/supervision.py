@@ -70,9 +70,7 @@ class Persistent:
 
     The time between two samples counts as two periods at most, because nothing was checked in between.
 
-    Args:
-        time: required time [s].
-        period: between two samples [s].
+    `time`: required time [s]. `period`: between two samples [s].
     """
 
     __slots__ = ("_last", "_longest", "_so_far", "_time")
@@ -392,8 +390,7 @@ class Lookout:
     def ends(self, broken: str) -> str:
         """Reason to end the experiment, in words; empty while it goes on.
 
-        Args:
-            broken: the limit that this check found exceeded, in words; empty for none.
+        `broken`: the limit that this check found exceeded, in words; empty for none.
         """
         self._times = self._times + 1 if broken else 0
         return broken if self._times >= _TIMES else ""

@@ -26,17 +26,11 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Span:
-    """Voltages of drive -1, 0 and 1 [V].
+    """Voltages of drive -1, 0 and 1 [V]."""
 
-    Attributes:
-        lowest: at drive -1.
-        rest: at drive 0.
-        highest: at drive 1.
-    """
-
-    lowest: float = 4.15
-    rest: float = 5.5
-    highest: float = 7.5
+    lowest: float = 4.15  # at drive -1
+    rest: float = 5.5  # at drive 0
+    highest: float = 7.5  # at drive 1
 
     def voltage(self, drive: FloatArray) -> FloatArray:
         """Voltages [V] of a drive (N, 2), linear between the three."""
@@ -65,11 +59,7 @@ PAPER_DURATION = float(_PAPER[:, 0].sum())
 
 
 def paper(time: FloatArray, seed: int) -> FloatArray:
-    """Steps over the pressure range of the paper; 130 s long, then again from the start.
-
-    Args:
-        time: (N,) [s].
-    """
+    """Steps over the pressure range of the paper; 130 s long, then again from the start. `time`: (N,) [s]."""
     ends = np.cumsum(_PAPER[:, 0])
     return np.asarray(_PAPER[np.searchsorted(ends, time % PAPER_DURATION, side="right"), 1:])
 
@@ -77,11 +67,7 @@ def paper(time: FloatArray, seed: int) -> FloatArray:
 def steps(time: FloatArray, seed: int) -> FloatArray:
     """Random levels, each held for a random 0.5 to 3 s, for both valves at the same times.
 
-    Args:
-        time: (N,) [s].
-
-    Returns:
-        Drive (N, 2); it begins with 1 s at rest.
+    `time`: (N,) [s]. Returns drive (N, 2); it begins with 1 s at rest.
     """
     rng = np.random.default_rng(seed)
     end = float(time[-1]) if len(time) else 0.0
@@ -99,11 +85,7 @@ def steps(time: FloatArray, seed: int) -> FloatArray:
 def multisine(time: FloatArray, seed: int) -> FloatArray:
     """Sums of sines from 0.05 to 5 Hz with random phases: the difference of the valves at some, their sum at others.
 
-    Args:
-        time: (N,) [s].
-
-    Returns:
-        Drive (N, 2); it fades in over the first second.
+    `time`: (N,) [s]. Returns drive (N, 2); it fades in over the first second.
     """
     rng = np.random.default_rng(seed)
     frequency = np.geomspace(0.05, 5.0, 16)
@@ -140,12 +122,8 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
 def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
     """Commands of a built-in profile within the limits of a rig's valves or regulators.
 
-    Args:
-        name: one of ``PROFILES``.
-        duration: [s].
-
-    Returns:
-        (N, 2) [V] of valves, or [Pa] of pressure regulators: from a sixth of their range to its end.
+    `name`: one of ``PROFILES``. Returns (N, 2) [V] of valves, or [Pa] of pressure regulators: from a sixth of their
+    range to its end.
     """
     low, high = rig.command_limits
     lapped = rig.drive == "valve" and max(rig.valve_1.overlap, rig.valve_2.overlap) > 0.0
@@ -186,8 +164,7 @@ def _of_valves(rig: Rig) -> Span:
 def read_table(path: Path) -> tuple[FloatArray, FloatArray]:
     """Read voltages from a CSV file with the header ``t_s,u1,u2``: time [s], then both voltages [V].
 
-    Returns:
-        Times (K,) [s] and voltages (K, 2) [V].
+    Returns times (K,) [s] and voltages (K, 2) [V].
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:

@@ -41,31 +41,20 @@ REGULATORS: tuple[tuple[str, ...], ...] = tuple(
 
 
 class PlantSample(NamedTuple):
-    """Readings of a joint's sensors at the end of a step.
+    """Readings of a joint's sensors at the end of a step."""
 
-    Attributes:
-        pressure: measured pressures (2,) [Pa].
-        voltage: voltages (2,) that were on the valves over the step [V].
-        angle: reading of the validation encoder [rad].
-        torque: reading of the torque meter [N m].
-        encoder: reading of the rig's ``encoder``, an input of a filter [rad]; NaN where the rig has none.
-        truth: the true state (n,).
-    """
-
-    pressure: np.ndarray
-    voltage: np.ndarray
-    angle: float
-    torque: float
-    encoder: float
-    truth: np.ndarray
+    pressure: np.ndarray  # measured pressures (2,) [Pa]
+    voltage: np.ndarray  # voltages (2,) that were on the valves over the step [V]
+    angle: float  # reading of the validation encoder [rad]
+    torque: float  # reading of the torque meter [N m]
+    encoder: float  # reading of the rig's ``encoder``, an input of a filter [rad]; NaN where the rig has none
+    truth: np.ndarray  # the true state (n,)
 
 
 def scattered(p: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndarray:
     """Parameters of a joint that differs a little from the declared one.
 
-    Args:
-        p: parameter vector (parameters.SIZE,).
-        spread: relative standard deviation of each independent factor [-].
+    `p`: parameter vector (parameters.SIZE,). `spread`: relative standard deviation of each independent factor [-].
     """
     groups = SCATTER_GROUPS
     if p[par.INDEX[REGULATORS[0][0]]] > 0.0:

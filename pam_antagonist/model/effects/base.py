@@ -142,21 +142,14 @@ class Form:
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """How an effect reverses its torque when the joint reverses, to compare it with other effects that do so.
-
-    Attributes:
-        torque: start of a search [N m]; for a size in N, times the lever arm.
-        width: name of the parameter that holds the width of the reversal [m]; empty for a reversal at once.
-        widths: further starts of a search for the width [m].
-        about: note on the comparison; ``{step}`` becomes the encoder's step.
-    """
+    """How an effect reverses its torque when the joint reverses, to compare it with other effects that do so."""
 
     sizes: tuple[str, ...]
-    torque: float
-    width: str = ""
+    torque: float  # start of a search [N m]; for a size in N, times the lever arm
+    width: str = ""  # name of the parameter that holds the width of the reversal [m]; empty for a reversal at once
     widths_a_turn: float = 1.0
-    widths: tuple[float, ...] = ()
-    about: str = ""
+    widths: tuple[float, ...] = ()  # further starts of a search for the width [m]
+    about: str = ""  # note on the comparison; ``{step}`` becomes the encoder's step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,9 +303,8 @@ def along_signals(slope1, slope2, slope3, slope4, signal1, signal2, signal3, sig
 def played(width, held, command, quickest_lag):
     """Rate of an added state that follows a command through play: the play operator.
 
-    Args:
-        held: value of the state, which stays while the command moves within the play; likewise.
-        quickest_lag: shortest time constant that a step of the integration follows [s].
+    `held`: value of the state, which stays while the command moves within the play; likewise. `quickest_lag`: shortest
+    time constant that a step of the integration follows [s].
     """
     taken_along = min(max(held, command - 0.5 * width), command + 0.5 * width)
     return (taken_along - held) / quickest_lag

@@ -53,24 +53,18 @@ EVERYWHERE = ("atmosphere", "supply_pressure", "quickest_lag", *(f"signal{k}" fo
 
 @dataclass(frozen=True)
 class Hook:
-    """A place in the equations where effects act.
+    """A place in the equations where effects act."""
 
-    Attributes:
-        name: as in ``Effect.hooks``.
-        of_muscle: whether the hook is at each muscle (valve, sensor) in turn.
-        states: whether functions may ask for states, must do so, or cannot.
-        floor: whether the value is kept at 0 at least.
-    """
-
-    name: str
+    name: str  # as in ``Effect.hooks``
     meaning: str
     unit: str
     way: Literal["adds", "subtracts", "replaces"]
     value: str
     quantities: tuple[str, ...] = ()
-    of_muscle: bool = True
+    of_muscle: bool = True  # whether the hook is at each muscle (valve, sensor) in turn
+    # whether functions may ask for states, must do so, or cannot.
     states: Literal["possible", "needed", "none"] = "possible"
-    floor: bool = False
+    floor: bool = False  # whether the value is kept at 0 at least
 
 
 _JOINT = ("joint_angle", "joint_velocity", "travel")

@@ -28,9 +28,7 @@ from pam_antagonist.model.effects.base import (
 def loop_force(amplitude, hysteresis):
     """Force [N] that the loop adds to the contraction force.
 
-    Args:
-        amplitude: a [N], half the width of the loop.
-        hysteresis: z [-], state of the loop.
+    `amplitude`: a [N], half the width of the loop. `hysteresis`: z [-], state of the loop.
     """
     return amplitude * hysteresis
 

@@ -21,9 +21,7 @@ from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoi
 def pull(width, muscle_force):
     """Contraction force of a muscle that only pulls [N].
 
-    Args:
-        width: w [N].
-        muscle_force: F [N], which may be negative.
+    `width`: w [N]. `muscle_force`: F [N], which may be negative.
     """
     return 0.5 * (muscle_force + math.sqrt(muscle_force * muscle_force + width * width))
 

@@ -25,9 +25,7 @@ from pam_antagonist.model.effects.base import (
 def cooling(time, warmth):
     """Rate [Pa/s] by which cooling reduces dP/dt.
 
-    Args:
-        time: T [s].
-        warmth: q [Pa], the part of the pressure that is due to the gas being warmer than its surroundings.
+    `time`: T [s]. `warmth`: q [Pa], the part of the pressure that is due to the gas being warmer than its surroundings.
     """
     return warmth / time
 

@@ -37,12 +37,7 @@ def lost_force(share, warmed, static_force, passive_force):
 
 @inlined
 def warming(time, warmed):
-    """dw/dt [1/s].
-
-    Args:
-        time: T [s].
-        warmed: w [-].
-    """
+    """dw/dt [1/s]. `time`: T [s]. `warmed`: w [-]."""
     return (1.0 - warmed) / time
 
 
