@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from typing_extensions import override
 
 from pam_antagonist.diagnosis.from_pressures import LEAST_GAIN, FoundFromPressures, Tried
+from pam_antagonist.identification.from_pressures import CLEAR
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.model.effects import CATALOGUE
@@ -175,7 +176,7 @@ class PressuresDiagnoseResult(Result):
                     ("encoder_zero", values[ZERO], stds[ZERO], "rad"),
                     ("delay_angle", -values[DELAY], stds[DELAY], "s"),
                 )
-                if abs(value) > 5.0 * std
+                if abs(value) > CLEAR * std
             ],
             "errors": {name: _model_errors(one, rig) for name, (one, rig) in three.items()},
             "filter_errors_deg": {name: one.pooled(rig) for name, (one, rig) in three.items()},
