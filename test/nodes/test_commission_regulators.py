@@ -27,8 +27,8 @@ class Fill(Program):
     seconds = 1.5
 
     @override
-    def _commanded(self, time: float, pressure: np.ndarray, angle: float) -> tuple[float, float]:
-        return ASKED, vented(RIG)[0]
+    def command(self, time: float, pressure: np.ndarray, angle: float) -> tuple[float, float] | None:
+        return (ASKED, vented(RIG)[0]) if time < self.seconds else None
 
 
 def test_regulators_follow_a_program_and_let_the_air_out_beyond_a_limit(tmp_path: Path, domain: None) -> None:
