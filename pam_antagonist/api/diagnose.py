@@ -13,6 +13,7 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.diagnosis.learned_law import with_laws
+from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import is_for
 from pam_antagonist.inference.pressure_driven import PressureDriven
@@ -22,7 +23,15 @@ from pam_antagonist.report.close_loop_from_pressures import PressuresDiagnoseRes
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.rig import Rig, as_rig
 
-__all__ = ["DiagnoseResult", "EpisodesDiagnoseResult", "PressuresDiagnoseResult", "are_episodes", "diagnose", "is_for"]
+__all__ = [
+    "DiagnoseResult",
+    "EpisodesDiagnoseResult",
+    "PressuresDiagnoseResult",
+    "are_episodes",
+    "are_trials",
+    "diagnose",
+    "is_for",
+]
 
 Result = DiagnoseResult | EpisodesDiagnoseResult | PressuresDiagnoseResult
 
@@ -84,7 +93,7 @@ def diagnose(
     fitted, kept = (as_recordings(given, chosen, also) for given in (recordings, held_out))
     every = (*fitted, *kept)
     hashes = tuple(recording_hash(one) for one in every)
-    if is_for(chosen):
+    if is_for(chosen) or are_trials(every, chosen):
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
         found = _from_pressures(given, chosen, holdout, seed, jobs, progress, len(kept))
         return PressuresDiagnoseResult(chosen, found, hashes)
@@ -112,6 +121,14 @@ def diagnose(
         kept=tuple(bag_name(recording.path) for recording in kept) or holdout,
         typed=corrections(recordings, chosen),
     )
+
+
+def are_trials(recordings: Sequence[Recording], rig: Rig) -> bool:
+    """Whether these are short trials of a joint with valves, long enough together: the session of trials takes them."""
+    if rig.drive != "valve" or rig.valves.sealed:
+        return False
+    short = any(one.episode_ns is not None or one.duration_s < SHORTEST for one in recordings)
+    return short and sum(one.duration_s for one in recordings) >= SHORTEST
 
 
 def _silent(_text: str) -> None:

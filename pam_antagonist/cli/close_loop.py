@@ -89,7 +89,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
-    from pam_antagonist.api.diagnose import are_episodes, is_for
+    from pam_antagonist.api.diagnose import are_episodes, are_trials, is_for
     from pam_antagonist.cli.first_start import FITS, compile_first
     from pam_antagonist.inference.pressure_driven import PressureDriven
     from pam_antagonist.rig import load_rig
@@ -102,9 +102,8 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     share, bags = _split(arguments.holdout)
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
-    regulated = rig.drive == "regulator"
-    recordings = given.read(arguments, rig, bags) if regulated or is_for(rig) else []
-    whole = is_for(rig)
+    recordings = given.read(arguments, rig, bags)
+    whole = is_for(rig) or are_trials(recordings, rig)
     if not whole and any(one.drive != rig.drive for one in recordings) and not are_episodes(recordings, rig):
         # Without commands, nothing but episodes tells anything of a joint with regulators: it says what is missing.
         PressureDriven.of(recordings[0], rig, arguments.also)
@@ -114,13 +113,13 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
         raise BadInput(
             "--also: expected a recording of many episodes (import_csv: episode), whose pressures were measured"
         )
-    return _resumable(arguments, rig, share, recordings, bags, words)
+    return _resumable(arguments, rig, share, recordings, words)
 
 
 def _in_one_go(
     arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording], whole: bool
 ) -> int:
-    """Diagnose a joint of many short episodes, or one whose muscles have the force of a data sheet."""
+    """Diagnose a joint of many short episodes or trials, or one whose muscles have the force of a data sheet."""
     cluster.refuse_for_episodes(arguments.dask)
     if whole and arguments.resume:
         raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
@@ -132,9 +131,8 @@ def _in_one_go(
 
 
 def _resumable(
-    arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording], bags: Sequence[Path],
-    words: Sequence[str],
-) -> int:  # fmt: skip
+    arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording], words: Sequence[str]
+) -> int:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
     from pam_antagonist.diagnosis.checkpoint import Checkpoint
     from pam_antagonist.recording import bag_hash, bag_name
@@ -142,7 +140,6 @@ def _resumable(
     kept = arguments.out.parent / f"{arguments.out.name}.part"
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
-    recordings = recordings or given.read(arguments, rig, bags)
     hashes = [bag_hash(recording.path) for recording in recordings]
     holdout = [bag_name(recording.path) for recording in recordings[len(arguments.bags) :]] or share
     store = Checkpoint(kept.absolute())

@@ -271,7 +271,7 @@ def _angle_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
     values = fit.values
     changes = {**joint_stage.model_values(fit.unknowns, values), **NO_REGULATORS}
     p = par.changed(rig.parameters(), changes)
-    zero, delay = values[joint_stage.ZERO], values[joint_stage.DELAY]
+    zero, delay = values.get(joint_stage.ZERO, 0.0), values.get(joint_stage.DELAY, 0.0)
     left = [run.angle - joint_stage.simulated(run, p, zero, delay) for run in runs]
     return np.concatenate([np.zeros(0), *(item[np.isfinite(run.angle)] for item, run in zip(left, runs, strict=True))])
 

@@ -99,8 +99,8 @@ def checked(recordings: Sequence[Given], ends: Sequence[float], rig: Rig) -> lis
             "pressures of the regulators, in one at least"
         )
     for (recording, state, name), end in zip(recordings, ends, strict=True):
-        if not guessed and recording.episode_ns is None:
-            if recording.duration_s - end < _SHORTEST_HOLDOUT:
+        if not guessed and recording.episode_ns is None and end > 0.0:
+            if 0.0 <= recording.duration_s - end < _SHORTEST_HOLDOUT:
                 raise BadInput(
                     f"{name}: {recording.duration_s - end:.1f} s would be held out; expected at least "
                     f"{_SHORTEST_HOLDOUT:g} s, to judge the result by"

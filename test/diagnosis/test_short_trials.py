@@ -1,4 +1,4 @@
-"""``close_loop`` of a joint that only a ruler described: the missing effect is named, and the filter gets better."""
+"""``close_loop`` of short trials, of a joint that a ruler described or of shin2022: the missing effect is named."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from other_rigs import described, drawn, recorded
+from other_rigs import commands, described, drawn, recorded
 
+from pam_antagonist import simulate
 from pam_antagonist.cli import close_loop
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
@@ -31,3 +32,21 @@ def test_a_supply_that_droops_is_named(tmp_path: Path) -> None:
     assert [effect["name"] for effect in report["effects"]] == ["supply_droop"]
     assert "learned" not in {item["name"] for item in report["candidates"]}
     assert "supply_droop" in load_rig(tmp_path / "out" / "rig_extended.yaml").effects
+
+
+@pytest.mark.slow(30)
+def test_a_leak_of_a_known_rig_is_found_in_short_trials(tmp_path: Path) -> None:
+    rig = load_rig("shin2022").with_value("sample_period", 0.01)
+    true = rig.with_value("effects.leak.area_1", 3e-8)
+    bags = [tmp_path / f"free_{seed}" for seed in range(TRIALS)]
+    for seed, bag in enumerate(bags):
+        write_bag(bag, simulate(true, commands(rig, 8.0, seed), joint="free", seed=seed))
+    write_rig(rig, tmp_path / "rig.yaml", [])
+    out = tmp_path / "out"
+    assert close_loop.main([*map(str, bags), "--rig", str(tmp_path / "rig.yaml"), "--out", str(out)]) == 0
+    report = json.loads((out / "report.json").read_text())
+    (effect,) = report["effects"]
+    assert (effect["name"], effect["muscle"]) == ("leak", 1)
+    assert effect["parameters"]["area_1"]["value"] == pytest.approx(3e-8, rel=0.2)
+    errors = report["filter_errors_deg"]
+    assert errors["extended"] < 0.2 * errors["as_configured"]
