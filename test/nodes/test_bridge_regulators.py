@@ -98,7 +98,10 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
 def test_the_joint_is_held_over_the_serial_line_and_nothing_is_wrong(run: Run) -> None:
     recording = read_bag(run.bag)
     assert recording.drive == "regulator" and recording.angle is not None
-    assert np.mean(recording.angle[-200:]) == pytest.approx(GOAL, abs=math.radians(1.5))
+    # The last row has no angle where the recording ends between its messages.
+    held = recording.angle[-200:]
+    assert np.isfinite(held).mean() > 0.95
+    assert np.nanmean(held) == pytest.approx(GOAL, abs=math.radians(1.5))
     low, high = RIG.command_limits
     assert np.all((recording.voltage > low - 1.0) & (recording.voltage < high + 1.0)), "pressures, not volts"
     assert not np.isfinite(recording.pressure).any() and "pressure_1" not in recording.topics
