@@ -304,19 +304,12 @@ class DriveClient(VoltageClient):
             broken: returns which limit the pressures (2,) [Pa] or the angle [rad] exceed, in words; empty for none.
             progress: called with the time since the last call [s].
         """
-        begin, reported, lookout = time.monotonic(), 0.0, Lookout()
-        while (elapsed := time.monotonic() - begin) < len(voltage) * period:
-            self.send(voltage[min(int(elapsed / period), len(voltage) - 1)])
-            if reason := lookout.ends(broken(*self.seen())):
-                self._hold(rest, RETREAT)
-                return f"after {elapsed:.1f} s {reason}"
-            if elapsed - reported > _PROGRESS_S:
-                check()
-                progress(elapsed - reported)
-                reported = elapsed
-            time.sleep(TICK)
-        progress(elapsed - reported)
-        return ""
+
+        def row(elapsed: float, _pressures: Floats, _angle: float) -> tuple[float, float]:
+            first, second = voltage[min(int(elapsed / period), len(voltage) - 1)]
+            return first, second
+
+        return self._follow(row, len(voltage) * period, rest, broken, check, progress)
 
     def explore(
         self,
@@ -336,6 +329,21 @@ class DriveClient(VoltageClient):
             broken: as for :meth:`drive`.
             progress: called with the time since the last call [s].
         """
+        if reason := self._follow(command, seconds, rest, broken, check, progress):
+            return reason
+        self._hold(rest, _PROGRESS_S)
+        return ""
+
+    def _follow(
+        self,
+        command: Callable[[float, Floats, float], tuple[float, float] | None],
+        seconds: float,
+        rest: Floats,
+        broken: Callable[[Floats, float], str],
+        check: Callable[[], None],
+        progress: Callable[[float], None],
+    ) -> str:
+        """Send commands in real time, as :meth:`explore`, but leave the last one at the end."""
         begin, reported, lookout = time.monotonic(), 0.0, Lookout()
         while (elapsed := time.monotonic() - begin) < seconds:
             pressures, angle = self.seen()
@@ -351,7 +359,7 @@ class DriveClient(VoltageClient):
                 progress(elapsed - reported)
                 reported = elapsed
             time.sleep(TICK)
-        self._hold(rest, _PROGRESS_S)
+        progress(elapsed - reported)
         return ""
 
     def _hold(self, voltage: Floats, seconds: float) -> None:
