@@ -30,7 +30,6 @@ __all__ = [
     "are_episodes",
     "are_trials",
     "diagnose",
-    "is_for",
 ]
 
 Result = DiagnoseResult | EpisodesDiagnoseResult | PressuresDiagnoseResult
@@ -93,7 +92,7 @@ def diagnose(
     fitted, kept = (as_recordings(given, chosen, also) for given in (recordings, held_out))
     every = (*fitted, *kept)
     hashes = tuple(recording_hash(one) for one in every)
-    if is_for(chosen) or are_trials(every, chosen):
+    if are_trials(every, chosen):
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
         found = _from_pressures(given, chosen, holdout, seed, jobs, progress, len(kept))
         return PressuresDiagnoseResult(chosen, found, hashes)
@@ -124,7 +123,9 @@ def diagnose(
 
 
 def are_trials(recordings: Sequence[Recording], rig: Rig) -> bool:
-    """Whether these are short trials of a joint with valves, long enough together: the session of trials takes them."""
+    """Whether effects are tried in parts of the model: for a rig of data sheets, and for short trials of any valves."""
+    if is_for(rig):
+        return True
     if rig.drive != "valve" or rig.valves.sealed:
         return False
     short = any(one.episode_ns is not None or one.duration_s < SHORTEST for one in recordings)

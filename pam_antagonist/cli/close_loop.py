@@ -89,7 +89,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
-    from pam_antagonist.api.diagnose import are_episodes, are_trials, is_for
+    from pam_antagonist.api.diagnose import are_episodes, are_trials
     from pam_antagonist.cli.first_start import FITS, compile_first
     from pam_antagonist.inference.pressure_driven import PressureDriven
     from pam_antagonist.rig import load_rig
@@ -103,7 +103,7 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
     recordings = given.read(arguments, rig, bags)
-    whole = is_for(rig) or are_trials(recordings, rig)
+    whole = are_trials(recordings, rig)
     if not whole and any(one.drive != rig.drive for one in recordings) and not are_episodes(recordings, rig):
         # Without commands, nothing but episodes tells anything of a joint with regulators: it says what is missing.
         PressureDriven.of(recordings[0], rig, arguments.also)

@@ -19,8 +19,6 @@ from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
 
-_POSITIONS = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
-"""Values of a shared parameter, in standard errors from the best one."""
 _FAR = 2.0
 """Distance in standard errors at which the rise of the posterior is compared with the parabola."""
 _STEPS = 2

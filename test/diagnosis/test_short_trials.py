@@ -4,30 +4,36 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from other_rigs import commands, described, drawn, recorded
 
 from pam_antagonist import simulate
 from pam_antagonist.cli import close_loop
-from pam_antagonist.recording import write_bag
-from pam_antagonist.rig import load_rig
+from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
 TRIALS = 4
+
+
+def closed(rig: Rig, trials: list[Recording], folder: Path) -> dict[str, Any]:
+    """What the command says of trials; its files are in ``out``."""
+    bags = [folder / f"free_{seed}" for seed in range(len(trials))]
+    for bag, trial in zip(bags, trials, strict=True):
+        write_bag(bag, trial)
+    write_rig(rig, folder / "rig.yaml", [])
+    out = folder / "out"
+    assert close_loop.main([*map(str, bags), "--rig", str(folder / "rig.yaml"), "--out", str(out)]) == 0
+    return json.loads((out / "report.json").read_text())  # type: ignore[no-any-return]
 
 
 @pytest.mark.slow(30)
 def test_a_supply_that_droops_is_named(tmp_path: Path) -> None:
     guessed = described(0.01)
     true = drawn(guessed, 3).with_value("effects.supply_droop.stiffness", 4e8)
-    for seed in range(TRIALS):
-        write_bag(tmp_path / f"free_{seed}", recorded(true, 8.0, seed))
-    write_rig(guessed, tmp_path / "rig.yaml", [])
-    names = [str(tmp_path / f"free_{seed}") for seed in range(TRIALS)]
-    status = close_loop.main([*names, "--rig", str(tmp_path / "rig.yaml"), "--out", str(tmp_path / "out")])
-    assert status == 0
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    report = closed(guessed, [recorded(true, 8.0, seed) for seed in range(TRIALS)], tmp_path)
     assert report["verdict"] == "effect"
     assert [effect["name"] for effect in report["effects"]] == ["supply_droop"]
     assert "learned" not in {item["name"] for item in report["candidates"]}
@@ -38,13 +44,8 @@ def test_a_supply_that_droops_is_named(tmp_path: Path) -> None:
 def test_a_leak_of_a_known_rig_is_found_in_short_trials(tmp_path: Path) -> None:
     rig = load_rig("shin2022").with_value("sample_period", 0.01)
     true = rig.with_value("effects.leak.area_1", 3e-8)
-    bags = [tmp_path / f"free_{seed}" for seed in range(TRIALS)]
-    for seed, bag in enumerate(bags):
-        write_bag(bag, simulate(true, commands(rig, 8.0, seed), joint="free", seed=seed))
-    write_rig(rig, tmp_path / "rig.yaml", [])
-    out = tmp_path / "out"
-    assert close_loop.main([*map(str, bags), "--rig", str(tmp_path / "rig.yaml"), "--out", str(out)]) == 0
-    report = json.loads((out / "report.json").read_text())
+    trials = [simulate(true, commands(rig, 8.0, seed), joint="free", seed=seed) for seed in range(TRIALS)]
+    report = closed(rig, trials, tmp_path)
     (effect,) = report["effects"]
     assert (effect["name"], effect["muscle"]) == ("leak", 1)
     assert effect["parameters"]["area_1"]["value"] == pytest.approx(3e-8, rel=0.2)
