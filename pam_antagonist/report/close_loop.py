@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import Diagnosis, found_calibrations, thresholds
-from pam_antagonist.diagnosis.from_pressures import Tried
 from pam_antagonist.diagnosis.result import FoundEffect, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.warnings import like_a_curve
@@ -211,7 +210,7 @@ class DiagnoseResult(Diagnosis, Result):
             return " ".join(str(error).split())
 
 
-def effects_frame(effects: Sequence[FoundEffect | Tried]) -> DataFrame:
+def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
     """A row for each parameter of each effect."""
     rows = [
         (effect.name, effect.muscle, name, value, std, unit, effect.delta_bic)
