@@ -35,13 +35,9 @@ _MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("check", __doc__)
-    common.add_bags(out)
-    common.add_rig(out)
-    common.add_joint(out, of_recording=True)
-    common.add_topics(out)
-    out.option("--namespace", "namespace of the rig, where a bag holds several", metavar="/NS")
-    out.option("--joint-name", "joint in measured/joint_states (default: the first)", metavar="NAME")
-    common.add_recover(out)
+    out.shared("bags", "--rig", "--joint of a recording", "--lock-angle", "--topic", "--namespace")
+    out.shared("--joint-name", help="joint in measured/joint_states (default: the first)")
+    out.shared("--recover")
     out.option("--json", "write the findings there as well; - for standard output alone", metavar="FILE")
     add_options(out)
     return out

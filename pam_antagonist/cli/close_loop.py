@@ -63,9 +63,8 @@ def parser() -> common.Parser:
         "--also", "another recorded signal on which the joint may depend: a name below also/, or a topic; may be given "
         "several times; for rigs with drive: regulator", "SIGNAL",
     )  # fmt: skip
-    common.add_jobs(out)
-    cluster.add_dask(out)
-    common.add_seed(out, "the random starts of fits")
+    out.shared("--jobs", "--dask")
+    out.shared("--seed", help="seed of the random starts of fits (default: 0)")
     out.flag("--resume", "continue an interrupted run, which left its results in DIR.part")
     given.add_names_and_report(out)
     return out

@@ -44,8 +44,8 @@ _FREE_S = 30.0
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("commission", _DESCRIPTION, _EXAMPLES)
-    common.add_rig(out)
-    common.add_out(out, "folder of the results; if commission has begun in it, the command continues there")
+    out.shared("--rig")
+    out.shared("--out", help="folder of the results; if commission has begun in it, the command continues there")
     out.option("--duration", "length of the free experiment [s] (default: 40)", float, 40.0, "S")
     out.flag("--no-lock", "the joint cannot be locked: leave that step out")
     out.flag("--unattended", "do not wait for a person; for a simulated joint only")
@@ -53,7 +53,7 @@ def parser() -> common.Parser:
         "--plant", "rig file of the simulated joint (default: that of --rig; for a rig that was never identified, a "
         "joint drawn from the priors of its file)", metavar="RIG",
     )  # fmt: skip
-    common.add_seed(out, "the searches and of the simulated joint", "N")
+    out.shared("--seed", help="seed of the searches and of the simulated joint (default: 0)", metavar="N")
     add_limits(out)
     add_source(out)
     return out

@@ -85,12 +85,12 @@ def parser() -> common.Parser:
         "to hold; for a rig with drive: regulator",
     )  # fmt: skip
     out.option("--tuning", "filter tuning of the rig (default: default)", None, "default", "NAME")
-    common.add_seed(out, "the joint's mismatch and sensor noise", "N")
+    out.shared("--seed", help="seed of the joint's mismatch and sensor noise (default: 0)", metavar="N")
     mismatch = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
-    out.option("--mismatch", mismatch, real(0.0, 0.29), 0.01, "X")
+    out.shared("--mismatch", help=mismatch, type=real(0.0, 0.29))
     out.option("--out", "folder for bag, logs and report; a new one (default: demo-DATE-TIME)", Path, metavar="DIR")
-    out.flag("--no-figures", "leave the figures out of report.html")
-    common.add_open(out)
+    out.shared("--no-figures", help="leave the figures out of report.html")
+    out.shared("--open")
     return out
 
 

@@ -48,9 +48,8 @@ def parser() -> common.Parser:
     share = "share at the end of each recording that is held out to judge the result (default: a third)"
     out.option("--holdout", share, real(0.05, 0.8, "a share"), 1.0 / 3.0, "SHARE")
     out.option("--starts", "starts of the search (default: 1)", whole(1, 64), 1, "N")
-    common.add_seed(out, "the further starts")
-    common.add_jobs(out)
-    cluster.add_dask(out)
+    out.shared("--seed", help="seed of the further starts (default: 0)")
+    out.shared("--jobs", "--dask")
     given.add_names_and_report(out)
     return out
 

@@ -20,27 +20,14 @@ if TYPE_CHECKING:
 
 def add_bags(parser: common.Parser) -> None:
     """Bags, rig, new folder, and whether the joint could move."""
-    common.add_bags(parser)
-    common.add_rig(parser)
-    common.add_out(parser)
-    common.add_joint(parser, of_recording=True)
+    parser.shared("bags", "--rig", "--out", "--joint of a recording", "--lock-angle")
 
 
 def add_names_and_report(parser: common.Parser) -> None:
     """Names of topics and joint, damaged bags, and what the report holds."""
-    common.add_topics(parser)
-    parser.option("--namespace", "namespace of the rig, where a bag holds several", metavar="/NS")
-    parser.option("--joint-name", "joint in measured/joint_states, where it holds several", metavar="NAME")
-    common.add_recover(parser)
-    add_corrections(parser)
-    common.add_json(parser)
-    common.add_page(parser)
-
-
-def add_corrections(parser: common.Parser) -> None:
-    """The options that correct a recording, and ``--no-check``."""
+    parser.shared("--topic", "--namespace", "--joint-name", "--recover")
     corrections.add_options(parser)
-    parser.flag("--no-check", "use a recording although the check says that it is wrong")
+    parser.shared("--no-check", "--json", "--no-figures", "--open")
 
 
 def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:

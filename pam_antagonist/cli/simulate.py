@@ -30,19 +30,18 @@ from pam_antagonist.simulation import excitation
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("simulate", __doc__)
-    common.add_rig(out)
-    common.add_out(out, "folder of the bag; a new one")
+    out.shared("--rig")
+    out.shared("--out", help="folder of the bag; a new one")
     out.option(
         "--profile", f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s "
         "and V; for a rig with pressure regulators, u1 and u2 are the commanded pressures in Pa",
         None, "paper", "NAME|FILE.csv",
     )  # fmt: skip
     out.option("--duration", "length [s] (default: 130 for paper, 60, or that of the CSV file)", float, metavar="S")
-    common.add_joint(out)
-    common.add_seed(out, "all random numbers")
+    out.shared("--joint", "--lock-angle", "--seed")
     mismatch = "relative deviation of the joint's parameters from the rig file (default: 0)"
-    out.option("--mismatch", mismatch, float, 0.0, "X")
-    out.flag("--no-noise", "exact sensors")
+    out.shared("--mismatch", help=mismatch, default=0.0)
+    out.shared("--no-noise")
     return out
 
 

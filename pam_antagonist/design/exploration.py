@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.design.optimal import Limits
+from pam_antagonist.design.optimal import Limits, Plan
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -77,6 +77,21 @@ class Program(ABC):
     @abstractmethod
     def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
         """Commands for the next sample, from the time [s] and what is measured [Pa], [rad]; None at the end."""
+
+
+class Planned(Program):
+    """The voltages of a plan, one after the other."""
+
+    confined = True
+
+    def __init__(self, plan: Plan) -> None:
+        self._voltage, self._period, self.seconds = plan.voltage, plan.period, plan.duration
+
+    @override
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+        # A little later, so that rounding takes no sample for the one before it.
+        first, second = self._voltage[min(int(time / self._period + 1e-6), len(self._voltage) - 1)]
+        return first, second
 
 
 @dataclass

@@ -13,15 +13,16 @@ import pytest
 
 from pam_antagonist.cli import commission, new_rig
 from pam_antagonist.cli.demo_steps import found_gains
-from pam_antagonist.cli.rehearsal import explore
+from pam_antagonist.cli.rehearsal import rehearse
 from pam_antagonist.cli.tried_gains import held_angles, tried_gains
 from pam_antagonist.control.model_law import ModelGains
-from pam_antagonist.design import Limits
+from pam_antagonist.design import Limits, Plan
 from pam_antagonist.design.exploration import FirstAir
 from pam_antagonist.design.first_fill import pulse_faults
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.limits import vented
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.plant import Plant
 
@@ -84,8 +85,9 @@ def test_a_guess_becomes_a_controlled_joint(tmp_path: Path) -> None:
 @pytest.mark.parametrize("drive", DRIVES)
 def test_first_air_says_what_is_exchanged(drive: str, tmp_path: Path) -> None:
     rig = guess(tmp_path, drive)
-    program, limits = FirstAir(rig), Limits.of(rig)
-    _, ended = explore(joint_of(rig), program, limits, 1, 0.0, tmp_path / "bag")
+    program, (least, command) = FirstAir(rig), vented(rig)
+    plan = Plan(np.empty((0, 2)), rig.sample_period, "free", 0.0, Limits.of(rig), least, command)
+    _, ended = rehearse(joint_of(rig), plan, program, 1, 0.0, tmp_path / "bag")
     recording = read_bag(tmp_path / "bag", judge=False)
     assert ended == "" and pulse_faults(rig, recording, program.pulses) == []
     assert all(pulse.rise.max() < 150e3 for pulse in program.pulses), "a little air only"

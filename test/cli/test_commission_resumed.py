@@ -48,8 +48,8 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     """Commissioning with quick designs and findings; air goes in by the rehearsal as ever."""
     out, driven = Stopped(), commission_steps.drive
 
-    def drive(owner: Any, plan: Plan, folder: Path) -> Any:
-        result = driven(owner, plan, folder)
+    def drive(owner: Any, plan: Plan, folder: Path, *more: Any) -> Any:
+        result = driven(owner, plan, folder, *more)
         out.once(folder.name.partition("_")[0])
         return result
 

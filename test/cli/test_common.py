@@ -48,8 +48,7 @@ def test_a_defect_is_status_1_and_says_where(capsys: pytest.CaptureFixture[str])
 
 def _parser() -> common.Parser:
     parser = common.Parser("thing", "Do a thing.")
-    common.add_rig(parser)
-    common.add_json(parser)
+    parser.shared("--rig", "--json")
     parser.add_argument("--out", type=Path)
     return parser
 
@@ -125,14 +124,14 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["pressure_1", "=/a", "pressure_1=a", "pressure_1="])
 def test_a_topic_has_a_name_and_another_name(text: str) -> None:
     parser = common.Parser("thing", "x")
-    common.add_topics(parser)
+    parser.shared("--topic")
     with pytest.raises(BadInput, match="NAME=/OTHER"):
         parser.parse_args(["--topic", text])
 
 
 def test_topics() -> None:
     parser = common.Parser("thing", "x")
-    common.add_topics(parser)
+    parser.shared("--topic")
     given = parser.parse_args(["--topic", "pressure_1=/a/p", "--topic", "pressure_2=/b"])
     assert common.topics(given) == {"pressure_1": "/a/p", "pressure_2": "/b"}
     twice = parser.parse_args(["--topic", "pressure_1=/a", "--topic", "pressure_1=/b"])

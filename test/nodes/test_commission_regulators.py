@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typing_extensions import override
 
-from pam_antagonist.cli.driving import Owner, explored
-from pam_antagonist.design import Limits
+from pam_antagonist.cli.driving import Owner, drive
+from pam_antagonist.design import Limits, Plan
 from pam_antagonist.design.exploration import Program
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import load_rig
@@ -38,7 +38,8 @@ def test_regulators_follow_a_program_and_let_the_air_out_beyond_a_limit(tmp_path
         folder = tmp_path / name
         folder.mkdir()
         within = replace(limits, pressure=(limits.pressure[0], highest))
-        ended = explored(owner, RIG, Fill(), within, folder)
+        plan = Plan(np.empty((0, 2)), RIG.sample_period, "free", 0.0, within, least, rest)
+        ended = drive(owner, plan, folder, RIG, Fill()).ended
         assert ("pressure" in ended) == (name == "broken"), ended
         recordings[name] = read_bag(folder / "bag", judge=False)
     kept, broken = recordings["kept"], recordings["broken"]

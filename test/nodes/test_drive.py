@@ -38,7 +38,7 @@ def test_it_ends_at_rest_where_a_limit_is_reached(tmp_path: Path, domain: None) 
     plan = designed(rig, Limits.of(rig), 8.0)
     # Somebody set the limit anew after the plan was made: what is measured decides.
     narrow = replace(plan, limits=replace(plan.limits, angle=math.radians(1.0)))
-    driven = drive(Owner("plant", "shin2022"), narrow, tmp_path)
+    driven = drive(Owner("plant", "shin2022"), narrow, tmp_path, rig)
     assert "beyond the limit of 1.0 deg" in driven.ended
     last = read_bag(tmp_path / "bag").voltage[-100:]
     assert np.allclose(last, plan.rest, atol=1e-6)

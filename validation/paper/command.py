@@ -69,9 +69,9 @@ def parser() -> common.Parser:
     map_help = (
         "force map of a real muscle, CSV (default: ../shared/data/measured/force_maps/dmsp_20_300.csv, if it is there)"
     )
-    common.add_json(out)
+    out.shared("--json")
     add("--force-map", type=Path, metavar="FILE", help=map_help)
-    common.add_open(out)
+    out.shared("--open")
     return out
 
 
