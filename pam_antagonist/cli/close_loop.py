@@ -89,15 +89,10 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
     from pam_antagonist.api.diagnose import are_episodes, are_trials
-    from pam_antagonist.cli.first_start import FITS, compile_first
+    from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.inference.pressure_driven import PressureDriven
-    from pam_antagonist.rig import load_rig
 
-    common.check_output(arguments.out)
-    common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig, regulators=True)
-    compile_first(FITS, rig)
-    common.lock_angle(arguments)
+    rig = given.begun(arguments, FITS)
     share, bags = _split(arguments.holdout)
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")

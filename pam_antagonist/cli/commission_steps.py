@@ -194,7 +194,7 @@ class Commission:
             raise StepFailed("\n".join(fault.sentence for fault in found))
         said = "each valve fills its muscle, signs and zeros are right, no leak"
         if angle is not None and not turns_visibly(self._rig, plan):
-            said = "each valve fills its muscle, zeros are right, no leak"
+            said = said.replace("signs and zeros", "zeros")
             said += "; the encoder's sign was not tested: below --max-pressure the joint hardly turns"
         elif angle is not None:
             low, high = (math.degrees(float(bound(angle))) for bound in (np.nanmin, np.nanmax))
@@ -229,13 +229,11 @@ class Commission:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}
         result.save(self._result("identified"), figures=False)
+        warnings = list(result.warnings)
         if result.rejected:
-            return {"said": f"the identified rig is not used: {result.rejected}", "warnings": list(result.warnings)}
-        return {
-            "said": f"{len(result.rig.directions)} uncertain directions are left",
-            "warnings": list(result.warnings),
-            "folder": "identified",
-        }
+            return {"said": f"the identified rig is not used: {result.rejected}", "warnings": warnings}
+        left = f"{len(result.rig.directions)} uncertain directions are left"
+        return {"said": left, "warnings": warnings, "folder": "identified"}
 
     def _diagnosed(self, name: str) -> dict[str, Any]:
         from pam_antagonist.api.diagnose import EpisodesDiagnoseResult, diagnose
@@ -305,9 +303,7 @@ class Commission:
 
     def _taken(self, chosen: Path) -> Rig:
         """The rig file of a step, as the one of the commissioning."""
-        rig = self._out / "rig.yaml"
-        rig.write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
-        return load_rig(str(rig), regulators=True)
+        return load_rig(shutil.copyfile(chosen, self._out / "rig.yaml"), regulators=True)
 
     def _write_parameters(self, of_controller: dict[str, Any]) -> None:
         content = {
@@ -331,10 +327,8 @@ class Commission:
         """Write ``report.html`` and ``report.json`` on what was done so far."""
         steps, driven = [], []
         for name, one in self.steps.items():
-            folder = one.get("folder", "")
-            steps.append(
-                Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0), folder)
-            )
+            took = one.get("seconds", 0.0), one.get("rig_s", 0.0)
+            steps.append(Step(name, bool(one["done"]), one["said"], *took, one.get("folder", "")))
             if "bag" in one:
                 recording = read_bag(self._out / one["bag"], judge=False)
                 driven.append(DrivenStep(name, recording, self._limits.pressure, self._limits.angle))

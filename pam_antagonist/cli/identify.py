@@ -57,15 +57,10 @@ def parser() -> common.Parser:
 def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.diagnose import are_episodes
     from pam_antagonist.api.identify import IdentifyResult, identify
-    from pam_antagonist.cli.first_start import FITS, compile_first
+    from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.report import terminal
-    from pam_antagonist.rig import load_rig
 
-    common.check_output(arguments.out)
-    common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig, regulators=True)
-    compile_first(FITS, rig)
-    common.lock_angle(arguments)
+    rig = given.begun(arguments, FITS)
     if rig.valves.sealed:
         _refuse_choice(arguments, "of a sealed joint are fitted")
     recordings = given.read(arguments, rig)

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
@@ -28,6 +30,26 @@ def add_names_and_report(parser: common.Parser) -> None:
     parser.shared("--topic", "--namespace", "--joint-name", "--recover")
     corrections.add_options(parser)
     parser.shared("--no-check", "--json", "--no-figures", "--open")
+
+
+def begun(arguments: argparse.Namespace, parts: Sequence[str]) -> Rig:
+    """The rig, after what can be refused before any work, and after what a first start compiles (``first_start``)."""
+    from pam_antagonist.cli.first_start import compile_first
+    from pam_antagonist.rig import load_rig
+
+    common.check_output(arguments.out)
+    common.only_available_figures(arguments)
+    common.lock_angle(arguments)
+    rig = load_rig(arguments.rig, regulators=True)
+    compile_first(parts, rig)
+    return rig
+
+
+def span(values: Any, scale: float, unit: str) -> str:
+    """Least and largest value, in a unit."""
+    if values is None:
+        return "not in the file"
+    return f"{np.nanmin(values) * scale:.4g} to {np.nanmax(values) * scale:.4g} {unit}"
 
 
 def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:

@@ -69,22 +69,17 @@ def parser() -> common.Parser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.cli.first_start import REPLAY, compile_first
+    from pam_antagonist.cli.first_start import REPLAY
     from pam_antagonist.replays.result import check_estimate
     from pam_antagonist.report import html
     from pam_antagonist.report.replay import document, numbers
-    from pam_antagonist.rig import load_rig
 
-    common.check_output(arguments.out)
     if arguments.save is not None:
         if len(arguments.bags) > 1:
             raise BadInput(f"--save: expected one recording, got {len(arguments.bags)}")
         check_estimate(arguments.save)
-    common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig, regulators=True)
-    compile_first(REPLAY, rig)
+    rig = given.begun(arguments, REPLAY)
     rig.tuning(arguments.tuning)
-    common.lock_angle(arguments)
     replays = []
     for bag in arguments.bags:
         for done in _replays(bag, rig, arguments):

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.cli.recordings import span
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
@@ -81,10 +82,6 @@ def _voltages(arguments: argparse.Namespace, rig: Rig) -> NDArray[np.float64]:
 
 
 def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> str:
-    def span(values: NDArray[np.float64] | None, scale: float, unit: str) -> str:
-        assert values is not None
-        return f"{values.min() * scale:.4g} to {values.max() * scale:.4g} {unit}"
-
     return (
         f"{arguments.out}: {len(recording.stamp_ns)} samples of rig {rig.name}, joint {arguments.joint}\n"
         f"  pressures {span(recording.pressure[:, 0], 1e-3, 'kPa')} and {span(recording.pressure[:, 1], 1e-3, 'kPa')}\n"
