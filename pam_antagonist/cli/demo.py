@@ -40,7 +40,7 @@ from pam_antagonist.cli.demo_steps import FOUND, GAINS, MODEL, Task, found_gains
 from pam_antagonist.cli.driving import how_to_watch, stay_apart
 from pam_antagonist.cli.numbers import real
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments

@@ -16,8 +16,7 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import real
 from pam_antagonist.cli.recordings import announce
-from pam_antagonist.control import Box
-from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
+from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.report.reachable import ReachableResult
 from pam_antagonist.rig import load_rig
 

@@ -206,7 +206,6 @@ class Slow(_Confined):
         super().__init__(rig, limits, towards)
         self._turns = [(share, turn) for share, turns in zip(_COMMON, _TURNS, strict=True) for turn in (0.0, *turns)]
         self._k, self._since, self._arrived = 0, 0.0, -1.0
-        self.unreached = 0
         self.seconds = _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * len(self._turns)
 
     @override
@@ -225,7 +224,6 @@ class Slow(_Confined):
             self._arrived = time
         longest = _LONGEST_TURN_S if self._k else _CENTRE_S
         if (self._arrived >= 0.0 and time - self._arrived > _DWELL_S) or time - self._since > longest:
-            self.unreached += self._arrived < 0.0
             self._k, self._since, self._arrived = self._k + 1, time, -1.0
         return self._commands(pressure)
 

@@ -278,8 +278,3 @@ def _encoder(turned: tuple[Floats, Floats] | None) -> list[Fault]:
             )
         ]
     return []
-
-
-def summary(found: Sequence[Fault]) -> str:
-    """What was found, a line each."""
-    return "\n".join(f"wrong: {fault.sentence}" for fault in found) or "wired as the rig file says"

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import FluidPressure, JointState
 from typing_extensions import override
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level
 from pam_antagonist.nodes.spin import client_node

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.control.tracking import SETTLED, SHORTEST_STEP, STEADY_PART, Tracking, held, tracking, yielded
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording

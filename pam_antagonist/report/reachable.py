@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.control import Box, Reachable
+from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
 from pam_antagonist.report.document import Block, Document, Text, Tile, Tiles, background
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel

@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.control import Box, Mode, Wanted
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.reference import Wanted
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig

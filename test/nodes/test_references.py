@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 
 pytestmark = pytest.mark.ros
 

@@ -9,7 +9,9 @@ import pytest
 
 from pam_antagonist.cli import new_rig
 from pam_antagonist.cli.demo_steps import MODEL, law_of, task
-from pam_antagonist.control import Box, Mode, Reachable
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import controller, plant
 from pam_antagonist.nodes.parameters import Parameter, by_rig

@@ -98,7 +98,9 @@ def parser() -> common.Parser:
         help=f"length of a recording [s] (default: {DURATION:g})",
     )
     out.add_argument("--jobs", type=JOBS, default=os.cpu_count() or 1, metavar="N", help="threads (default: all cores)")
-    cases = "judge whole cases, one a worker's thread, on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786"
+    cases = (
+        "judge whole cases, one a worker's thread, on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786"
+    )
     out.shared("--dask", help=f"{cases} (needs pam_antagonist[dask])")
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the tables as Markdown; FILE is replaced")
     out.add_argument(

@@ -13,7 +13,8 @@ import numpy as np
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import JOBS, whole
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.control import Box, Mode
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
 from pam_antagonist.report import html, terminal
 from pam_antagonist.report.document import Document, Text

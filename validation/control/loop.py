@@ -10,18 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.cli.tried_gains import seen
-from pam_antagonist.control import (
-    Box,
-    Governor,
-    Laws,
-    Limits,
-    Mode,
-    ModelController,
-    PiController,
-    Reachable,
-    VoltageLimits,
-    Wanted,
-)
+from pam_antagonist.control.command import Mode, VoltageLimits
+from pam_antagonist.control.governor import Governor, Limits
+from pam_antagonist.control.laws import Laws, Reachable
+from pam_antagonist.control.model_law import ModelController
+from pam_antagonist.control.pi import PiController
+from pam_antagonist.control.reference import Wanted
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig

@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli.tried_gains import seen
-from pam_antagonist.control import Box, Limits, Mode, Reachable, Wanted
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.governor import Limits
+from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.reference import Wanted
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import SETTLED
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig, load_rig
@@ -98,7 +102,8 @@ def least_time(rig: Rig, quantity: Mode, seed: int) -> float:
     joint, half = ("free" if quantity is Mode.ANGLE else "locked"), STEP[quantity] / 2.0
     p = Plant(rig, joint, seed=seed, mismatch=MISMATCH).parameters
     reach = Reachable(p, Box.of(p))
-    first, second = reach.pressures(-half, STIFFNESS) if joint == "free" else reach.torque_pressures(-half, STIFFNESS)
+    given = (-half, STIFFNESS) if joint == "free" else (0.0, STIFFNESS, -half)
+    first, second = reach.pressures(*given)
     start = -half if joint == "free" else 0.0
     plant = Plant(rig, joint, seed=seed, mismatch=MISMATCH, initial_pressure=(first, second), initial_angle=start)
     for k in range(round(_LONGEST_S / rig.sample_period)):

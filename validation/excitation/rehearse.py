@@ -14,7 +14,9 @@ import yaml
 
 from pam_antagonist.cli import commission, common
 from pam_antagonist.cli.numbers import whole
-from pam_antagonist.control import Gains, Laws, Mode, PiController, VoltageLimits
+from pam_antagonist.control.command import Mode, VoltageLimits
+from pam_antagonist.control.laws import Laws
+from pam_antagonist.control.pi import Gains, PiController
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Candidate, moved
 from pam_antagonist.model.effects import CATALOGUE

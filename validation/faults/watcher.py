@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.nodes.spin import tune_middleware

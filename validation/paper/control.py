@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.control import PI_MODES, Mode, PiController
+from pam_antagonist.control.command import PI_MODES, Mode
+from pam_antagonist.control.pi import PiController
 from pam_antagonist.control.tracking import SHORTEST_STEP, STEADY_PART, Tracking, held, tracking
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import Recording

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.rig.write import write_rig

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.control.tracking import tracking
 from validation.paper import bench, control, influence, kappa, offline
 from validation.paper.scenario import Hysteresis
