@@ -81,13 +81,7 @@ def _held_out(text: str) -> float | Path:
     return real(0.1, 0.5, "a share")(text)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    words = sys.argv[1:] if argv is None else argv
-    return common.run(parser, lambda arguments: _run(arguments, words), words)
-
-
-def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.diagnose import are_episodes, are_trials
     from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.inference.pressure_driven import PressureDriven
@@ -107,7 +101,7 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
         raise BadInput(
             "--also: expected a recording of many episodes (import_csv: episode), whose pressures were measured"
         )
-    return _resumable(arguments, rig, share, recordings, words)
+    return _resumable(arguments, rig, share, recordings)
 
 
 def _in_one_go(
@@ -124,9 +118,7 @@ def _in_one_go(
     return common.DONE
 
 
-def _resumable(
-    arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording], words: Sequence[str]
-) -> int:
+def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> int:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
     from pam_antagonist.diagnosis.checkpoint import Checkpoint
     from pam_antagonist.recording import bag_hash, bag_name
@@ -150,7 +142,7 @@ def _resumable(
         with cluster.connected(arguments.dask):
             found = _diagnosed(arguments, rig, recordings, share, store)
     except KeyboardInterrupt:
-        again = [*words, *([] if "--resume" in words else ["--resume"])]
+        again = [*(word for word in arguments.words if word != "--resume"), "--resume"]
         print(
             f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
             f"  {typed('close_loop')} {shlex.join(again)}",
@@ -194,3 +186,6 @@ def _split(holdout: Sequence[float | Path]) -> tuple[float, list[Path]]:
     if len(shares) > 1 or (shares and bags):
         raise BadInput("--holdout: expected one share, or recordings, not several shares or both")
     return (shares[0] if shares else _SHARE), bags
+
+
+main = common.command(parser, _run)

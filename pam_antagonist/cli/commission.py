@@ -1,4 +1,6 @@
-"""Lead from a rig file to a controlled joint, with a person at the rig. The steps are:
+"""Lead from a rig file to a controlled joint, with a person at the rig.
+
+The steps are:
 
   wiring      a little air at low pressure, to test the valves, signs, zeros, supply and leaks
   free        a designed experiment with the joint free

@@ -131,13 +131,21 @@ def run(
 ) -> int:
     """Read a command's arguments, do its work, and give what ``--json`` asks for.
 
-    `argv`: arguments without the program's name; default: those of the process.
+    `argv`: arguments without the program's name; default: those of the process. The work finds them as ``words``.
     """
 
     def work() -> int:
-        arguments = parser().parse_args(argv)
-        with _json_beside(arguments) if "writes_report_json" in arguments else contextlib.nullcontext():
+        words = sys.argv[1:] if argv is None else list(argv)
+        arguments = parser().parse_args(words, argparse.Namespace(words=words))
+        if "writes_report_json" not in arguments:
             return command(arguments)
+        with json_alone(arguments.json):
+            status = command(arguments)
+        report: Path = arguments.out / "report.json"
+        # A command that failed or was interrupted wrote none.
+        if arguments.json is not None and report.is_file():
+            give_json(arguments.json, report.read_text(encoding="utf-8"))
+        return status
 
     return ended(work)
 
@@ -223,17 +231,6 @@ def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
 def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
     """The command that usually comes next, on a line of its own."""
     return f"next:\n{typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
-
-
-@contextmanager
-def _json_beside(arguments: argparse.Namespace) -> Iterator[None]:
-    """Around the work of a command with ``--json`` and ``--out``: what the first asks for is given at its end."""
-    with json_alone(arguments.json):
-        yield
-    report: Path = arguments.out / "report.json"
-    # A command that failed or was interrupted wrote none.
-    if arguments.json is not None and report.is_file():
-        give_json(arguments.json, report.read_text(encoding="utf-8"))
 
 
 def add_new_json(parser: Parser, what: str) -> None:

@@ -56,7 +56,7 @@ def joint_of(rig: Rig) -> Rig:
 
 
 @pytest.mark.slow(15)
-def test_a_guess_becomes_a_controlled_joint(tmp_path: Path) -> None:
+def test_a_guess_becomes_a_controlled_joint(tmp_path):
     """With regulators; the tutorial's rig, which the tests of the pages commission, has valves."""
     rig = guess(tmp_path, "regulators")
     write_rig(joint_of(rig), tmp_path / "truth.yaml")
@@ -83,7 +83,7 @@ def test_a_guess_becomes_a_controlled_joint(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("drive", DRIVES)
-def test_first_air_says_what_is_exchanged(drive: str, tmp_path: Path) -> None:
+def test_first_air_says_what_is_exchanged(drive, tmp_path):
     rig = guess(tmp_path, drive)
     program, (least, command) = FirstAir(rig), vented(rig)
     plan = Plan(np.empty((0, 2)), rig.sample_period, "free", 0.0, Limits.of(rig), least, command)
@@ -104,7 +104,7 @@ HEAVY = (
 
 
 @pytest.mark.slow(5)
-def test_gains_with_which_a_heavy_joint_swings_are_not_taken(tmp_path: Path) -> None:
+def test_gains_with_which_a_heavy_joint_swings_are_not_taken(tmp_path):
     assert new_rig.main(["--out", str(tmp_path / "rig.yaml"), *HEAVY.split()]) == 0
     rig = load_rig(tmp_path / "rig.yaml").replaced(uncertainty={}, directions={})  # as if it were identified
     rig = moved(rig, {"joint.viscous_friction": 0.18})
