@@ -44,7 +44,7 @@ def test_every_parameter_has_a_descriptor(name: str, ros: None) -> None:
 def test_gains_may_change_within_their_range_and_nothing_else_may(ros: None) -> None:
     from rclpy.parameter import Parameter as RosParameter
 
-    from pam_antagonist.control.command import Mode
+    from pam_antagonist.control import Mode
 
     node = make("controller")
     try:
