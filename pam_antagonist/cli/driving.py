@@ -219,7 +219,7 @@ def _through_nodes(owner: Owner, plan: Plan, program: Program, drive: str, out: 
             client.settle(rest, lambda seen: bool(np.all(seen <= ready)), check, _LONGEST_VENT_S)
             with counted(program.seconds, f"excite, joint {plan.joint}") as advance:
                 begun_ns = client.now_ns()
-                ended = client.drive(program.command, program.seconds, rest, broken, check, advance)
+                ended = client.explore(program.command, program.seconds, rest, broken, check, advance)
         finally:
             if owner.source in processes.running:
                 processes.stop(owner.source)

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import FluidPressure, JointState
 from typing_extensions import override
 
-from pam_antagonist.control.command import Mode
+from pam_antagonist.control import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level
 from pam_antagonist.nodes.spin import client_node
@@ -288,6 +288,31 @@ class DriveClient(VoltageClient):
 
     def drive(
         self,
+        voltage: Floats,
+        period: float,
+        rest: Floats,
+        broken: Callable[[Floats, float], str],
+        check: Callable[[], None],
+        progress: Callable[[float], None],
+    ) -> str:
+        """Command a plan in real time; when a limit is exceeded, hold the resting voltages and end.
+
+        Args:
+            voltage: (N, 2) [V], one row for each period.
+            period: [s].
+            rest: resting voltages (2,) [V].
+            broken: returns which limit the pressures (2,) [Pa] or the angle [rad] exceed, in words; empty for none.
+            progress: called with the time since the last call [s].
+        """
+
+        def row(elapsed: float, _pressures: Floats, _angle: float) -> tuple[float, float]:
+            first, second = voltage[min(int(elapsed / period), len(voltage) - 1)]
+            return first, second
+
+        return self._follow(row, len(voltage) * period, rest, broken, check, progress)
+
+    def explore(
+        self,
         command: Callable[[float, Floats, float], tuple[float, float] | None],
         seconds: float,
         rest: Floats,
@@ -295,17 +320,30 @@ class DriveClient(VoltageClient):
         check: Callable[[], None],
         progress: Callable[[float], None],
     ) -> str:
-        """Command in real time what follows from the measurements; at the end, the resting voltages.
-
-        Where a limit is exceeded, hold the resting voltages and end. Returns why it ended early, in words.
+        """Command what follows from the measurements, in real time; at the end, the resting voltages.
 
         Args:
             command: returns the voltages [V] for the time [s], pressures (2,) [Pa] and angle [rad]; None at the end.
             seconds: length at most [s].
             rest: resting voltages (2,) [V].
-            broken: returns which limit the pressures (2,) [Pa] or the angle [rad] exceed, in words; empty for none.
+            broken: as for :meth:`drive`.
             progress: called with the time since the last call [s].
         """
+        if reason := self._follow(command, seconds, rest, broken, check, progress):
+            return reason
+        self._hold(rest, _PROGRESS_S)
+        return ""
+
+    def _follow(
+        self,
+        command: Callable[[float, Floats, float], tuple[float, float] | None],
+        seconds: float,
+        rest: Floats,
+        broken: Callable[[Floats, float], str],
+        check: Callable[[], None],
+        progress: Callable[[float], None],
+    ) -> str:
+        """Send commands in real time, as :meth:`explore`, but leave the last one at the end."""
         begin, reported, lookout = time.monotonic(), 0.0, Lookout()
         while (elapsed := time.monotonic() - begin) < seconds:
             pressures, angle = self.seen()
@@ -322,7 +360,6 @@ class DriveClient(VoltageClient):
                 reported = elapsed
             time.sleep(TICK)
         progress(elapsed - reported)
-        self._hold(rest, _PROGRESS_S)
         return ""
 
     def _hold(self, voltage: Floats, seconds: float) -> None:
