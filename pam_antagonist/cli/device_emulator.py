@@ -76,15 +76,12 @@ def _main(arguments: argparse.Namespace) -> int:
         raise BadInput(f"--first-us {arguments.first_us}: expected 0 to {(1 << 32) - 1}")
     rig = load_rig(arguments.rig, regulators=True)
     calibration = load_calibration(arguments.hardware)
-    converter, regulated = Converter(calibration), rig.drive == "regulator"
-    converter.suits(rig.drive)
+    converter = Converter(calibration)
+    converter.adapt(rig.drive)
     low, high = rig.command_limits
-    if regulated:
-        before = (0.5 * (low + high), 0.5 * (low + high))
-        power_on = converter.output(before)
-        low, high = min(converter.output((low, low))), max(converter.output((high, high)))
-    else:
-        before = power_on = rest_voltage(rig)
+    before = (0.5 * (low + high), 0.5 * (low + high)) if rig.drive == "regulator" else rest_voltage(rig)
+    power_on = converter.output(before)
+    low, high = min(converter.output((low, low))), max(converter.output((high, high)))
     angle = common.lock_angle(arguments) or 0.0
     plant = Plant(
         rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
@@ -113,7 +110,7 @@ def _main(arguments: argparse.Namespace) -> int:
         clock = DeviceClock(arguments.drift * 1e-6, arguments.first_us)
         plan = FaultPlan(faults, arguments.seed, orders)
         emulator = Emulator(
-            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock, regulated
+            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock
         )
         stack.callback(emulator.close)
         print(f"{arguments.link or emulator.path}", flush=True)

@@ -95,9 +95,9 @@ def test_a_joint_with_regulators_does_without_pressure_sensors_and_one_with_valv
     converter = Converter(load_calibration(write(tmp_path, **none, **REGULATORS)))
     assert not converter.measures_pressures and all(math.isnan(value) for value in converter.pressure((2.0, 2.0)))
     assert converter.readings((450e3, 300e3), 0.2, 1.5)[:2] == (0.0, 0.0)
-    converter.suits("regulator")
+    converter.adapt("regulator")
     with pytest.raises(BadInput, match="has no pressure sensors .*but the rig has valves"):
-        converter.suits("valve")
+        converter.adapt("valve")
     with pytest.raises(BadInput, match="the calibration has no pressure sensors"):
         ZeroPressureMeasurement(converter).result()
 

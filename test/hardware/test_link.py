@@ -257,12 +257,13 @@ def test_daq_card_of_the_documentation_works(tmp_path: Path) -> None:
 def test_tables_of_the_documentation_are_the_bytes() -> None:
     sizes = {"u8": 1, "u16": 2, "u32": 4, "i32": 4, "f32": 4, "f32 ×2": 8, "16 bytes": 16}
     text = PROTOCOL.read_text(encoding="utf-8")
-    for name, layout in (
-        ("Hello", protocol._HELLO),
-        ("Welcome", protocol._WELCOME),
-        ("Telemetry", protocol._TELEMETRY),
-        ("Command", protocol._COMMAND),
+    for name, message in (
+        ("Hello", protocol.Hello),
+        ("Welcome", protocol.Welcome),
+        ("Telemetry", protocol.Telemetry),
+        ("Command", protocol.Command),
     ):
+        _, layout = protocol.LAYOUTS[message]
         table = text[text.index(f"**{name}**, ") :].split("\n\n")[1]
         end = 0
         for offset, kind in re.findall(r"^\| (\d+) \| ([^|]+) \|", table, re.MULTILINE):

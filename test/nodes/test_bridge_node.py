@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
-from sent import stamp_of
+from sent import MS, asked, command, stamp_of
 
 from pam_antagonist.hardware.device import DeviceInfo, RawSample
 from pam_antagonist.hardware.link import Sample
@@ -19,7 +19,6 @@ from pam_antagonist.safety import SafeAction
 pytestmark = pytest.mark.ros
 
 T0 = 1_795_000_000 * 10**9
-MS = 1_000_000
 
 
 class Absent:
@@ -50,7 +49,8 @@ def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
 
     def factory(**parameters: Any) -> Any:
         node = new_node(BridgeNode, Absent, **parameters)
-        node.keep(p1=node._pressures[0], p2=node._pressures[1], valves=node._valves, joint=node._joint._both)
+        output = node._samples
+        node.keep(p1=output.pressures[0], p2=output.pressures[1], valves=output.valves, joint=output.joint)
         return node
 
     return factory
@@ -82,7 +82,7 @@ def test_four_messages_of_a_sample_carry_one_stamp_and_its_values(make: Callable
 def test_joint_has_the_channels_that_there_are(make: Callable[..., Any], angle, torque, position, effort) -> None:
     node = make()
     published: list[Any] = []
-    node._joint._both.publisher.publish = published.append
+    node._samples.joint.publisher.publish = published.append
     node._deliver(sample(angle=angle, torque=torque))
     assert node.sent["joint"] == []
     if position is None:
@@ -119,15 +119,11 @@ def test_what_is_wrong_at_the_device_stops_the_valves_and_latches(
 
 def test_commands_go_to_the_device_at_once_and_every_period_without_one(make: Callable[..., Any]) -> None:
     node = make(safe_voltage=[5.0, 5.25])
-    from rclpy.serialization import serialize_message
-
-    from pam_antagonist_msgs.msg import ValveCommand
-
     node.port.listen()
     node._attend()
     node._attend()
     assert node._device.commands == [(5.0, 5.25)]
-    node.port.accept(serialize_message(ValveCommand(voltage=[5.5, 4.5])), time.monotonic_ns())
+    command(node, 5.5, 4.5, time.monotonic_ns())
     node._attend()
     assert len(node._device.commands) == 2
     end = time.monotonic() + 0.015
@@ -141,13 +137,9 @@ def test_commands_go_to_the_device_at_once_and_every_period_without_one(make: Ca
 
 def test_what_was_asked_for_before_a_new_session_is_not_obeyed_in_it(make: Callable[..., Any]) -> None:
     node = make(safe_voltage=[5.0, 5.25])
-    from rclpy.serialization import serialize_message
-
-    from pam_antagonist_msgs.msg import ValveCommand
-
     node.port.listen()
     node._attend()
-    node.port.accept(serialize_message(ValveCommand(voltage=[7.0, 4.0])), time.monotonic_ns())
+    command(node, 7.0, 4.0, time.monotonic_ns())
     node._link.counts.sessions += 1
     node._attend()
     time.sleep(0.002)
@@ -156,15 +148,13 @@ def test_what_was_asked_for_before_a_new_session_is_not_obeyed_in_it(make: Calla
 
 
 def test_rest_is_measured_and_used(make: Callable[..., Any]) -> None:
-    from std_srvs.srv import Trigger
-
     node = make()
-    early = node._on_measure_rest(Trigger.Request(), Trigger.Response())
-    assert not early.success and "0 samples so far" in early.message
+    done, said = asked(node._measure_rest)
+    assert not done and "0 samples so far" in said
     for k in range(1000):
         node._deliver(sample(k, (101.3e3 - 400.0 + k % 2, 101.3e3 + 250.0 + k % 2)))
-    done = node._on_measure_rest(Trigger.Request(), Trigger.Response())
-    assert done.success and done.message.endswith("pressure_rest: [399.5, -250.5]")
+    done, said = asked(node._measure_rest)
+    assert done and said.endswith("pressure_rest: [399.5, -250.5]")
     assert node._converter.pressure((0.5, 0.5)) == pytest.approx((101.3e3 + 399.5, 101.3e3 - 250.5))
 
 

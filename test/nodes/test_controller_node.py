@@ -7,11 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from sent import stamp_of
+from sent import MS, asked, estimate, refer, stamp_of
 
 pytestmark = pytest.mark.ros
 
-MS = 1_000_000
 SAFE = (5.5, 5.5)
 
 
@@ -28,32 +27,6 @@ def node(new_node: Callable[..., Any]) -> Any:
 def published(node: Any) -> list[tuple[int, tuple[float, float]]]:
     """Stamp and voltages of each command so far."""
     return [(stamp_of(message), tuple(message.voltage)) for message in node.sent["commands"]]
-
-
-def estimate(
-    node: Any,
-    stamp_ns: int,
-    angle: float = 0.0,
-    torque: float = 0.0,
-    flags: int = 0,
-    pressure: float = 450e3,
-    variance: float = 0.0,
-) -> None:
-    from rclpy.serialization import serialize_message
-
-    from pam_antagonist_msgs.msg import JointEstimate
-
-    message = JointEstimate(angle=angle, torque=torque, flags=flags, pressure=[pressure, pressure])
-    message.covariance[0] = variance
-    message.header.frame_id = "somewhere_else"
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-    node._on_estimate(serialize_message(message))
-
-
-def refer(node: Any, mode: int, value: float, stiffness: float = math.nan, damping: float = math.nan) -> None:
-    from pam_antagonist_msgs.msg import JointReference
-
-    node.input.reference(JointReference(mode=mode, value=value, stiffness=stiffness, damping=damping))
 
 
 def choose(node: Any, **values: Any) -> tuple[bool, str]:
@@ -178,7 +151,7 @@ def test_an_inactive_controller_tells_its_health_and_can_be_cleared(node: Any) -
     assert node.health(2)["commands"].level == 2
     assert node.health(3)["reference"].values["publishers"] == "none"
     node.now_ns = lambda: begin + 1000 * MS  # the angle that was too large is long ago
-    assert clear(node)[0]
+    assert asked(node._clear)[0]
     node.trigger_activate()
     estimate(node, begin + 1000 * MS, angle=0.1)
     assert published(node)[-1][1] == SAFE  # the reference from before does not count
@@ -191,13 +164,6 @@ def tell_rig(node: Any, who: str, rig: str) -> None:
     from pam_antagonist.rig import RigIdentity, load_rig
 
     node._rigs._on_rig(String(data=RigIdentity.of(load_rig(rig), who).text()))
-
-
-def clear(node: Any) -> tuple[bool, str]:
-    from std_srvs.srv import Trigger
-
-    response = node._on_clear(Trigger.Request(), Trigger.Response())
-    return response.success, response.message
 
 
 @pytest.mark.parametrize("who", ["estimator", "plant", "bridge"])
@@ -221,14 +187,14 @@ def test_another_joints_rig_file_stops_until_the_files_agree(node: Any, who: str
     assert health["commands"].level == health["rig"].level == 2
     assert f"the rig file of the {who} is another joint's: force of muscle 2" in health["commands"].message
     assert "(shin2022_as_printed (" in health["rig"].message and "here shin2022 (" in health["rig"].message
-    good, why = clear(node)
+    good, why = asked(node._clear)
     assert not good and why.startswith(f"not cleared, since the cause is still present: the rig file of the {who}")
 
     tell_rig(node, who, "shin2022")
     estimate(node, begin + 5 * MS, angle=0.1)
     assert published(node)[-1][1] == SAFE  # latched
     assert node.health(3)["rig"].level == 0
-    assert clear(node)[0]
+    assert asked(node._clear)[0]
     for k in range(6, 90):
         estimate(node, begin + k * MS, angle=0.1)
     assert published(node)[-1][1] != SAFE
@@ -240,7 +206,7 @@ def test_a_bridge_replaces_the_plant_and_who_is_gone_does_not_count(node: Any) -
     assert node._rigs.present == "" and "plant" not in node.health(1)["rig"].values
     tell_rig(node, "estimator", "sealed_joint")
     assert "estimator" in node._rigs.present
-    assert clear(node)[0]  # nobody of that name is there any more
+    assert asked(node._clear)[0]  # nobody of that name is there any more
     assert node._rigs.present == ""
 
 
@@ -309,8 +275,6 @@ def test_a_stiffness_that_cannot_be_used_gives_safe_voltages_until_a_better_one_
 
 
 def test_modes_and_law_that_change_while_it_is_stopped_move_no_valve_and_count_once_it_is_cleared(node: Any) -> None:
-    from std_srvs.srv import Trigger
-
     begin = node.now_ns() + 10**9
     choose(node, law="model")
     refer(node, 2, 0.1, 6.0)
@@ -326,7 +290,7 @@ def test_modes_and_law_that_change_while_it_is_stopped_move_no_valve_and_count_o
     assert choose(node, law="pi") == (True, "")
     estimate(node, begin + 54 * MS)
     assert published(node)[-1][1] == SAFE
-    assert node._on_clear(Trigger.Request(), Trigger.Response()).success
+    assert asked(node._clear)[0]
     for k in range(55, 400):
         estimate(node, begin + k * MS)
     after = [voltage for stamp, voltage in published(node) if stamp >= begin + 55 * MS]

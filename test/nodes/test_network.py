@@ -64,26 +64,6 @@ def receiving(pid: int) -> set[str]:
     return found
 
 
-@pytest.mark.ros
-@pytest.mark.parametrize(("range_", "addresses"), [("LOCALHOST", {"127.0.0.1"}), ("SUBNET", {"0.0.0.0"})])
-def test_where_nodes_listen(
-    range_: str, addresses: set[str], tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", range_)
-    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
-    with Processes(tmp_path) as processes:
-        process = processes.start("controller")
-        end = time.monotonic() + 60.0
-        while not receiving(process.popen.pid):
-            processes.check()
-            assert time.monotonic() < end, "the node has no sockets"
-            time.sleep(0.1)
-        time.sleep(0.5)
-        assert receiving(process.popen.pid) == addresses
-        # A lock in shared memory outlives a node that was killed, and its successor is not heard.
-        assert "/dev/shm/fastrtps" not in Path(f"/proc/{process.popen.pid}/maps").read_text()
-
-
 STRANGER = """
 import time, rclpy
 from sensor_msgs.msg import FluidPressure
@@ -121,40 +101,47 @@ def test_a_node_is_small(domain: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("range_", ["LOCALHOST", "SUBNET", ""])
-def test_tools_of_this_machine_hear_the_nodes(
-    range_: str, tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tools_of_this_machine_hear_the_nodes(tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tools that know nothing of this package, whatever their range is."""
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
     with Processes(tmp_path) as processes:
         processes.start("plant")
-        done = subprocess.run(
-            [sys.executable, "-c", STRANGER], env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": range_},
-            capture_output=True, text=True, timeout=60, check=False,
-        )  # fmt: skip
+        tools = {
+            range_: subprocess.Popen(
+                [sys.executable, "-c", STRANGER], env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": range_},
+                stdout=subprocess.PIPE, text=True,
+            )
+            for range_ in ("LOCALHOST", "SUBNET", "")
+        }  # fmt: skip
+        heard = {range_: tool.communicate(timeout=60)[0].strip() for range_, tool in tools.items()}
         processes.check()
-    assert done.stdout.strip() == "heard", done.stderr
+    assert heard == dict.fromkeys(tools, "heard")
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("range_", ["LOCALHOST", "SUBNET"])
-def test_a_domain_in_use_is_not_free(
-    range_: str, tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("range_", "addresses"), [("LOCALHOST", {"127.0.0.1"}), ("SUBNET", {"0.0.0.0"})])
+def test_where_nodes_listen_and_that_their_domain_is_not_free(
+    range_: str, addresses: set[str], tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not even when the participant that came first has left again."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", range_)
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
     used = int(os.environ["ROS_DOMAIN_ID"])
     monkeypatch.setattr("random.shuffle", lambda domains: domains.sort(key=lambda number: number != used))
     assert free_domain() == used
     with Processes(tmp_path) as processes:
         for name in ("controller", "record"):
-            process = processes.start(name, ["--out", str(tmp_path / "bag")] if name == "record" else [])
+            pid = processes.start(name, ["--out", str(tmp_path / "bag")] if name == "record" else []).popen.pid
             end = time.monotonic() + 60.0
-            while not receiving(process.popen.pid):
+            while not receiving(pid):
                 processes.check()
                 assert time.monotonic() < end, "the node has no sockets"
                 time.sleep(0.1)
+        time.sleep(0.5)
+        controller = processes.running["controller"].popen.pid
+        assert receiving(controller) == addresses
+        # A lock in shared memory outlives a node that was killed, and its successor is not heard.
+        assert "/dev/shm/fastrtps" not in Path(f"/proc/{controller}/maps").read_text()
         assert free_domain() != used
         processes.stop("controller")
         assert free_domain() != used

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sent import stamp_of
+from sent import MS, asked, command, stamp_of
 
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
 
 pytestmark = pytest.mark.ros
 
-MS = 1_000_000
 T0 = 1_795_000_000 * 10**9
 
 
@@ -34,18 +33,11 @@ def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
     def factory(**parameters: Any) -> Any:
         node = new_node(Node, **parameters)
         node.trigger_activate()
-        node.keep(p1=node._pressures[0], p2=node._pressures[1], valves=node._valves, joint=node._joint)
+        output = node._output
+        node.keep(p1=output.pressures[0], p2=output.pressures[1], valves=output.valves, joint=output.joint)
         return node
 
     return factory
-
-
-def command(node: Any, first: float, second: float) -> None:
-    from rclpy.serialization import serialize_message
-
-    from pam_antagonist_msgs.msg import ValveCommand
-
-    node.port.accept(serialize_message(ValveCommand(voltage=[first, second])), node.now_ns())
 
 
 def tick(node: Any, milliseconds: float) -> None:
@@ -67,7 +59,7 @@ def test_messages_are_those_of_the_plant(make: Callable[..., Any]) -> None:
     node = make(seed=5, mismatch=0.02)
     twin = Plant(load_rig("shin2022"), seed=5, mismatch=0.02)
     for k in range(30):
-        command(node, 6.0, 4.5)
+        command(node, 6.0, 4.5, node.time)
         tick(node, 1.0)
         sample = twin.step((6.0, 4.5))
         assert node.sent["p1"][k].fluid_pressure == sample.pressure[0]
@@ -118,7 +110,7 @@ def test_a_jump_of_the_clock_is_not_caught_up_with(make: Callable[..., Any], jum
 def test_valves_are_safe_before_commands_and_after_the_time_out(make: Callable[..., Any]) -> None:
     node = make(safe_voltage=[5.0, 5.2])
     tick(node, 1.0)
-    command(node, 7.0, 4.0)
+    command(node, 7.0, 4.0, node.time)
     for _ in range(40):
         tick(node, 1.0)
     voltages = [tuple(message.voltage) for message in node.sent["valves"]]
@@ -130,9 +122,9 @@ def test_valves_are_safe_before_commands_and_after_the_time_out(make: Callable[.
 
 def test_commands_are_clipped_and_those_without_a_number_are_not_obeyed(make: Callable[..., Any]) -> None:
     node = make(max_slew=1e5)
-    command(node, 12.0, -3.0)
+    command(node, 12.0, -3.0, node.time)
     tick(node, 1.0)
-    command(node, math.nan, 5.0)
+    command(node, math.nan, 5.0, node.time)
     tick(node, 1.0)
     assert [tuple(message.voltage) for message in node.sent["valves"]] == [(10.0, 0.0), (10.0, 0.0)]
     assert node.health(1)["commands"].values["refused, not finite"] == 1
@@ -149,8 +141,6 @@ def test_commands_are_clipped_and_those_without_a_number_are_not_obeyed(make: Ca
 def test_a_sick_pressure_stops_the_valves_until_it_is_well_and_cleared(
     make: Callable[..., Any], sick: Callable[[int, float], float], after: int, words: str
 ) -> None:
-    from std_srvs.srv import Trigger
-
     node = make(safe_voltage=[5.0, 5.2])
     step, state = node._plant.step, {"sick": False, "k": 0}
 
@@ -160,13 +150,10 @@ def test_a_sick_pressure_stops_the_valves_until_it_is_well_and_cleared(
         second = sick(state["k"], sample.pressure[1]) if state["sick"] else sample.pressure[1]
         return sample._replace(pressure=(sample.pressure[0], second))
 
-    def clear() -> Any:
-        return node.port._on_clear(Trigger.Request(), Trigger.Response())
-
     def run(count: int) -> list[tuple[float, float]]:
         node.sent["valves"].clear()
         for _ in range(count):
-            command(node, 6.0, 4.9)
+            command(node, 6.0, 4.9, node.time)
             tick(node, 1.0)
         return [tuple(message.voltage) for message in node.sent["valves"]]
 
@@ -176,14 +163,14 @@ def test_a_sick_pressure_stops_the_valves_until_it_is_well_and_cleared(
     voltages = run(100)
     first = voltages.index((5.0, 5.2))
     assert after <= first <= after + 3 and set(voltages[first:]) == {(5.0, 5.2)}
-    answer = clear()
-    assert not answer.success and words in answer.message
+    done, said = asked(node.port._clear)
+    assert not done and words in said
     health = node.health(1)["safety"]
     assert health.level == 2 and words in health.message
     state["sick"] = False
     assert set(run(50)) == {(5.0, 5.2)}
-    answer = clear()
-    assert answer.success and words in answer.message
+    done, said = asked(node.port._clear)
+    assert done and words in said
     assert set(run(10)) == {(6.0, 4.9)}
     assert node.health(2)["safety"].level == 0
 

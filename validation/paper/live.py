@@ -99,12 +99,15 @@ def estimation(context: Context, joint: str, tuning: str, seconds: float) -> Rec
     Raises:
         ProcessFailed: a node has ended or does not start.
     """
-    from pam_antagonist.nodes.client import VoltageClient
+    from pam_antagonist.nodes.client import DriveClient
 
     folder = context.folder / f"online_{joint}"
     period = context.work.rig.declared.sample_period
     voltage = context.work.voltage[: round(seconds / period)]
-    with _pipeline(context, folder, joint, tuning, controlled=False) as processes, VoltageClient() as drive:
+    with (
+        _pipeline(context, folder, joint, tuning, controlled=False) as processes,
+        DriveClient(also=("joint_estimate",)) as drive,
+    ):
 
         def missing() -> str:
             drive.send(voltage[0])
@@ -112,7 +115,7 @@ def estimation(context: Context, joint: str, tuning: str, seconds: float) -> Rec
 
         processes.wait(missing)
         with _bar(seconds, f"live, joint {joint}") as bar:
-            drive.follow(voltage, period, processes.check, lambda elapsed: bar.update(elapsed - bar.n))
+            drive.drive(voltage, period, voltage[0], lambda _pressures, _angle: "", processes.check, bar.update)
     return _read(folder)
 
 
