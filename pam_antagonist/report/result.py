@@ -79,7 +79,8 @@ class Result(Shown):
         """
         figures = list(figures_of(self.document().blocks))
         if not 0 <= number < len(figures):
-            raise BadInput(f"number {number!r}: this result has {len(figures)} figures, expected 0 or more, and less")
+            expected = f"expected 0 to {len(figures) - 1}" if figures else "and it has none"
+            raise BadInput(f"number {number!r}: not a figure of this result's page, {expected}")
         with needs("reports", "plot()"):
             from plotly.graph_objects import Figure as Plot
         plot = plotly_renderer.plot(figures[number])
