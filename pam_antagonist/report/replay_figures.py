@@ -106,10 +106,11 @@ def _estimate(replay: Replay, before: Replay | None, x: FloatArray, name: str) -
             f"Below: estimate minus measurement. Single samples are faint, the mean over 0.1 s is in front. {inside}"
         )
         return Figure(title, about, tuple(panels), replay.name)
-    for what, now, then, behind in (
+    compared: tuple[tuple[str, Line, FloatArray, tuple[Series, ...]], ...] = (
         ("UKF", of_filter[1], before.run.rows[name], (shade, *edges)),
         ("Model", of_model[1], getattr(before.model, name), ()),
-    ):
+    )
+    for what, now, then, behind in compared:
         mean = figures.moving_mean(then * scale - old, window)
         dotted = Line("as configured", time(before), mean, QUIET, "dot", 1.6, quiet=what != "UKF")
         panels.append(Panel(TIME, Axis(f"{what} error [{unit}]"), (*behind, dotted, now), 170))
