@@ -22,10 +22,10 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import close_loop_document as pages
-from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.document import Block, Document
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.write import refusal, write_rig
 from pam_antagonist.software import versions

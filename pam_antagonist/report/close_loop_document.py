@@ -10,9 +10,8 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.replays.channels import CHANNELS, TORQUE, Channel
 from pam_antagonist.report import close_loop_figures as drawn
-from pam_antagonist.report.assumption import assumption, in_first_lines
-from pam_antagonist.report.channels import CHANNELS, TORQUE, Channel
 from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings, sentence
 from pam_antagonist.report.document import (
     Block,
@@ -24,12 +23,14 @@ from pam_antagonist.report.document import (
     Tile,
     Tiles,
     background,
+    in_first_lines,
     note,
     warn,
     words,
 )
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
-from pam_antagonist.report.units import readable
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:
     from pam_antagonist.report.close_loop import DiagnoseResult

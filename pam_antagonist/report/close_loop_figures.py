@@ -15,7 +15,7 @@ from pam_antagonist.report.document import Block, Findings, note
 from pam_antagonist.report.figure import TIME, Axis, Band, Figure, Line, Panel, Points, Reference, Region, Series
 from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET, SECOND
 from pam_antagonist.report.table import Table, number, percent
-from pam_antagonist.report.units import readable
+from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:
     from pam_antagonist.report.close_loop import DiagnoseResult

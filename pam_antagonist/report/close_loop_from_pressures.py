@@ -20,8 +20,8 @@ from pam_antagonist.report.document import Block, Document, Findings, Section, T
 from pam_antagonist.report.identify_document import held_out_figures
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Comparison, Table, number, percent
-from pam_antagonist.report.units import readable
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import refusal, write_rig
 
 if TYPE_CHECKING:

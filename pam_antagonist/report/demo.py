@@ -16,7 +16,7 @@ from pam_antagonist.estimation.metrics import rmse
 from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
-from pam_antagonist.report.channels import judged
+from pam_antagonist.replays.channels import judged
 from pam_antagonist.report.document import Block, Document, Section, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.figures import tracking_figure

@@ -23,7 +23,6 @@ from pam_antagonist.recording import Recording, recording_hash
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
 from pam_antagonist.report import identify_document as pages
-from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.document import Block, Document
 from pam_antagonist.report.identify_findings import (
     COLUMNS,
@@ -33,11 +32,13 @@ from pam_antagonist.report.identify_findings import (
     pooled_coverage,
     rejection,
 )
-from pam_antagonist.report.result import Result, frame_of, picked
-from pam_antagonist.report.units import unit_of
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import unit_of
 from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
 from pam_antagonist.software import versions
+from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -11,16 +11,26 @@ import numpy as np
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.identification.result import FromPressures, Held, Step
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
-from pam_antagonist.report.assumption import assumption, in_first_lines
-from pam_antagonist.report.channels import CHANNELS
-from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background
+from pam_antagonist.replays.channels import CHANNELS
+from pam_antagonist.report.document import (
+    Block,
+    Document,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    in_first_lines,
+)
 from pam_antagonist.report.figure import Axis, Figure, Panel, Points
 from pam_antagonist.report.identify_findings import COLUMNS, errors_of, findings, known, rigs_of, verdict
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.style import FAINT, MODEL
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
-from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import readable, unit_of
 
 if TYPE_CHECKING:
     from pam_antagonist.report.identify import IdentifyResult, ParameterEntry

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.identification.result import Held
+from pam_antagonist.replays.channels import ANGLE, CHANNELS, HIGH_COVERAGE, Channel, judged
 from pam_antagonist.replays.result import ReplayReport
-from pam_antagonist.report.channels import ANGLE, CHANNELS, HIGH_COVERAGE, Channel, judged
 from pam_antagonist.report.document import Finding, good, note, warn
-from pam_antagonist.report.result import picked
 from pam_antagonist.report.table import number, percent
-from pam_antagonist.report.units import readable
 from pam_antagonist.rig.physical import is_positive
+from pam_antagonist.rig.units import readable
+from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pam_antagonist.report.identify import IdentifyResult, ParameterEntry

@@ -10,17 +10,28 @@ from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
+from pam_antagonist.replays.channels import CHANNELS, joint_text, judged
 from pam_antagonist.replays.result import Replay, ReplayReport, columns, write_estimate
-from pam_antagonist.report.assumption import assumption, in_first_lines
-from pam_antagonist.report.channels import CHANNELS, joint_text, judged
-from pam_antagonist.report.document import Block, Columns, Document, Findings, Section, Text, Tile, Tiles, background
+from pam_antagonist.report.document import (
+    Block,
+    Columns,
+    Document,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    in_first_lines,
+)
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.replay_findings import findings, verdict
-from pam_antagonist.report.result import Result, frame_of, picked
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
+from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.software import versions
-from pam_antagonist.strict_json import plain
+from pam_antagonist.strict_json import picked, plain
 
 if TYPE_CHECKING:
     from pandas import DataFrame

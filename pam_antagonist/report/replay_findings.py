@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from pam_antagonist.replays.channels import CHANNELS, Judged, joined, joint_text, judged
 from pam_antagonist.replays.live import ENDED, LiveComparison
 from pam_antagonist.replays.result import ReplayReport
-from pam_antagonist.report.channels import CHANNELS, Judged, joined, joint_text, judged
 from pam_antagonist.report.document import Finding, good, note, warn
 from pam_antagonist.report.table import number, percent
 

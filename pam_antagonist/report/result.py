@@ -88,11 +88,6 @@ class Result(Shown):
         return Plot(plot, skip_invalid=True)
 
 
-def picked(of: Any, *names: str) -> dict[str, Any]:
-    """Attributes by their names, as ``report.json`` has them."""
-    return {name: getattr(of, name) for name in names}
-
-
 def frame_of(rows: Any, columns: Sequence[str] | None = None, index: str = "") -> DataFrame:
     """A table of values for Python (needs pandas)."""
     with needs("import", "a data frame"):

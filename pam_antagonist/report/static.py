@@ -18,7 +18,7 @@ from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED
 from pam_antagonist.report.table import MISSING, Table, number
-from pam_antagonist.report.units import readable
+from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import write_rig
 
 if TYPE_CHECKING:
