@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -12,6 +13,8 @@ from typing_extensions import override
 
 _LONGEST = 500
 _VALUE = 40
+MISSING = "–"
+"""Text for a missing value."""
 
 
 class Shown:
@@ -41,6 +44,25 @@ def _short(value: Any) -> str:
     if isinstance(value, (Sequence, Mapping)):
         return f"[{len(value)}]"
     return type(value).__name__
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` significant digits, without an exponent if possible; a dash for a missing number."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0.0:
+        return "0"
+    magnitude = math.floor(math.log10(abs(value)))
+    if not -5 <= magnitude < 9:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(digits - 1 - magnitude, 0)}f}"
+
+
+def percent(value: float | None) -> str:
+    """A share as a percentage; a dash for a missing value."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return f"{100.0 * value:.1f} %"
 
 
 def unlike(value: float, limit: float, decimals: int) -> str:

@@ -11,9 +11,9 @@ from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.result import frame_of
 from pam_antagonist.rig import as_rig
+from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.strict_json import write_json
 
 if TYPE_CHECKING:

@@ -47,7 +47,7 @@ def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.check import check
     from pam_antagonist.recording import read_bag
     from pam_antagonist.report import terminal
-    from pam_antagonist.report.assumption import in_first_lines
+    from pam_antagonist.report.document import in_first_lines
     from pam_antagonist.rig import load_rig
 
     rig = load_rig(arguments.rig, regulators=True)

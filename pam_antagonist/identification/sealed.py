@@ -12,13 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.sealed_tuning import tuned
+from pam_antagonist.identification.sealed_tuning import drift_size, tuned
+from pam_antagonist.identification.unknowns import Fit
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
 from pam_antagonist.inference.free_parameters import Direction, moved, start_values, values_along
 from pam_antagonist.inference.trial import BLOCK_S
@@ -28,6 +31,16 @@ from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
+ASSUMED = (
+    "The volume of each muscle at angle 0 and the polytropic index: closed chambers determine k_2 (dV/dl)/V only.",
+    "The force map: a sealed joint determines the difference of the two muscles' forces only, not how a force grows "
+    "with pressure.",
+    "The inertia, and whatever else does not matter in slow motion.",
+    "The charge: at angle 0 it stays the same while the muscles are closed. Pressures alone do not distinguish an "
+    "angle from a difference in charge.",
+)
+"""What an identification of a sealed joint takes as given."""
+DRIFT_TIME = "effects.pressure_sensor.drift_time"
 _CLUSTER_S = 1.0
 """[s] Residuals closer than this are taken to depend on each other."""
 _LEAST_RANGE = np.radians(1.0)
@@ -215,7 +228,11 @@ _LEAST_MOVE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class SealedIdentified:
-    """What was found."""
+    """What was found; less than :class:`~pam_antagonist.identification.result.FromPressures` has."""
+
+    fits: ClassVar[tuple[Fit, ...]] = ()
+    notes: ClassVar[tuple[str, ...]] = ()
+    rejected: ClassVar[str] = ""
 
     start: Rig
     rig: Rig
@@ -225,6 +242,30 @@ class SealedIdentified:
     # with the new one.
     likelihood: tuple[float, float]
     evaluations: int
+
+    @cached_property
+    def tuning(self) -> dict[str, Any]:
+        """The filter's tuning before and after, in squared SI units of readings and states.
+
+        The random walk is the noise of the external torque [N m/√s].
+        """
+
+        def both(what: Callable[[Rig], Any]) -> dict[str, Any]:
+            return {"before": what(self.start), "after": what(self.rig)}
+
+        def drift(rig: Rig) -> float:  # of the pressure readings, the larger of both
+            noise = max(rig.value(f"effects.pressure_sensor.drift_{muscle}") for muscle in (1, 2))
+            return drift_size(noise, rig.value(DRIFT_TIME))
+
+        return {
+            "measurement": both(lambda rig: tuple(rig.tuning("default").measurement)),
+            "process": both(lambda rig: tuple(rig.tuning("default").process)),
+            "drift_std_pa": both(drift),
+            "drift_time_s": both(lambda rig: rig.value(DRIFT_TIME)),
+            "random_walk": both(lambda rig: rig.value("effects.external_torque.noise")),
+            "log_likelihood": dict(zip(("before", "after"), self.likelihood, strict=True)),
+            "evaluations": self.evaluations,
+        }
 
 
 def identify_sealed(

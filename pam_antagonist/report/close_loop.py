@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis import Diagnosis, found_calibrations, thresholds
 from pam_antagonist.diagnosis.from_pressures import Tried
-from pam_antagonist.diagnosis.result import FoundEffect, RecordingEntry, Size
+from pam_antagonist.diagnosis.result import FoundEffect, RecordingEntry, Size, Splits
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.warnings import like_a_curve
 from pam_antagonist.errors import BadInput
@@ -22,10 +22,10 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import close_loop_document as pages
-from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.document import Block, Document
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.write import refusal, write_rig
 from pam_antagonist.software import versions
@@ -91,6 +91,11 @@ class DiagnoseResult(Diagnosis, Result):
             return ()
 
     @property
+    def splits(self) -> Splits | None:
+        """How many splits of the recordings support the least supported effect; None if no splits were made."""
+        return min((effect.splits for effect in self.effects if effect.splits is not None), default=None)
+
+    @property
     def driven(self) -> bool:
         """Whether the measured angle drives the model, as for a sealed joint."""
         return any(part.joint == "driven" for part in self.by_recording)
@@ -144,7 +149,7 @@ class DiagnoseResult(Diagnosis, Result):
             },
             "timing": self.seconds,
             "software": versions(),
-            "splits": min((effect.splits for effect in self.effects if effect.splits is not None), default=None),
+            "splits": self.splits,
             "calibration": [
                 {
                     "name": item.name,

@@ -1,33 +1,36 @@
-"""The report of ``close_loop`` as a document: sentences and tables of its typed numbers."""
+"""The page of ``close_loop``: sentences and tables of its typed numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from pam_antagonist.diagnosis.errors import ModelErrors
-from pam_antagonist.diagnosis.result import RecordingEntry
+from pam_antagonist.diagnosis.residual_statistics import Relation
+from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.replays.channels import CHANNELS, TORQUE, Channel
 from pam_antagonist.report import close_loop_figures as drawn
-from pam_antagonist.report.assumption import assumption, in_first_lines
-from pam_antagonist.report.channels import CHANNELS, TORQUE
-from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, definitions, findings, sentence
+from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings, sentence
 from pam_antagonist.report.document import (
     Block,
     Definitions,
     Document,
-    Finding,
     Findings,
     Section,
     Text,
     Tile,
     Tiles,
     background,
+    in_first_lines,
     note,
     warn,
+    words,
 )
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
-from pam_antagonist.report.units import readable
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:
     from pam_antagonist.report.close_loop import DiagnoseResult
@@ -35,14 +38,27 @@ if TYPE_CHECKING:
 _FEW_WORDS = 300
 """Longest list of what the recordings cannot show [characters] that a terminal shows."""
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
+_KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
+_CERTAIN = 0.05
+_STATISTICS = (
+    "On held-out data. Sensors: measurement minus model, which starts with the recording and gets the voltages only. "
+    "Equations: errors of flow, torque and motion, where the model starts again from the measurement every fifth of a "
+    "second, so that the error of one equation does not enter the next. Innovations: measured pressures minus the "
+    "estimator's prediction. Each residual is compared with signals up to 2 s before it. Later signals do not count: "
+    "in a closed loop, commands follow from residuals."
+)
+_STATISTICS_DRIVEN = (
+    "On held-out data: measurement minus model, which is driven by the measured angle. Each residual is compared with "
+    "signals up to 2 s before it."
+)
 
 
 def summary(found: DiagnoseResult) -> tuple[Block, ...]:
     """Blocks for the terminal."""
-    unseen = _unseen(found)
-    if sum(len(item.text) for item in unseen) > _FEW_WORDS:
-        unseen = (note("What these recordings cannot show is listed in the report."),)
-    notes = (*(warn(sentence(text)) for text in found.warnings), *unseen)
+    unseen = found.unseen
+    if sum(map(len, unseen)) > _FEW_WORDS:
+        unseen = ("What these recordings cannot show is listed in the report.",)
+    notes = (*(warn(sentence(text)) for text in found.warnings), *map(note, unseen))
     return (
         Text(found.sentence),
         Findings((*calibration_findings(found), *notes)),
@@ -51,7 +67,7 @@ def summary(found: DiagnoseResult) -> tuple[Block, ...]:
         sizes_table(found),
         calibration_table(found),
         ranking_table(found),
-        Findings(_next_steps(found)),
+        Findings(tuple(map(note, found.next_steps))),
     )
 
 
@@ -66,18 +82,18 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
         title = "Found: " + ", ".join(dict.fromkeys(effect.in_short.replace("_", " ") for effect in found.effects))
     elif found.calibrations and found.verdict == "none":
         title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
-    parts: list[Block] = [Text(lede, "lede"), Text(found.sentence, "verdict")]
-    before_and_after = drawn.residuals(found) if with_figures else ()
-    parts += [
+    first, *others = drawn.residuals(found) if with_figures else (None,)
+    parts: list[Block] = [
+        Text(lede, "lede"),
+        Text(found.sentence, "verdict"),
         Tiles(_tiles(found)),
-        Findings((*calibration_findings(found), *findings(found), *_next_steps(found))),
-        *before_and_after[:1],
+        Findings((*calibration_findings(found), *findings(found), *map(note, found.next_steps))),
+        *(() if first is None else (first,)),
         *in_first_lines(assumption(found.start)),
         errors_table(found),
     ]
-    if before_and_after[1:]:
-        others = "More residuals before and after"
-        parts.append(Section(others, before_and_after[1:], 2, "residual"))
+    if others:
+        parts.append(Section("More residuals before and after", tuple(others), 2, "residual"))
     if found.calibrations:
         parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration"))
     if found.effects:
@@ -86,21 +102,17 @@ def document(found: DiagnoseResult, with_figures: bool = True) -> Document:
     parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates"))
     if found.remaining:
         parts.append(Section("What is left", drawn.left(found.remaining, with_figures), 2, "left"))
-    statistics = drawn.statistics(found, with_figures)
-    parts.append(Section("Statistics of the residuals", statistics, 2, "statistics", folded=True))
+    about = Text(_STATISTICS_DRIVEN if found.driven else _STATISTICS)
+    models = ("recalibrated", "extended") if found.effects else ("recalibrated",)
+    tables = (_statistics(one.recording, one.residuals, models) for one in found.recordings if one.residuals)
+    parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
     if found.unseen:
-        parts.append(Section("What these recordings cannot show", (Findings(_unseen(found)),), folded=True))
+        unseen = Findings(tuple(map(note, found.unseen)))
+        parts.append(Section("What these recordings cannot show", (unseen,), folded=True))
     parts.append(Section("What was assumed", (Definitions(assumed(found)),), folded=True))
-    parts += background(definitions(found), _provenance(found))
+    meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if found.driven else {})
+    parts += background(tuple(meanings.items()), _provenance(found))
     return Document("Closing the loop with measured data", title, tuple(parts))
-
-
-def _next_steps(found: DiagnoseResult) -> tuple[Finding, ...]:
-    return tuple(note(step) for step in found.next_steps)
-
-
-def _unseen(found: DiagnoseResult) -> tuple[Finding, ...]:
-    return tuple(note(text) for text in found.unseen)
 
 
 # ------------------------------------------------------------------ tables and tiles
@@ -108,49 +120,40 @@ def _unseen(found: DiagnoseResult) -> tuple[Finding, ...]:
 
 def errors_table(found: DiagnoseResult) -> Table:
     """Errors of the three models on held-out data: the model alone, then the estimator."""
-    out = Comparison("", "as configured", "recalibrated", "extended")
-    errors = found.errors
+    out, errors = Comparison("", "as configured", "recalibrated", "extended"), found.errors
     if found.driven:
         out.heading("Model driven by the measured angle")
-        _channel_rows(out, errors, ("torque",), largest=True)
+        _channel_rows(out, errors, (TORQUE,), largest=True)
         for key, name in (("rmse_sliding_nm", "while it slides"), ("rmse_sticking_nm", "while it sticks")):
-            values = [getattr(model.sliding, key, None) for model in errors.all]
             if errors.extended.sliding is not None:
+                values = [getattr(model.sliding, key, None) for model in errors.all]
                 out.values(f"    torque {name}, RMSE [N m]", values)
+        out.pressures("  mean pressure RMSE", [model.mean_rmse_pa for model in errors.all])
     else:
         out.heading("Model alone, from what was commanded")
-        _channel_rows(out, errors, ("angle", "torque"), largest=True)
-    _pressure_rows(out, errors, found.driven)
+        _channel_rows(out, errors, CHANNELS, largest=True)
+    for muscle in (0, 1):
+        out.pressures(f"  pressure {muscle + 1} RMSE", [model.rmse_pa[muscle] for model in errors.all])
     if found.driven and errors.extended.angle is not None:
         out.heading("Model alone, driven by the external torque")
-        _channel_rows(out, errors, ("angle",))
+        _channel_rows(out, errors, CHANNELS[:1])
     for part in found.recordings:
         if part.ukf is not None:
             out.heading(f"Estimator from pressures alone, {part.recording}")
-            _channel_rows(out, part.ukf, ("angle", "torque"))
+            _channel_rows(out, part.ukf, CHANNELS)
     return out.table("Errors on held-out data")
 
 
-def _channel_rows(out: Comparison, errors: ModelErrors, names: Sequence[str], largest: bool = False) -> None:
-    """Rows of the named channels; with `largest` also the largest errors and channels that were not measured."""
-    for channel in CHANNELS:
+def _channel_rows(out: Comparison, errors: ModelErrors, channels: Sequence[Channel], largest: bool = False) -> None:
+    """Rows of channels; with `largest` also the largest errors and channels that were not measured."""
+    for channel in channels:
         known = [item for model in errors.all if (item := getattr(model, channel.name)) is not None]
-        if channel.name not in names:
-            continue
         if len(known) == len(errors.all):
             out.values(f"  {channel.name} RMSE [{channel.unit}]", [item.rmse for item in known])
             if largest:
                 out.values(f"  {channel.name} largest [{channel.unit}]", [item.largest for item in known])
         elif largest:
             out.text(f"  {channel.name}", "not measured", MISSING, MISSING)
-
-
-def _pressure_rows(out: Comparison, errors: ModelErrors, mean: bool) -> None:
-    means = [model.mean_rmse_pa for model in errors.all]
-    if mean:
-        out.pressures("  mean pressure RMSE", means)
-    for muscle in (0, 1):
-        out.pressures(f"  pressure {muscle + 1} RMSE", [model.rmse_pa[muscle] for model in errors.all])
 
 
 def ranking_table(found: DiagnoseResult) -> Table:
@@ -194,70 +197,51 @@ def calibration_table(found: DiagnoseResult) -> Table:
     """Zeros, scales and late stamps of the recordings."""
     rows = tuple(
         (
-            f"{item.name} [{item.unit}]",
-            number(item.value),
-            number(item.std, 2),
-            number(item.delta_bic, 2),
+            f"{item.name} [{item.unit}]", number(item.value), number(item.std, 2), number(item.delta_bic, 2),
             " · ".join(f"{name}: {number(value)}" for name, (value, _) in item.by_recording.items()),
         )
         for item in found.calibrations
-    )
+    )  # fmt: skip
     caption = "How much too high a sensor reads, or how much too early it is stamped. The joint itself is right."
     return Table(("Calibration", "value", "std. error", "ΔBIC", "by recording"), rows, caption)
 
 
 def _tiles(found: DiagnoseResult) -> tuple[Tile, ...]:
-    out, errors = [], found.errors
+    out, errors, ukf = [], found.errors, found.recordings[0].ukf
     if found.effects:
         evidence = {effect.in_short: effect.delta_bic for effect in found.effects}
         if found.share is not None:
             out.append(Tile("Explained", percent(found.share), "of the excess over noise on held-out data"))
         values = " and ".join(f"{value:.0f}" for value in evidence.values())
         out.append(Tile(f"Evidence for {', '.join(evidence)}".replace("_", " "), values, "ΔBIC; above 6 is strong"))
-    splits = min((effect.splits for effect in found.effects if effect.splits is not None), default=None)
-    if splits is not None:
-        agreeing = f"{splits.agree} of {splits.of}"
-        out.append(Tile("How sure", agreeing, "splits into fitted and held-out parts agree"))
-    reference = (found.reference or {}).get("angle_and_pressures")
-    for channel in CHANNELS:
-        before, after = channel_of(errors, channel.name)
-        if before is None or after is None or (found.driven and channel is not TORQUE):
-            continue
-        note = f"as configured {channel.write(before)}"
-        if channel is TORQUE and reference is not None:
-            note += f"; a straight-line map: {number(reference, 2)}"
-        label = "Torque error, measured angle" if found.driven else f"{channel.title} error (RMS)"
-        out.append(Tile(label, channel.write(after), note))
+    if (splits := found.splits) is not None:
+        sure = f"{splits.agree} of {splits.of}"
+        out.append(Tile("How sure", sure, "splits into fitted and held-out parts agree"))
     if found.driven:
-        out += _estimator_tiles(found.recordings[0])
-    both = (errors.as_configured, errors.extended)
-    means = [model.mean_rmse_pa for model in both if model.mean_rmse_pa is not None]
-    if found.driven and len(means) == len(both):
-        label, (was, now) = "Error of the mean pressure", means
+        reference = (found.reference or {}).get("angle_and_pressures")
+        line = "" if reference is None else f"; a straight-line map: {number(reference, 2)}"
+        out += _change("Torque error, measured angle", TORQUE, errors, line)
+        for channel in CHANNELS if ukf is not None else ():
+            assert ukf is not None
+            out += _change(f"{channel.title} error, pressures alone", channel, ukf)
     else:
-        label, (was, now) = "Larger pressure error", [max(model.rmse_pa) for model in both]
+        for channel in CHANNELS:
+            out += _change(f"{channel.title} error (RMS)", channel, errors)
+    both = (errors.as_configured, errors.extended)
+    means = [model.mean_rmse_pa for model in both if found.driven and model.mean_rmse_pa is not None]
+    label = "Error of the mean pressure" if len(means) == len(both) else "Larger pressure error"
+    was, now = means if len(means) == len(both) else [max(model.rmse_pa) for model in both]
     unit = readable("Pa", min(now, was))
-    now, was = now * unit.scale, was * unit.scale
-    out.append(Tile(label, f"{number(now, 2)} {unit.name}", f"as configured {number(was, 2)} {unit.name}"))
-    return tuple(out)
+    before = f"as configured {number(was * unit.scale, 2)} {unit.name}"
+    return (*out, Tile(label, f"{number(now * unit.scale, 2)} {unit.name}", before))
 
 
-def _estimator_tiles(part: RecordingEntry) -> list[Tile]:
-    out = []
-    for channel in CHANNELS if part.ukf is not None else ():
-        assert part.ukf is not None
-        before, after = channel_of(part.ukf, channel.name)
-        if before is not None and after is not None:
-            note = f"as configured {number(before, 2)}"
-            out.append(Tile(f"{channel.title} error, pressures alone", channel.write(after), note))
-    return out
-
-
-def channel_of(errors: ModelErrors, name: str) -> tuple[float | None, float | None]:
-    """RMSE of a channel, as configured and extended; None where it was not measured."""
-    known = [getattr(model, name) for model in (errors.as_configured, errors.extended)]
-    before, after = (None if item is None else item.rmse for item in known)
-    return before, after
+def _change(label: str, channel: Channel, errors: ModelErrors, more: str = "") -> list[Tile]:
+    """RMSE of a channel, as configured and extended; none where it was not measured."""
+    before, after = (getattr(model, channel.name) for model in (errors.as_configured, errors.extended))
+    if before is None or after is None:
+        return []
+    return [Tile(label, channel.write(after.rmse), f"as configured {channel.write(before.rmse)}{more}")]
 
 
 def _laws(found: DiagnoseResult) -> tuple[Block, ...]:
@@ -266,19 +250,55 @@ def _laws(found: DiagnoseResult) -> tuple[Block, ...]:
     return (Definitions(rows),) if rows else ()
 
 
+def _statistics(recording: str, shown: Residuals, models: Sequence[str]) -> Table:
+    rows: list[tuple[str, ...]] = []
+    last, kind = models[-1], ""
+    for k, row in enumerate(shown[last]):
+        if row.kind != kind:
+            kind = row.kind
+            rows.append((_KINDS[kind], *[""] * (len(models) + 4)))
+        p = row.whiteness_p
+        rows.append(
+            (
+                f"  {row.title}, RMS {number(row.rms, 2)} {row.unit}",
+                *(number(shown[model][k].rms / shown[model][k].noise, 2) for model in models),
+                percent(row.above_noise),
+                number(row.memory_s, 2),
+                MISSING if p is None or not math.isfinite(p) else "< 0.001" if p < 1e-3 else f"{p:.3f}",
+                _strongest(row.relations),
+            )
+        )
+    header = ("Residual", *(f"× noise, {model}" for model in models), "above noise", "memory [s]", "white: p", "after")
+    caption = (
+        f"Residuals of {recording} on held-out data. RMS and the columns from “above noise” on are of the {last} "
+        "model. Above noise: share of the mean square that the sensors' noise does not explain. Memory: time between "
+        "independent values. White: probability of such an autocorrelation in white noise. After: the signals with a "
+        "significant correlation (p < 0.05), the most significant one first, its lag and its correlation relative to "
+        "the largest one that chance gives in nineteen of twenty times."
+    )
+    return Table(header, tuple(rows), caption)
+
+
+def _strongest(relations: Mapping[str, Relation]) -> str:
+    """The significant signals."""
+    found = sorted((item.p, name) for name, item in relations.items() if item.p < _CERTAIN)
+    if not found:
+        return MISSING
+    first = relations[found[0][1]]
+    text = f"{found[0][1]}, {first.lag_s:.2g} s, {first.over_chance:+.1f}×"
+    return "; ".join([text, *(name for _, name in found[1:])])
+
+
 def _provenance(found: DiagnoseResult) -> list[tuple[str, str]]:
-    held = found.kept
-    what = (
-        f"{percent(held)} at the end of each recording" if isinstance(held, float)
-        else f"{', '.join(held)}: whole recordings"
-    )  # fmt: skip
+    kept = found.kept
+    held = f"{percent(kept)} at the end of each recording" if isinstance(kept, float) else f"{', '.join(kept)}: whole"
     rows = [
         ("Rig", found.start.name),
         ("Source of its values", " ".join(found.start.source.split())),
         ("Seed", str(found.seed)),
-        ("Held out", what),
+        ("Held out", held),
     ]
     for part in found.recordings:
         role = "; held out" if part.role == "held out" else ""
         rows.append((f"Recording {part.recording}", f"{part.joint}{role}; SHA-256 {part.sha256}"))
-    return rows + [(f"Time for {name}", f"{value:.1f} s") for name, value in found.seconds.items()]
+    return [*rows, ("Time [s]", ", ".join(f"{name} {value:.1f}" for name, value in found.seconds.items()))]

@@ -18,12 +18,13 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
-from pam_antagonist.report.result import Result, frame_of, picked
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
-from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.units import readable, unit_of
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -10,32 +10,38 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from typing_extensions import override
 
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
-from pam_antagonist.identification.result import FromPressures, Held
+from pam_antagonist.identification.result import FromPressures, Held, pooled
+from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
 from pam_antagonist.identification.unknowns import Fit, Unknown
 from pam_antagonist.recording import Recording, recording_hash
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
 from pam_antagonist.report import identify_document as pages
-from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.document import Block, Document
-from pam_antagonist.report.held_out import COLUMNS, entry, pooled_coverage
-from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect, rejection
-from pam_antagonist.report.result import Result, frame_of, picked
-from pam_antagonist.report.units import unit_of
+from pam_antagonist.report.identify_findings import (
+    COLUMNS,
+    do_not_use,
+    entry,
+    lacks_an_effect,
+    pooled_coverage,
+    rejection,
+)
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import unit_of
 from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
 from pam_antagonist.software import versions
+from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-    from pam_antagonist.identification.sealed import SealedIdentified
 
 STRONG = 0.9
 """Least correlation of two parameters that are listed as a pair."""
@@ -96,7 +102,7 @@ class IdentifyResult(Result):
     Attributes:
         rig: with the identified parameters, noise and tuning.
         own: with several recordings, a rig with each one's own values; otherwise empty.
-        found: all results.
+        found: all results; those of a sealed joint have fewer steps and values.
         held: errors on the part of each recording that no step used, with the compared rigs.
         recordings: each with its joint condition and name.
         seed: of further starts.
@@ -114,22 +120,16 @@ class IdentifyResult(Result):
         names = ", ".join(name for _, _, name in self.recordings)
         return f"rig {self.rig.name} from {names}; {len(self.warnings)} warnings; .summary() has the errors"
 
-    @property
-    def full(self) -> FromPressures:
-        """All results of a joint that is not sealed."""
-        assert isinstance(self.found, FromPressures), "of a sealed joint"
-        return self.found
-
     @cached_property
     def rejected(self) -> str:
         """Why the identified rig should not be used, in a sentence; empty if it may."""
-        found = self.full
+        found = self.found
         return found.rejected or rejection(self.held, refusal(self.rig), self.parameters, found.start.bounds)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """For the user."""
-        return (*([do_not_use(self.rejected)] if self.rejected else []), *self.full.notes)
+        return (*([do_not_use(self.rejected)] if self.rejected else []), *self.found.notes)
 
     @property
     def lacks_an_effect(self) -> bool:
@@ -140,12 +140,22 @@ class IdentifyResult(Result):
     @cached_property
     def parameters(self) -> tuple[ParameterEntry, ...]:
         """All free parameters before and after the fit."""
-        return tuple(item for fit in self.full.fits for item in _parameters(self.full.start, fit))
+        found, start = self.found, self.found.start
+        if isinstance(found, FromPressures):
+            return tuple(item for fit in found.fits for item in _parameters(start, fit))
+        return tuple(
+            ParameterEntry(
+                name, start.value(name), after, stage.std.get(name, math.nan), _relative(start.value(name), after),
+                math.nan, None, True, "", None, unit_of(start, name),
+            )
+            for stage in found.stages
+            for name, after in stage.values.items()
+        )  # fmt: skip
 
     @cached_property
     def errors_deg(self) -> dict[str, float]:
         """Errors of the angle, over all held-out data of free joints, by what gives it, RMS [deg]."""
-        return {key: self.full.pooled(key) for key in COLUMNS if math.isfinite(self.full.pooled(key))}
+        return {key: error for key in COLUMNS if math.isfinite(error := pooled(self.held, key))}
 
     @property
     def coverage95(self) -> tuple[float, float]:
@@ -155,21 +165,25 @@ class IdentifyResult(Result):
     @cached_property
     def correlations(self) -> tuple[tuple[str, str, float], ...]:
         """Pairs of strongly correlated parameters, the strongest of each fit first."""
-        return tuple(pair for fit in self.full.fits for pair in _correlations(fit))
+        return tuple(pair for fit in self.found.fits for pair in _correlations(fit))
 
     @cached_property
     def between(self) -> tuple[Difference, ...]:
         """How the recordings deviate from each other; empty where they may not."""
-        out = [item for fit in self.full.fits for item in _differences(fit)]
+        out = [item for fit in self.found.fits for item in _differences(fit)]
         return tuple(sorted(out, key=lambda item: -item.largest / max(item.std, 1e-12)))
 
     @override
     def to_json(self) -> dict[str, Any]:
-        found, asked = self.full, self.full.options
+        found = self.found
+        own = self._full_json(found) if isinstance(found, FromPressures) else self._sealed_json(found)
+        about = {"assumption": assumption(found.start, identified=True), "rejected": self.rejected}
+        return {"held_out": [entry(held) for held in self.held], **own, "software": versions(), **about}
+
+    def _full_json(self, found: FromPressures) -> dict[str, Any]:
         now, before = found.rig.tuning("default"), found.start.tuning("default")
         coverage, own = self.coverage95
         return {
-            "held_out": [entry(held) for held in self.held],
             "coverage95": coverage,
             "coverage95_own": own,
             "errors_deg": self.errors_deg,
@@ -193,20 +207,40 @@ class IdentifyResult(Result):
             },
             "recordings": self._recordings(),
             "warnings": found.notes,
-            "settings": {"rig": found.start.name, **picked(asked, "free", "frozen", "holdout", "starts", "seed")},
-            "software": versions(),
-            "assumption": assumption(found.start, identified=True),
-            "rejected": self.rejected,
-        }
+            "settings": {
+                "rig": found.start.name, **picked(found.options, "free", "frozen", "holdout", "starts", "seed")
+            },
+        }  # fmt: skip
 
     def _recordings(self) -> list[dict[str, Any]]:
-        whole, ends, out = {held.name: held.whole.report for held in self.held}, dict(self.full.fitted), []
+        whole, out = {held.name: held for held in self.held}, []
         for recording, state, name in self.recordings:
-            if (report := whole.get(name)) is not None:
-                facts, end = JointFacts.of(state), min(ends.get(name, 0.0), recording.duration_s)
-                about = picked(report.recording, "sha256", "topics", "issues") | {"name": name, **vars(facts)}
-                out.append(about | picked(report, "samples", "duration_s") | {"fitted_until_s": end})
+            if (held := whole.get(name)) is not None:
+                report = held.whole.report
+                about = picked(report.recording, "sha256", "topics", "issues") | {"name": name}
+                about |= vars(JointFacts.of(state)) | picked(report, "samples", "duration_s")
+                out.append(about | {"fitted_until_s": min(held.from_s, recording.duration_s)})
         return out
+
+    def _sealed_json(self, found: SealedIdentified) -> dict[str, Any]:
+        known = {item.name: item for item in self.parameters}
+        keys = ("name", "sha256", "duration_s", "fitted_until_s")
+        return {
+            "stages": [
+                {
+                    "name": stage.name,
+                    "values": {
+                        name: {"before": one.start, "after": one.value, "std": one.std, "unit": one.unit}
+                        for name, one in ((name, known[name]) for name in stage.values)
+                    },
+                    **picked(stage, "residual", "unit", "note"),
+                }
+                for stage in found.stages
+            ],
+            "tuning": found.tuning,
+            "assumed": ASSUMED,
+            "recordings": [{key: one[key] for key in keys} for one in self._recordings()],
+        }
 
     @override
     def blocks(self) -> Sequence[Block]:
@@ -218,49 +252,34 @@ class IdentifyResult(Result):
 
     def to_dataframe(self) -> DataFrame:
         """A row for each identified parameter: start value, identified value, standard error (needs pandas)."""
-        return frame_of(self._values(), ("parameter", "start", "value", "std"), "parameter")
-
-    def _values(self) -> list[tuple[Any, ...]]:
-        return [(item.name, item.start, item.value, item.std) for item in self.parameters]
-
-    def _fitted(self) -> list[str]:
-        """The part of each recording that was fitted, in words."""
-        until = dict(self.full.fitted)
-        return [
-            "held out" if name not in until else "all" if until[name] > one.duration_s else f"first {until[name]:.1f} s"
-            for one, _, name in self.recordings
-        ]
-
-    _ABOUT: ClassVar[tuple[str, ...]] = (
-        "Standard errors are in report.json. The directions below are the combinations of errors that change the "
-        "estimate most.",
-    )
-    """Last lines of the head of rig.yaml."""
+        rows = [(item.name, item.start, item.value, item.std) for item in self.parameters]
+        return frame_of(rows, ("parameter", "start", "value", "std"), "parameter")
 
     @override
     def _write_rigs(self, folder: Path) -> None:
-        start = self.found.start
+        start, held = self.found.start, {held.name: held.from_s for held in self.held}
         when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
         about = [
             f"Identified on {when} by pam_antagonist identify, from rig {start.name}, seed {self.seed}.",
             "Recordings (the part that was fitted, joint, SHA-256):",
-            *(
-                f"  {name}: {until}, {state.condition}, {recording_hash(recording)}"
-                for (recording, state, name), until in zip(self.recordings, self._fitted(), strict=True)
-            ),
-            *self._ABOUT,
         ]
+        for recording, state, name in self.recordings:
+            part = "all" if name not in held else f"first {held[name]:.1f} s" if held[name] else "held out"
+            about.append(f"  {name}: {part}, {state.condition}, {recording_hash(recording)}")
+        if self.rig.directions:
+            about.append(
+                "Standard errors are in report.json. The directions below are the combinations of errors that change "
+                "the estimate most."
+            )
         names = ", ".join(name for _, _, name in self.recordings)
         source = f"identified from {names}; started from: {start.source.strip()}"
 
         def named(rig: Rig, more: str = "") -> Rig:
-            plain = start.name.removesuffix("_identified")
-            return rig.replaced(
-                name=f"{plain}_identified", source=" ".join(f"{source}{more}".split()), identified=names
-            )
+            name = f"{start.name.removesuffix('_identified')}_identified"
+            return rig.replaced(name=name, source=" ".join(f"{source}{more}".split()), identified=names)
 
         if self.rejected:
-            lines = textwrap.wrap(f"Do not use this rig: {self.rejected}", 110)
+            lines = textwrap.wrap(do_not_use(self.rejected), 110)
             write_unread(named(self.rig), folder / "rig_rejected.yaml", [*lines, *about])
             return
         write_rig(named(self.rig), folder / "rig.yaml", about)
@@ -271,6 +290,10 @@ class IdentifyResult(Result):
                 write_rig(rig, folder / f"rig_{number}.yaml", [*about, remark])
 
 
+def _relative(start: float, value: float) -> float:
+    return (value - start) / abs(start) if start else math.nan
+
+
 def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
     stds, reasons, out = fit.stds, fit.reasons, []
     for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
@@ -279,8 +302,7 @@ def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
             reason = reasons[item.name]
             out.append(
                 ParameterEntry(
-                    item.name, item.start, value, stds[item.name],
-                    (value - item.start) / abs(item.start) if item.start else math.nan,
+                    item.name, item.start, value, stds[item.name], _relative(item.start, value),
                     item.std * abs(item.start) if item.positive else item.std,
                     value if item.name in fit.at_bounds else None, not reason, reason,
                     recording_that_shows(item.name) if reason else None, unit_of_unknown(rig, item),

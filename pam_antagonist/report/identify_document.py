@@ -1,23 +1,39 @@
-"""The page of ``identify``: sentences, tables and figures of its result."""
+"""The page of ``identify``: sentences, tables and figures of its result; a section is there if its data are."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-from pam_antagonist.identification.result import Step
-from pam_antagonist.report import identify_figures as drawn
-from pam_antagonist.report.assumption import assumption, in_first_lines
-from pam_antagonist.report.channels import CHANNELS
-from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background
-from pam_antagonist.report.held_out import COLUMNS, errors_of, held_out_table, known
-from pam_antagonist.report.identify_findings import findings, undetermined, verdict
+import numpy as np
+
+from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.identification.result import FromPressures, Held, Step
+from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
+from pam_antagonist.replays.channels import CHANNELS
+from pam_antagonist.report.document import (
+    Block,
+    Document,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    in_first_lines,
+)
+from pam_antagonist.report.figure import Axis, Figure, Panel, Points
+from pam_antagonist.report.identify_findings import COLUMNS, errors_of, findings, known, rigs_of, verdict
+from pam_antagonist.report.replay_figures import replay_figures
+from pam_antagonist.report.style import FAINT, MODEL
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
-from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import readable, unit_of
 
 if TYPE_CHECKING:
-    from pam_antagonist.report.identify import IdentifyResult
+    from pam_antagonist.report.identify import IdentifyResult, ParameterEntry
 
 
 def summary(found: IdentifyResult) -> tuple[Block, ...]:
@@ -39,6 +55,10 @@ def document(found: IdentifyResult, with_figures: bool = True) -> Document:
         f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
         "whole ones, which no step used."
     )
+    title = "Identification of a pneumatic muscle joint"
+    if isinstance(found.found, SealedIdentified):
+        title = "Identification of a sealed muscle joint"
+        lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(verdict(found), "verdict"),
@@ -49,11 +69,10 @@ def document(found: IdentifyResult, with_figures: bool = True) -> Document:
         _held_out(found, with_figures),
         _parameters(found, with_figures),
         *_between(found),
-        _stages(found),
-        _noise(found),
+        *(_of_sealed(found.found) if isinstance(found.found, SealedIdentified) else _steps(found.found)),
         *background("identify", _provenance(found)),
     ]
-    return Document("Identification of a pneumatic muscle joint", f"Rig {found.found.start.name}", tuple(parts))
+    return Document(title, f"Rig {found.found.start.name}", tuple(parts))
 
 
 def _angles(found: IdentifyResult) -> tuple[Block, ...]:
@@ -75,102 +94,81 @@ def _tiles(found: IdentifyResult) -> tuple[Tile, ...]:
                 before, now, *_ = errors
                 shares = f"{channel.write(before.rmse)} as configured; {percent(now.coverage95)} in the 95 % interval"
                 out.append(Tile(f"UKF {channel.name} error (RMS)", channel.write(now.rmse), f"{held.name}; {shares}"))
+    for held in found.held:
+        external = held.identified.ukf.external_torque
+        if external is not None and math.isfinite(external.rmse):
+            about = f"{held.name}; estimated by the filter; where the joint sticks, friction hides it"
+            out.append(Tile("External torque (RMS)", f"{external.rmse:.2f} N m", about))
     return tuple(out)
 
 
 def _held_out(found: IdentifyResult, with_figures: bool) -> Section:
     content: list[Block] = [Text("Errors on data that were neither fitted nor used for tuning. The best is bold.")]
     for held in found.held:
-        figures = drawn.held_out_figures(held, found.rig) if with_figures else []
+        figures = held_out_figures(held) if with_figures else ()
         content.append(Section(held.name, (held_out_table(held), *figures)))
     return Section("On held-out data", tuple(content), 2, "held-out")
 
 
+def held_out_figures(held: Held) -> tuple[Figure, ...]:
+    """A recording before and after; the held-out part is shaded."""
+    return replay_figures(held.whole, held.from_s, held.replays["as_configured"])
+
+
+def held_out_table(held: Held) -> Table:
+    """Errors on one recording's held-out part, for all compared rigs."""
+    titles, figures = zip(*rigs_of(held), strict=True)
+    out = Comparison(f"{held.name}, from {held.from_s:.4g} s on", *titles)
+    out.heading("Model alone")
+    for channel in CHANNELS:
+        _rows(out, channel.name, channel.unit, known(held, channel, "model_alone"))
+    for muscle in (0, 1):
+        values = [item.model_alone.pressure.rmse_pa[muscle] for item in figures]
+        out.pressures(f"  pressure {muscle + 1} RMSE 𝕀", values)
+    out.heading("UKF")
+    for channel in CHANNELS:
+        errors = known(held, channel)
+        _rows(out, channel.name, channel.unit, errors)
+        if errors:
+            shares = [item.coverage95 for item in errors]
+            out.values(f"  {channel.name} in the 95 % interval", shares, percent, best=None)
+    external = [item.ukf.external_torque for item in figures]
+    if all(external):
+        out.values("  external torque RMSE 𝕀 [N m]", [None if item is None else item.rmse for item in external])
+    out.values("  mean NIS (2 is right)", [item.innovation.nis_mean for item in figures], best=None)
+    return out.table()
+
+
+def _rows(out: Comparison, name: str, unit: str, errors: Sequence[ChannelErrors]) -> None:
+    if errors:
+        out.values(f"  {name} RMSE 𝕀 [{unit}]", [item.rmse for item in errors])
+        out.values(f"  {name} 𝕄 over range, ℚ", [item.ratio for item in errors], percent)
+
+
 def _parameters(found: IdentifyResult, with_figures: bool) -> Section:
-    content: list[Block] = [drawn.parameters_figure(found.parameters)] if with_figures else []
-    content.append(parameters_table(found, "All free parameters"))
-    left = undetermined(found)
-    if left:
-        rows = tuple((", ".join(names), text) for text, names in left.items())
-        content.append(Table(("Not determined", "What to record to determine it"), rows, prose=True))
-    if found.correlations:
-        pairs = tuple((first, second, f"{value:+.3f}") for first, second, value in found.correlations)
-        content.append(Table(("Parameter", "with", "correlation"), pairs, "Strongly correlated parameters"))
-    return Section("Parameters", tuple(content), 2, "parameters")
+    drawn = (parameters_figure(found.parameters),) if with_figures else ()
+    return Section("Parameters", (*drawn, parameters_table(found, "All free parameters")), 2, "parameters")
 
 
-def _between(found: IdentifyResult) -> list[Section]:
-    if not found.between:
-        return []
-    text = (
-        "Each recording may deviate a little from the common values, by about a per cent. The common values lie "
-        "between them."
-    )
-    rows = tuple(
-        (
-            item.name,
-            *(change(value) for value in item.deviations),
-            change(item.largest).lstrip("+"),
-            change(1.96 * item.std).lstrip("+"),
-            "yes" if item.certain else "no",
+def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
+    """Change of each parameter with its 95 % interval, and the prior's interval."""
+    items = [item for item in parameters if item.start]
+    rows = np.arange(len(items), dtype=np.float64)
+    change, prior, now = (
+        np.array([100.0 * value / abs(item.start) for value, item in zip(values, items, strict=True)])
+        for values in (
+            [item.value - item.start for item in items], [1.96 * item.prior_std for item in items],
+            [1.96 * item.std for item in items],
         )
-        for item in found.between
+    )  # fmt: skip
+    parts = (
+        Points("before: prior, 95 %", 0.0 * rows, rows, FAINT, size=1.0, half_width=prior, bar_width=7.0),
+        Points("identified, 95 %", change, rows, MODEL, half_width=now),
     )
-    header = ("Direction", *(held.name for held in found.held), "difference", "± 95 %", "certain")
-    table = Table(header, rows, "Deviation of each recording from the common value")
-    return [Section("How the recordings differ", (Text(text), table), 2, "between", folded=True)]
-
-
-def _stages(found: IdentifyResult) -> Section:
-    content: list[Block] = [
-        Text(
-            "The measured pressures drive joint and muscles, so no valve has to be known for these. Then the measured "
-            "motion drives the chambers, so that the air does not depend on the joint."
-        )
-    ]
-    for step in found.full.steps:
-        note = f" {step.note[:1].upper()}{step.note[1:]}." if step.note else ""
-        inner: list[Block] = [Text(f"From {step.source}.{note}")]
-        if step.values:
-            inner += [_stage_residuals(step), _stage_values(step, found.full.start)]
-        content.append(Section(step.name, tuple(inner)))
-    return Section("Step by step", tuple(content), 2, "steps", folded=True)
-
-
-def _noise(found: IdentifyResult) -> Section:
-    rows = tuple(
-        (name, ", ".join(f"{path} {number(value, 2)}" for path, value in changes.items() if value))
-        for name, changes in found.full.rig.directions.items()
-    )
-    text = (
-        f"The filter considers a constant torque that is not known, {number(found.full.covered.torque, 2)} N m (one "
-        "standard deviation), and the directions in which the values are uncertain."
-    )
-    directions = (Table(("Direction", "changes by one standard deviation [SI]"), rows, prose=True),) if rows else ()
-    return Section("Noise and tuning", (_noise_table(found), Text(text), *directions), 2, "noise", folded=True)
-
-
-def _provenance(found: IdentifyResult) -> list[tuple[str, str]]:
-    asked = found.full.options
-    rows = [
-        ("Rig at the start", found.full.start.name),
-        ("Freed in addition", ", ".join(asked.free) or "none"),
-        ("Kept as configured", ", ".join(asked.frozen) or "none"),
-        ("Held out", percent(asked.holdout)),
-        ("Starts and seed", f"{asked.starts}, {asked.seed}"),
-    ]
-    for item in found.to_json()["recordings"]:
-        rows.append((f"Recording {item['name']}", f"SHA-256 {item['sha256']}"))
-        rows.append(("Its joint", f"{item['condition']}; source: {item['source']}"))
-        until = f"of which {item['fitted_until_s']:.1f} s were fitted"
-        rows.append(("Its length", f"{item['duration_s']:.1f} s, {until}"))
-        rows += [("Remark", issue) for issue in item["issues"][:3]]
-    return rows
-
-
-def change(value: float) -> str:
-    """A relative change in per cent, with its sign."""
-    return f"{100.0 * value:+.2f} %" if math.isfinite(value) else MISSING
+    across = Axis("Change from the configured value [%]")
+    panel = Panel(across, Axis(labels=tuple(item.name for item in items)), parts, 12 + 24 * len(items))
+    about = "Where a blue bar is as wide as the grey one, the recordings do not determine that parameter."
+    return Figure("Parameters with 95 % intervals", about, (panel,), "parameters")
 
 
 def parameters_table(found: IdentifyResult, caption: str = "") -> Table:
@@ -192,42 +190,130 @@ def parameters_table(found: IdentifyResult, caption: str = "") -> Table:
     return Table(header, rows, caption)
 
 
-def _stage_values(step: Step, rig: Rig) -> Table:
-    rows = []
+def change(value: float) -> str:
+    """A relative change in per cent, with its sign."""
+    return f"{100.0 * value:+.2f} %" if math.isfinite(value) else MISSING
+
+
+def _between(found: IdentifyResult) -> list[Section]:
+    if not found.between:
+        return []
+    text = (
+        "Each recording may deviate a little from the common values, by about a per cent. The common values lie "
+        "between them."
+    )
+    rows = tuple(
+        (
+            item.name, *map(change, item.deviations), change(item.largest).lstrip("+"),
+            change(1.96 * item.std).lstrip("+"), "yes" if item.certain else "no",
+        )
+        for item in found.between
+    )  # fmt: skip
+    header = ("Direction", *(held.name for held in found.held), "difference", "± 95 %", "certain")
+    table = Table(header, rows, "Deviation of each recording from the common value")
+    return [Section("How the recordings differ", (Text(text), table), 2, "between", folded=True)]
+
+
+def _steps(found: FromPressures) -> list[Section]:
+    content: list[Block] = [
+        Text(
+            "The measured pressures drive joint and muscles, so no valve has to be known for these. Then the measured "
+            "motion drives the chambers, so that the air does not depend on the joint."
+        )
+    ]
+    for step in found.steps:
+        note = f" {step.note[:1].upper()}{step.note[1:]}." if step.note else ""
+        table = (_step_table(step, found.start),) if step.values else ()
+        content.append(Section(step.name, (Text(f"From {step.source}.{note}"), *table)))
+    text = (
+        f"The filter considers a constant torque that is not known, {number(found.covered.torque, 2)} N m (one "
+        "standard deviation), and the directions in which the values are uncertain."
+    )
+    rows = tuple(
+        (name, ", ".join(f"{path} {number(value, 2)}" for path, value in changes.items() if value))
+        for name, changes in found.rig.directions.items()
+    )
+    directions = (Table(("Direction", "changes by one standard deviation [SI]"), rows, prose=True),) if rows else ()
+    noise = (_noise_table(found.start, found.rig), Text(text), *directions)
+    return [
+        Section("Step by step", tuple(content), 2, "steps", folded=True),
+        Section("Noise and tuning", noise, 2, "noise", folded=True),
+    ]
+
+
+def _step_table(step: Step, rig: Rig) -> Table:
+    """Errors of the simulated model and values, before and after one step."""
+    rows = [
+        (f"RMS error, {title}", number(step.before[key] * scale), number(step.after[key] * scale), "")
+        for key, title, scale in (
+            ("angle", "angle [°]", math.degrees(1.0)), ("torque", "torque [N m]", 1.0),
+            ("pressure", "pressure, over a second [kPa]", 1e-3),
+        )
+        if key in step.before and key in step.after
+    ]  # fmt: skip
     for name, (before, after) in step.values.items():
         unit = readable(unit_of(rig, name))
-        moved = (after - before) / abs(before) if before else math.nan
-        values = number(before * unit.scale, 4), number(after * unit.scale, 5)
-        rows.append((f"{name} [{unit.name}]", *values, change(moved)))
-    return Table(("Parameter", "before", "after", "change"), tuple(rows))
+        moved = change((after - before) / abs(before) if before else math.nan)
+        rows.append((f"{name} [{unit.name}]", number(before * unit.scale, 4), number(after * unit.scale, 5), moved))
+    return Table(("", "before", "after", "change"), tuple(rows))
 
 
-def _stage_residuals(step: Step) -> Table:
-    """Residuals of the simulated model before and after one step."""
-    units = (("angle", "angle [°]", math.degrees(1.0)), ("torque", "torque [N m]", 1.0),
-             ("pressure", "pressure, over a second [kPa]", 1e-3))  # fmt: skip
-    rows = tuple(
-        (title, number(step.before[key] * scale), number(step.after[key] * scale))
-        for key, title, scale in units
-        if key in step.before and key in step.after
+def _of_sealed(sealed: SealedIdentified) -> list[Section]:
+    text = (
+        "R is the noise of the pressures. The other values maximise the likelihood of the errors of the measured angle "
+        "on the fitted part, while the innovations are as large as the filter expects. The drift of the readings is a "
+        "state of its own, and not in R."
     )
-    return Table(("RMS error", "before", "after"), rows)
-
-
-def _noise_table(found: IdentifyResult) -> Table:
-    """Sensor noise, Q and R before and after."""
-    rigs = (found.full.start, found.full.rig)
-    old, new = (rig.tuning("default") for rig in rigs)
-    rows = [
-        (title, *(number(scale * float(getattr(rig.sensors, name))) for rig in rigs))
-        for title, name, scale in (
-            ("pressure sensor [Pa]", "pressure_std", 1.0), ("encoder [°]", "angle_std", math.degrees(1.0)),
-            ("encoder, resolution [°]", "angle_step", math.degrees(1.0)), ("torque meter [N m]", "torque_std", 1.0),
-            ("torque meter, resolution [N m]", "torque_step", 1.0),
+    further = tuple(
+        (name, *(number(sealed.tuning[key][when]) for when in ("before", "after")))
+        for name, key in (
+            ("Drift of the readings, std. dev. [Pa]", "drift_std_pa"), ("Its time constant [s]", "drift_time_s"),
+            ("Random walk of the torque [N m/s^0.5]", "random_walk"),
         )
-    ]  # fmt: skip
-    for k, name in enumerate(("angle [rad²]", "velocity [rad²/s²]", "pressure 1 [Pa²]", "pressure 2 [Pa²]")):
-        rows.append((f"Q a step, {name}", number(old.process[k], 2), number(new.process[k], 2)))
-    for k in (0, 1):
-        rows.append((f"R, pressure {k + 1} [Pa²]", number(old.measurement[k]), number(new.measurement[k])))
-    return Table(("", "configured", "identified"), tuple(rows), "Sensor noise, process noise Q and measurement noise R")
+    )  # fmt: skip
+    steps = tuple((stage.name, f"{number(stage.residual)} {stage.unit}", stage.note) for stage in sealed.stages)
+    return [
+        Section("Step by step", (Table(("Step", "residual (RMS)", "note"), steps, prose=True),), folded=True),
+        Section("Noise and tuning", (Text(text), _noise_table(sealed.start, sealed.rig, further)), folded=True),
+        Section("What is assumed", tuple(map(Text, ASSUMED)), folded=True),
+    ]
+
+
+def _noise_table(before: Rig, after: Rig, further: Sequence[tuple[str, ...]] = ()) -> Table:
+    """Sensor noise, Q and R before and after."""
+
+    def values(rig: Rig) -> list[Any]:
+        tuning, sensors = rig.tuning("default"), rig.sensors
+        of_sensors = [
+            sensors.pressure_std, math.degrees(sensors.angle_std), math.degrees(sensors.angle_step),
+            sensors.torque_std, sensors.torque_step,
+        ]  # fmt: skip
+        return [*of_sensors, *tuning.process, *tuning.measurement]
+
+    titles = (
+        "pressure sensor [Pa]", "encoder [°]", "encoder, resolution [°]", "torque meter [N m]",
+        "torque meter, resolution [N m]", "Q a step, angle [rad²]", "Q a step, velocity [rad²/s²]",
+        "Q a step, pressure 1 [Pa²]", "Q a step, pressure 2 [Pa²]", "R, pressure 1 [Pa²]", "R, pressure 2 [Pa²]",
+    )  # fmt: skip
+    pairs = zip(titles, values(before), values(after), strict=True)
+    rows = (*((title, number(old), number(new)) for title, old, new in pairs), *further)
+    return Table(("", "configured", "identified"), rows, "Sensor noise, process noise Q and measurement noise R")
+
+
+def _provenance(found: IdentifyResult) -> list[tuple[str, str]]:
+    out, held, numbers = [("Rig at the start", found.found.start.name)], found.held, found.found
+    if isinstance(numbers, FromPressures):
+        asked = numbers.options
+        out += [
+            ("Freed in addition", ", ".join(asked.free) or "none"),
+            ("Kept as configured", ", ".join(asked.frozen) or "none"),
+            ("Held out", percent(asked.holdout)),
+            ("Starts and seed", f"{asked.starts}, {asked.seed}"),
+        ]
+    for one in held:
+        report, joint = one.whole.report, one.identified.joint
+        length = f"{report.duration_s:.1f} s, of which {min(one.from_s, report.duration_s):.1f} s were fitted"
+        out.append((f"Recording {one.name}", f"SHA-256 {report.recording.sha256}"))
+        out.append(("Its joint and length", f"{joint.condition}; source: {joint.source}; {length}"))
+        out += [("Remark", issue) for issue in report.recording.issues[:3]]
+    return out

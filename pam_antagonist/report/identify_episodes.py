@@ -23,10 +23,11 @@ from pam_antagonist.report.episodes import (
     units_findings,
 )
 from pam_antagonist.report.identify_findings import WORSE, do_not_use
-from pam_antagonist.report.result import Result, picked
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import refusal, write_rig, write_unread
+from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -1,22 +1,33 @@
-"""Findings of an identification in sentences, from its numbers."""
+"""Errors of an identification on held-out data, what follows from them, and all findings in sentences."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
+from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.identification.result import Held
-from pam_antagonist.report.channels import ANGLE, CHANNELS, HIGH_COVERAGE, Channel
+from pam_antagonist.replays.channels import ANGLE, CHANNELS, HIGH_COVERAGE, Channel, judged
+from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.report.document import Finding, good, note, warn
-from pam_antagonist.report.held_out import known, rigs_of
 from pam_antagonist.report.table import number, percent
-from pam_antagonist.report.units import readable
 from pam_antagonist.rig.physical import is_positive
+from pam_antagonist.rig.units import readable
+from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pam_antagonist.report.identify import IdentifyResult, ParameterEntry
 
+COLUMNS = {
+    "identified": "UKF, identified rig",
+    "as_configured": "UKF, rig file as configured",
+    "model_alone": "model alone, from the commands",
+    "pressures_alone": "joint driven by the measured pressures",
+    "linear": "linear map of the two pressures",
+}
+"""What gives an angle that is compared on held-out data."""
+_TITLES = {"as_configured": "as configured", "identified": "identified", "own": "own values"}
 _LOW, _HIGH = 0.92, HIGH_COVERAGE
 """Range of the coverage on held-out data in which a 95 % interval is called honest."""
 WORSE = 1.2
@@ -29,6 +40,39 @@ _LARGE = 0.05
 
 _Model = Literal["ukf", "model_alone"]
 _MODELS: tuple[_Model, ...] = ("ukf", "model_alone")
+
+
+def rigs_of(held: Held) -> list[tuple[str, ReplayReport]]:
+    """The compared rigs: title and numbers."""
+    return [(title, held.reports[key]) for key, title in _TITLES.items() if key in held.reports]
+
+
+def errors_of(held: Held) -> dict[str, float]:
+    """Errors of a free joint's angle by what gives it, RMS [deg]; empty without any."""
+    return {key: held.error(key) for key in COLUMNS if math.isfinite(held.error(key))}
+
+
+def known(held: Held, channel: Channel, model: _Model = "ukf") -> list[ChannelErrors]:
+    """Errors of a channel with each rig; empty if it was not measured, did not move or the joint was locked."""
+    if channel is ANGLE and held.identified.joint.condition == "locked":
+        return []
+    errors = [channel.of(getattr(numbers, model)) for _, numbers in rigs_of(held)]
+    found = [item for item in errors if item is not None and math.isfinite(item.ratio)]
+    return found if len(found) == len(errors) else []
+
+
+def entry(held: Held) -> dict[str, Any]:
+    """The numbers of a held-out part in ``report.json``."""
+    keys = ("samples", "duration_s", "ukf", "model_alone", "innovation")
+    rigs = {rig: picked(held.reports[rig], *keys) if rig in held.reports else None for rig in _TITLES}
+    about = {"name": held.name, "from_s": held.from_s, "joint": held.identified.joint}
+    return {**about, **rigs, "errors_deg": errors_of(held)}
+
+
+def pooled_coverage(every: Iterable[Held], rig: str = "identified") -> float:
+    """Mean coverage of a rig's 95 % interval over recordings and channels; NaN without measurements."""
+    shares = [item.coverage for held in every if rig in held.reports for item in judged(held.reports[rig])]
+    return sum(shares) / len(shares) if shares else math.nan
 
 
 def do_not_use(rejected: str) -> str:
@@ -147,7 +191,7 @@ def verdict(found: IdentifyResult) -> str:
 
 def findings(found: IdentifyResult) -> tuple[Finding, ...]:
     """All findings."""
-    out = [warn(text) for text in found.full.notes]
+    out = [warn(text) for text in found.found.notes]
     if (met := at_bounds(found.parameters)) and not found.rejected:
         out.append(warn(
             f"The search ended at a bound of {_bounds(met)}: the best values lie beyond it, and these may be wrong. "
@@ -155,118 +199,98 @@ def findings(found: IdentifyResult) -> tuple[Finding, ...]:
             "lacks, run close_loop with the same recordings; to keep the value of the rig file, type --freeze NAME."
         ))  # fmt: skip
     for held in found.held:
-        out += [*_worse(held), *_against_model(held), *_large(held), *_of_recording(held)]
-    return (*out, *_coverage(found), _differences(found), *_undetermined(found), *_pairs(found))
+        out += of_recording(held)
+    return (*out, *_coverage(found), *_differences(found), *_undetermined(found), *_pairs(found))
 
 
 def lacks_an_effect(every: Sequence[Held]) -> bool:
     """Whether the filter got worse on held-out data, so that the model seems to lack an effect."""
-    return any(_worse(held) for held in every)
+    return any(
+        errors[1].rmse > WORSE * errors[0].rmse
+        for held in every for channel in CHANNELS if (errors := known(held, channel))
+    )  # fmt: skip
 
 
-def _worse(held: Held) -> list[Finding]:
-    """Channels in which the filter got worse: the fit compensated an effect that the model lacks."""
-    return [
-        warn(
-            f"{held.name}, held-out part: the filter's {channel.name} is worse with the identified rig "
-            f"({channel.write(now.rmse)}, as configured {channel.write(before.rmse)}). The model may lack an effect, "
-            "which the parameters cannot replace: close_loop looks for it."
-        )
-        for channel in CHANNELS
-        for before, now, *_ in filter(None, [known(held, channel)])
-        if now.rmse > WORSE * before.rmse
-    ]
-
-
-def _against_model(held: Held) -> list[Finding]:
-    """Channels in which the filter is worse than the model without measured pressures."""
+def of_recording(held: Held) -> list[Finding]:
+    """Channels in which the filter got worse, is worse than the model alone, or errs much for the angle's range."""
     out = []
     for channel in CHANNELS:
         errors, alone = known(held, channel), known(held, channel, "model_alone")
-        if errors and alone and errors[1].rmse > WORSE * alone[1].rmse:
-            out.append(warn(
-                f"{held.name}, held-out part: the filter's {channel.name} ({channel.write(errors[1].rmse)}) is worse "
-                f"than that of the model alone ({channel.write(alone[1].rmse)}). The measured pressures contradict the "
-                "model, and correcting it by them does harm."
-            ))  # fmt: skip
-    return out
-
-
-def _large(held: Held) -> list[Finding]:
-    """An angle whose error is a large share of its range."""
-    for errors in known(held, ANGLE)[1:2]:
-        share = errors.ratio * errors.rmse / errors.largest if errors.largest else 0.0
-        if share > _LARGE:
-            return [warn(
-                f"{held.name}, held-out part: the error is {percent(share)} of the angle's range: the joint is no "
-                "plain pair of muscles, or the model lacks something. Run close_loop."
-            )]  # fmt: skip
-    return []
-
-
-def _of_recording(held: Held) -> list[Finding]:
-    before, now, *own = (
-        " and ".join(number(value * 1e-3, 2) for value in figures.model_alone.pressure.rmse_pa)
-        for _, figures in rigs_of(held)
-    )
-    parts = [f"pressures {now} kPa ({before} as configured{''.join(f', {text} with its own values' for text in own)})"]
-    for channel in CHANNELS:
-        if alone := known(held, channel, "model_alone"):
-            parts.append(f"{channel.name} {channel.write(alone[1].rmse)} ({channel.write(alone[0].rmse)})")
-    out = [note(f"{held.name}, held-out part, model alone, RMS error: {'; '.join(parts)}.")]
-    for channel in CHANNELS:
-        for errors in known(held, channel)[1:2]:
-            share = errors.coverage95 or 0.0
-            kind, how = (note, "larger than needed") if share > _HIGH else (warn, "too small")
-            if _LOW <= share <= _HIGH:
-                kind, how = good, "honest"
-            inside = f"{percent(share)} of the measured {channel.name}s lie in the 95 % interval"
-            out.append(kind(f"{held.name}, held-out part: {inside}. The filter's covariance is {how}."))
-    return out
+        if not errors:
+            continue
+        before, now, *_ = errors
+        if now.rmse > WORSE * before.rmse:
+            # The fit compensated an effect that the model lacks.
+            out.append(
+                f"the filter's {channel.name} is worse with the identified rig ({channel.write(now.rmse)}, as "
+                f"configured {channel.write(before.rmse)}). The model may lack an effect, which the parameters cannot "
+                "replace: close_loop looks for it."
+            )
+        # The model alone is given the external torque, which the filter has to estimate.
+        told = held.identified.ukf.external_torque is not None
+        if alone and not told and now.rmse > WORSE * alone[1].rmse:
+            out.append(
+                f"the filter's {channel.name} ({channel.write(now.rmse)}) is worse than that of the model alone "
+                f"({channel.write(alone[1].rmse)}). The measured pressures contradict the model, and correcting it by "
+                "them does harm."
+            )
+        share = now.ratio * now.rmse / now.largest if now.largest else 0.0
+        if channel is ANGLE and share > _LARGE:
+            out.append(
+                f"the error is {percent(share)} of the angle's range: the joint is no plain pair of muscles, or the "
+                "model lacks something. Run close_loop."
+            )
+    return [warn(f"{held.name}, held-out part: {text}") for text in out]
 
 
 def _coverage(found: IdentifyResult) -> list[Finding]:
+    """How many of the held-out readings lie in their 95 % intervals, and where too few or too many do."""
     share, own = found.coverage95
-    if not math.isfinite(share):
+    each = [
+        (errors[1].coverage95 or 0.0, f"{channel.name} of {held.name}")
+        for held in found.held for channel in CHANNELS if (errors := known(held, channel))
+    ]  # fmt: skip
+    if not each or not math.isfinite(share):
         return []
+    kind, how, where = good, "honest", [item for item in each if item[0] < _LOW]
+    if where:
+        kind, how = warn, "too small"
+    elif where := [item for item in each if item[0] > _HIGH]:
+        kind, how = note, "larger than needed"
+    listed = f" ({', '.join(f'{name} {percent(value)}' for value, name in where)})" if where else ""
     beside = f"; with each recording's own values {percent(own)}" if math.isfinite(own) else ""
-    kind = good if _LOW <= share <= _HIGH else note
-    return [kind(f"All held-out parts and channels together: {percent(share)} lie in the 95 % interval{beside}.")]
+    inside = f"{percent(share)} of the held-out readings lie in their 95 % intervals{beside}"
+    return [kind(f"{inside}. The filter's covariance is {how}{listed}.")]
 
 
-def _differences(found: IdentifyResult) -> Finding:
+def _differences(found: IdentifyResult) -> list[Finding]:
     if not found.between:
-        return note("One recording does not show how much the rig changes between recordings. Give several for that.")
+        one = "One recording does not show how much the rig changes between recordings. Give several for that."
+        return [note(one)] if len(found.recordings) == 1 else []
     certain = [item for item in found.between if item.certain]
     if not certain:
-        return good("The recordings agree in all parameters within their error bars.")
+        return [good("The recordings agree in all parameters within their error bars.")]
     named = ", ".join(f"{item.name} by {100 * item.largest:.1f} %" for item in certain[:_LISTED])
     more = f" and {len(certain) - _LISTED} more" if len(certain) > _LISTED else ""
     if max(abs(item.largest) for item in certain) > _USUAL_DIFFERENCE:
-        return warn(
+        return [warn(
             f"The recordings differ by more than {percent(_USUAL_DIFFERENCE)}, as those of one rig hardly do: "
             f"{named}{more}. Either the rig changed, or the model lacks an effect. The common values suit neither."
-        )
-    return note(
+        )]  # fmt: skip
+    return [note(
         f"The recordings differ a little, as those of one rig may: {named}{more}. The common values lie between them, "
         "and the filter's covariance includes the differences."
-    )
-
-
-def undetermined(found: IdentifyResult) -> dict[str, list[str]]:
-    """Recording that would help -> parameters that are not determined without it."""
-    records: dict[str, list[str]] = {}
-    for item in found.parameters:
-        if item.record is not None:
-            records.setdefault(item.record, []).append(item.name)
-    return records
+    )]  # fmt: skip
 
 
 def _undetermined(found: IdentifyResult) -> list[Finding]:
-    why, records = {item.name: item.reason for item in found.parameters}, undetermined(found)
+    """Parameters that are not determined, by the recording that would help."""
+    records: dict[str, list[str]] = {}
+    for item in found.parameters:
+        if item.record is not None:
+            records.setdefault(item.record, []).append(f"{item.name} ({item.reason})")
     return [
-        note(f"Not determined: {', '.join(f'{name} ({why[name]})' for name in names)}. To determine it, record {text}.")
-        for text, names in records.items()
+        note(f"Not determined: {', '.join(names)}. To determine it, record {text}.") for text, names in records.items()
     ] or [good("The recordings determine every free parameter.")]
 
 
@@ -274,5 +298,5 @@ def _pairs(found: IdentifyResult) -> list[Finding]:
     pairs = found.correlations
     if not pairs:
         return []
-    named = "; ".join(f"{first} with {second} ({value:+.2f})" for first, second, value in pairs[:2])
+    named = "; ".join(f"{first} with {second} ({value:+.2f})" for first, second, value in pairs[:_LISTED])
     return [note(f"{len(pairs)} pairs of parameters are strongly correlated. The strongest: {named}.")]

@@ -79,17 +79,13 @@ class Result(Shown):
         """
         figures = list(figures_of(self.document().blocks))
         if not 0 <= number < len(figures):
-            raise BadInput(f"number {number!r}: this result has {len(figures)} figures, expected 0 or more, and less")
+            expected = f"expected 0 to {len(figures) - 1}" if figures else "and it has none"
+            raise BadInput(f"number {number!r}: not a figure of this result's page, {expected}")
         with needs("reports", "plot()"):
             from plotly.graph_objects import Figure as Plot
         plot = plotly_renderer.plot(figures[number])
         plot["layout"]["title"] = {"text": figures[number].title}
         return Plot(plot, skip_invalid=True)
-
-
-def picked(of: Any, *names: str) -> dict[str, Any]:
-    """Attributes by their names, as ``report.json`` has them."""
-    return {name: getattr(of, name) for name in names}
 
 
 def frame_of(rows: Any, columns: Sequence[str] | None = None, index: str = "") -> DataFrame:

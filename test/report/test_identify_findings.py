@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,10 +21,10 @@ def held_out(before: float, now: float, alone: tuple[float, float] = (1.0, 1.0),
 
     def figures(rmse: float, model: float) -> SimpleNamespace:
         both = (
-            ChannelErrors("deg", value, 2.0 * value, 0.1 if math.isfinite(value) else value, 0.95)
+            ChannelErrors("deg", value, 2.0 * value, 0.08 if math.isfinite(value) else value, 0.95)
             for value in (rmse, model)
         )
-        ukf, model_alone = (SimpleNamespace(angle=item, torque=None) for item in both)
+        ukf, model_alone = (SimpleNamespace(angle=item, torque=None, external_torque=None) for item in both)
         model_alone.pressure = SimpleNamespace(rmse_pa=(1e3 * model, 1e3 * model))
         return SimpleNamespace(ukf=ukf, model_alone=model_alone, innovation=SimpleNamespace(nis_mean=nis))
 
@@ -37,13 +38,20 @@ def parameter(name: str, value: float, bound: float | None = None) -> Any:
     return SimpleNamespace(name=name, value=value, bound=bound, unit="-")
 
 
-@pytest.mark.parametrize(("before", "now", "said"), [(0.15, 0.43, 1), (0.15, 0.16, 0), (0.15, 0.05, 0)])
-def test_a_rig_that_became_worse_is_a_warning(before: float, now: float, said: int) -> None:
-    found = identify_findings._worse(held_out(before, now))
-    assert len(found) == said
-    assert identify_findings.lacks_an_effect([held_out(before, now)]) == bool(said)
-    for item in found:
-        assert item.status == "warn" and "0.43°" in item.text and "close_loop" in item.text
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        (held_out(0.15, 0.43), "worse with the identified rig (0.43°, as configured 0.15°)"),
+        (held_out(0.15, 0.16), ""),
+        (held_out(0.15, 0.05), ""),
+        (held_out(9.0, 8.4, (3.0, 2.6)), "(8.4°) is worse than that of the model alone (2.6°)"),
+        (held_out(9.0, 2.6, (3.0, 2.6)), ""),
+    ],
+)
+def test_a_filter_that_became_worse_or_that_pressures_do_not_help_is_a_warning(part: Any, said: str) -> None:
+    found = identify_findings.of_recording(part)
+    assert [item.status for item in found] == ["warn"] * bool(said) and all(said in item.text for item in found)
+    assert identify_findings.lacks_an_effect([part]) == ("as configured" in said)
 
 
 MET = [parameter("friction.shaft", 1.0, 1.0)]
@@ -70,18 +78,13 @@ def test_a_fit_that_did_not_work_says_so(part: Any, options: dict[str, Any], sai
     assert "\n" not in found
 
 
-def test_a_filter_that_is_worse_than_the_model_alone_is_a_warning() -> None:
-    (found,) = identify_findings._against_model(held_out(9.0, 8.4, (3.0, 2.6)))
-    assert found.status == "warn" and "8.4°" in found.text and "2.6°" in found.text
-    assert identify_findings._against_model(held_out(9.0, 2.6, (3.0, 2.6))) == []
-
-
-def test_an_error_that_is_large_for_the_range_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The angles of these parts move over twenty times their error."""
-    assert identify_findings._large(held_out(20.0, 5.0)) == []
-    monkeypatch.setattr(identify_findings, "_LARGE", 0.04)
-    (found,) = identify_findings._large(held_out(20.0, 5.0))
-    assert "of the angle's range: the joint is no plain pair of muscles" in found.text
+def test_an_error_that_is_large_for_the_range_is_a_warning() -> None:
+    part = held_out(20.0, 5.0, (9.0, 9.0))
+    assert identify_findings.of_recording(part) == []
+    wide = replace(part.reports["identified"].ukf.angle, ratio=0.2)
+    part.reports["identified"].ukf.angle = wide
+    (found,) = identify_findings.of_recording(part)
+    assert "10.0 % of the angle's range: the joint is no plain pair of muscles" in found.text
 
 
 @pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])

@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import figures
 from pam_antagonist.report.figure import (
     TIME,
     Axis,
     Band,
+    Bars,
     Figure,
     Heatmap,
     Line,
@@ -129,8 +129,9 @@ def test_a_long_legend_makes_the_picture_taller_and_hides_nothing() -> None:
 
 
 def test_bars_stand_beside_each_other_on_zero() -> None:
-    groups = [("one", np.array([0.5, 0.5]), RED), ("two", np.array([-0.5, 0.5]), BLUE)]
-    image = pixels(alone(figures.autocorrelation(np.array([1.0, 2.0]), groups, 0.2)))
+    x, bounds = np.array([1.0, 2.0]), (Reference(0.2), Reference(-0.2))
+    bars = (Bars("one", x, np.array([0.5, 0.5]), RED), Bars("two", x, np.array([-0.5, 0.5]), BLUE))
+    image = pixels(alone(Panel(Axis("Lag [ms]"), Axis("Correlation [-]"), (*bars, *bounds), 182)))
     area = image[row(1.0, 180) + 2 :]
     red, blue = found(area, RED), found(area, BLUE)
     height = 260 - TOP - BOTTOM
