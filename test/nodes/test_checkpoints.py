@@ -17,7 +17,8 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
     from pam_antagonist.estimation import Estimator
     from pam_antagonist.nodes.estimator import checkpoint_message
     from pam_antagonist.recording import signals
-    from pam_antagonist.recording.cdr import Payloads, decode
+    from pam_antagonist.recording.cdr import decode
+    from pam_antagonist.recording.raw import Payloads
     from pam_antagonist.recording.topics import TOPICS
     from pam_antagonist.rig import load_rig
 
