@@ -63,14 +63,11 @@ def _several(bags: Bag | Sequence[Bag]) -> Sequence[Bag]:
 
 def _judge(recording: Recording) -> None:
     """Refuse values in other units; a bag's were judged while it was read."""
-    where, issues = str(recording.path), list[str]()
-    judges = (
-        ("pressure", plausible.check_pressure, recording.pressure),
-        ("commands", plausible.check_voltage if recording.drive == "valve" else plausible.check_pressure,
-         recording.voltage),
-        ("angle", plausible.check_angle, recording.angle),
-        ("torque", plausible.check_torque, recording.torque),
+    commands = ("voltage", "V") if recording.drive == "valve" else ("pressure", "Pa")
+    channels = (
+        ("pressure", recording.pressure, "pressure", "Pa"), ("commands", recording.voltage, *commands),
+        ("angle", recording.angle, "angle", "rad"), ("torque", recording.torque, "torque", "N m"),
     )  # fmt: skip
-    for name, judge, values in judges:
+    for name, values, quantity, unit in channels:
         if values is not None and np.isfinite(values).any():
-            judge(where, name, values, issues)
+            plausible.judge(str(recording.path), plausible.Signal(name, quantity, values, unit), [])

@@ -22,7 +22,7 @@ from pam_antagonist.identification.tobit import Bools, Floats, Observations
 from pam_antagonist.recording.csv_map import Delimiter, Layout
 from pam_antagonist.recording.csv_table import Table, read_table
 from pam_antagonist.recording.csv_text import Line, Lines, check_file, opened, split
-from pam_antagonist.recording.plausible import Signal, judge_pressures, pascal
+from pam_antagonist.recording.plausible import Signal, judge_muscles
 from pam_antagonist.recording.units import UNITS, canonical
 
 _WORDS = {
@@ -189,16 +189,14 @@ def _read(
     rows = len(cells["length"])
     values = {"pressure": np.full(rows, atmosphere), deviation: np.ones(rows)}
     for name, choice in chosen.items():
-        signal = Signal(table.labels[name], cells[name], choice.unit, choice.reference)
+        quantity = name.removesuffix("_std")
+        signal = Signal(table.labels[name], quantity, cells[name], choice.unit, choice.reference, atmosphere, True)
+        values[name] = signal.si()
         if name == "pressure":
             odd: list[str] = []
-            judge_pressures(str(path), signal, signal, atmosphere, odd)
+            judge_muscles(str(path), signal, signal, odd)
             issues += dict.fromkeys(odd)
-            values[name] = pascal(signal.values, signal.unit, signal.reference, atmosphere)
-            continue
-        quantity = name.removesuffix("_std")
-        values[name] = signal.values * UNITS[quantity][signal.unit]
-        if name == quantity:
+        elif name == quantity:
             _check_range(path, signal, quantity)
     spread = values[deviation]
     if not np.all(spread > 0.0):

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from .cdr import Channel, Decoded, RawTopic
-from .messages import stores_of
+from .cdr import Decoded
+from .messages import is_known
 from .notes import Issue
+from .raw import RawTopic
 from .storage import RawBag
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
 
@@ -45,7 +46,7 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
     Returns:
         Logical name -> messages; all sample topics are there and not empty. ``bag.issues`` names the topics that were
     """
-    if not any(len(raw.log_ns) for raw in bag.topics.values()):
+    if not any(len(raw) for raw in bag.topics.values()):
         raise BadInput(f"{bag.path}: no samples, the bag holds no messages ({_list(bag)})")
     renamed = _renamed(topics or {})
     if namespace is None:
@@ -62,7 +63,7 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
             chosen[name] = bag.topics[actual]
         elif needed:
             raise BadInput(f"{bag.path}: {problem}{_hint(bag, topic, actual, namespace)}")
-        elif actual in bag.topics and (len(bag.topics[actual].log_ns) or name == "measured/joint_states"):
+        elif actual in bag.topics and (len(bag.topics[actual]) or name == "measured/joint_states"):
             bag.issues.append(Issue(f"{problem}: left out", "missing"))
     return chosen
 
@@ -87,7 +88,7 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
         for actual, raw in bag.topics.items():
             for name in open_names:
                 ending = f"/{TOPICS[name].relative}"
-                if actual.endswith(ending) and raw.channel.msgtype == TOPICS[name].type:
+                if actual.endswith(ending) and raw.msgtype == TOPICS[name].type:
                     prefix = actual[: -len(ending)]
                     found[prefix] = found.get(prefix, 0) + 1
         if names is READ_TOPICS:
@@ -109,7 +110,7 @@ def joints_in(bag: RawBag) -> list[str]:
 
     def there(namespace: str, name: str) -> bool:
         raw = bag.topics.get(TOPICS[name].resolve(namespace))
-        return raw is not None and raw.channel.msgtype == TOPICS[name].type and len(raw.log_ns) > 0
+        return raw is not None and raw.msgtype == TOPICS[name].type and len(raw) > 0
 
     found = set()
     for name in STATE_TOPICS.values():
@@ -130,7 +131,7 @@ def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:
 
     def there(name: str) -> bool:
         raw = bag.topics.get(renamed.get(name, TOPICS[name].resolve(namespace)))
-        return raw is not None and len(raw.log_ns) > 0
+        return raw is not None and len(raw) > 0
 
     return "regulator" if there(STATE_TOPICS["regulator"]) and not there(STATE_TOPICS["valve"]) else "valve"
 
@@ -142,17 +143,13 @@ def _problem(bag: RawBag, topic: Topic, actual: str) -> str | None:
         return f"topic {actual} is missing"
     if actual in bag.conflicts:
         return f"topic {actual} was recorded with several types ({', '.join(bag.conflicts[actual])})"
-    if len(raw.log_ns) == 0:
+    if len(raw) == 0:
         return f"topic {actual} has no samples"
-    return _channel_problem(raw.channel, topic, actual)
-
-
-def _channel_problem(channel: Channel, topic: Topic, actual: str) -> str | None:
-    if channel.msgtype != topic.type:
-        return f"topic {actual} is a {channel.msgtype or 'message without a type'}, expected {topic.type}"
-    if channel.encoding != "cdr":
-        return f"topic {actual} is encoded as {channel.encoding!r}, expected cdr"
-    if not stores_of(channel.msgtype, channel.digest, channel.definition):
+    if raw.msgtype != topic.type:
+        return f"topic {actual} is a {raw.msgtype or 'message without a type'}, expected {topic.type}"
+    if raw.encoding != "cdr":
+        return f"topic {actual} is encoded as {raw.encoding!r}, expected cdr"
+    if not is_known(raw.msgtype, raw.digest, raw.definition):
         return f"topic {actual} was recorded with another definition of {topic.type} than this package has"
     return None
 
@@ -179,7 +176,7 @@ def _hint(bag: RawBag, topic: Topic, actual: str, namespace: str) -> str:
 def _list(bag: RawBag) -> str:
     if not bag.topics:
         return "no topics are in it"
-    names = [f"{name} ({raw.channel.msgtype})" for name, raw in sorted(bag.topics.items())]
+    names = [f"{name} ({raw.msgtype})" for name, raw in sorted(bag.topics.items())]
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return f"the topics in it are {', '.join(names[:_LISTED])}{more}"
 

@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import plausible, signals, stamps
-from .cdr import CdrError, Decoded, RawTopic, decode
+from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
-from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
 from .notes import Issue, noted_issues
+from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
 from .storage import RawBag, read_raw, unpack_messages
 from .topics import STATE_TOPICS, TOPICS
+from .units import UNITS
 
 Floats = NDArray[np.float64]
 
@@ -48,12 +49,6 @@ class _Topic:
         """What two messages with one stamp must agree in (K, m); None for topics that no result is made from."""
         fields = ("position", "effort") if self.joint is not None else _COMPARED.get(self.name)
         return None if fields is None else np.column_stack([np.asarray(self.values(name), float) for name in fields])
-
-    def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
-        """A field of numbers (K, *shape), NaN where the message definition in the bag has no such field."""
-        if not self.decoded.has(path):
-            return np.full((len(self.keep), *shape), np.nan)
-        return self.values(path).reshape(len(self.keep), *shape)
 
     @property
     def arrival(self) -> Arrival:
@@ -191,16 +186,12 @@ def _own_namespace(bag: RawBag, state: str, actual: str) -> str:
 
 def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
     """Decode one topic and order its messages by reception."""
-    actual = raw.channel.topic
     try:
-        raw = unpack_messages(raw)
-        assert raw.payloads is not None
-        channel = raw.channel
-        decoded = decode(raw.payloads, channel.msgtype, stores_of(channel.msgtype, channel.digest, channel.definition))
+        decoded = decode(unpack_messages(raw), raw.msgtype)
         stamp_ns = decoded.stamp_ns("header.stamp")
     except (CdrError, CompressionError) as exc:
-        raise BadInput(f"{path}: {actual} cannot be read as {raw.channel.msgtype}, {exc}") from exc
-    return _Topic(name, actual, decoded, raw.log_ns, stamp_ns, np.argsort(raw.log_ns, kind="stable"))
+        raise BadInput(f"{path}: {raw.topic} cannot be read as {raw.msgtype}, {exc}") from exc
+    return _Topic(name, raw.topic, decoded, raw.log_ns, stamp_ns, np.argsort(raw.log_ns, kind="stable"))
 
 
 def _cut(chosen: Mapping[str, _Topic], issues: list[str]) -> None:
@@ -247,33 +238,26 @@ def _one_clock(path: Path, chosen: Mapping[str, _Topic], issues: list[str], alig
 
 @dataclass(frozen=True)
 class _Values:
-    """Converts recorded values: corrects them, replaces infinite ones by NaN, and checks their plausibility."""
+    """Converts recorded values: corrects them, replaces infinite ones by NaN, and judges their plausibility."""
 
     where: str
     issues: list[str]
     corrections: Corrections
     judge: bool
 
-    def of(self, topic: str, what: str, values: Floats) -> Floats:
+    def of(self, topic: str, what: str, quantity: str, values: Floats) -> Floats:
         """Values of one quantity in SI units, NaN where not finite."""
-        values = plausible.finite_only(topic, what, values, self.issues)
+        values = plausible.finite_only(f"{what} on {topic}", values, self.issues)
         convert = {
             "pressure": self.corrections.pressure, "position": self.corrections.angle, "effort": self.corrections.torque
         }.get(what)  # fmt: skip
         values = values if convert is None else convert(values)
         if self.judge:
-            _JUDGES[what](self.where, topic, values, self.issues)
+            name = {"position": "position", "effort": "torque"}.get(what, what)
+            label = topic if quantity in ("pressure", "voltage") else f"the {name} on {topic}"
+            signal = plausible.Signal(label, quantity, values, next(iter(UNITS[quantity])))
+            plausible.judge(self.where, signal, self.issues)
         return values
-
-
-_JUDGES = {
-    "pressure": plausible.check_pressure,
-    "voltage": plausible.check_voltage,
-    "asked": plausible.check_pressure,
-    "position": plausible.check_angle,
-    "effort": plausible.check_torque,
-    "torque about z": plausible.check_torque,
-}
 
 
 _COMPARED: Mapping[str, tuple[str, ...]] = {
@@ -282,8 +266,8 @@ _COMPARED: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Topics that samples are made from -> the fields in which messages with one stamp must agree."""
 
-_FIELDS = {"valve_state": ("voltage", "voltage"), "pressure_state": ("pressure", "asked")}
-"""Topic -> field of its message and quantity of that field, for messages other than FluidPressure."""
+_FIELDS = {"valve_state": ("voltage", "voltage", "voltage"), "pressure_state": ("pressure", "command", "pressure")}
+"""Topic -> field of its message, its name and its quantity, for messages other than FluidPressure."""
 
 
 def _samples(
@@ -300,8 +284,8 @@ def _samples(
     for name, topic in chosen.items():
         if len(topic.keep) == 0:
             raise BadInput(f"{where}: {topic.actual} has no samples after the last restart")
-        field, what = _FIELDS.get(name, ("fluid_pressure", "pressure"))
-        values = convert.of(topic.actual, what, topic.values(field))
+        field, what, quantity = _FIELDS.get(name, ("fluid_pressure", "pressure", "pressure"))
+        values = convert.of(topic.actual, what, quantity, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
         others = [other.arrival.stamp_ns for other in chosen.values() if other is not topic]
         if others and len(stamp_ns) > 1.1 * min(map(len, others)):
@@ -356,7 +340,7 @@ def _validation(
     if not np.any(np.isfinite(values)):
         bag.issues.append(f"{topic.actual} holds no {_SHOWN.get(what, what)}")
         return None
-    values = convert.of(topic.actual, what, values)
+    values = convert.of(topic.actual, what, "angle" if what == "position" else "torque", values)
     stamp_ns = topic.arrival.stamp_ns
     paired = np.isin(stamp_ns, samples, assume_unique=True)
     stamps.judge_publishers(str(bag.path), topic.actual, stamp_ns, values, paired)
@@ -376,14 +360,14 @@ def _validation(
 
 
 def _estimate(topic: _Topic) -> RecordedEstimate:
-    columns = {name: topic.values_or_nan(name, *shape) for name, shape in ESTIMATE_SHAPES.items()}
+    columns = {name: topic.values(name).reshape(-1, *shape) for name, shape in ESTIMATE_SHAPES.items()}
     started_ns = topic.decoded.stamp_ns("started")[topic.keep]
     return RecordedEstimate(topic.arrival.stamp_ns, started_ns, **columns)
 
 
 def _reference(topic: _Topic) -> RecordedReference:
-    further = (topic.values_or_nan(name) for name in ("stiffness", "damping"))
-    return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"), *further)
+    fields = (topic.values(name) for name in ("mode", "value", "stiffness", "damping"))
+    return RecordedReference(topic.arrival.stamp_ns, *fields)
 
 
 def _return_memory() -> None:

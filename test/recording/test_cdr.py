@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.recording.cdr import CdrError, Payloads, decode, encode
+from pam_antagonist.recording.cdr import CdrError, decode, encode
 from pam_antagonist.recording.messages import typestore
+from pam_antagonist.recording.raw import Payloads
 
 JOINT = "sensor_msgs/msg/JointState"
 FLUID = "sensor_msgs/msg/FluidPressure"
