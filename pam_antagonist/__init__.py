@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pam_antagonist.api.check import CheckResult, check
     from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
     from pam_antagonist.api.excite import excite
+    from pam_antagonist.api.history import HistoryResult, history
     from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.api.import_csv import import_csv
     from pam_antagonist.api.new_rig import new_rig
@@ -33,6 +34,7 @@ _WHERE = {
     "CheckResult": "api.check",
     "DiagnoseResult": "api.diagnose",
     "Estimator": "estimation.estimator",
+    "HistoryResult": "api.history",
     "IdentifyResult": "api.identify",
     "Recording": "recording.recording",
     "ReplayResult": "api.replay",
@@ -41,6 +43,7 @@ _WHERE = {
     "check": "api.check",
     "diagnose": "api.diagnose",
     "excite": "api.excite",
+    "history": "api.history",
     "identify": "api.identify",
     "import_csv": "api.import_csv",
     "load_rig": "rig.load",
@@ -57,6 +60,7 @@ __all__ = [
     "CheckResult",
     "DiagnoseResult",
     "Estimator",
+    "HistoryResult",
     "IdentifyResult",
     "Recording",
     "ReplayResult",
@@ -66,6 +70,7 @@ __all__ = [
     "check",
     "diagnose",
     "excite",
+    "history",
     "identify",
     "import_csv",
     "load_rig",

@@ -68,6 +68,7 @@ def parser() -> common.Parser:
     common.add_seed(out, "the random starts of fits")
     out.flag("--resume", "continue an interrupted run, which left its results in DIR.part")
     given.add_names_and_report(out)
+    given.add_no_log(out)
     return out
 
 
@@ -125,6 +126,7 @@ def _in_one_go(
         raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
     found = _diagnosed(arguments, rig, recordings, share)
     given.announce(arguments, found, found.next_rig)
+    _note_down(arguments, recordings, rig, found)
     if whole and found.next_rig is not None:
         print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / found.next_rig} --out DIR"))
     return common.DONE
@@ -171,11 +173,17 @@ def _resumable(
     corrected = corrections.from_options(arguments, dict(rig.calibration))
     found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
     given.announce(arguments, found, found.next_rig)
+    _note_down(arguments, recordings, rig, found)
     shutil.rmtree(kept, ignore_errors=True)
     if (proposed := found.choice.proposed) is not None:
         own = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
         print(common.next_command("replay", own, f"--rig {arguments.out / proposed.name} --out DIR"))
     return common.DONE
+
+
+def _note_down(arguments: argparse.Namespace, recordings: Sequence[Recording], rig: Rig, found: Any) -> None:
+    written = None if found.next_rig is None else arguments.out / found.next_rig
+    given.note_down(arguments, "close_loop", recordings, rig, found, written)
 
 
 def _diagnosed(

@@ -52,6 +52,7 @@ def parser() -> common.Parser:
     common.add_jobs(out)
     cluster.add_dask(out)
     given.add_names_and_report(out)
+    given.add_no_log(out)
     return out
 
 
@@ -83,6 +84,7 @@ def _run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
     given.announce(arguments, found, None if found.rejected else "rig.yaml", apart=True)
     identified = arguments.out / "rig.yaml"
+    given.note_down(arguments, "identify", recordings, rig, found, None if found.rejected else identified)
     if found.rejected or (isinstance(found, IdentifyResult) and found.lacks_an_effect):
         # The next command takes the rig that was given.
         print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
