@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pam_antagonist.api.check import CheckResult, check
     from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
     from pam_antagonist.api.excite import excite
+    from pam_antagonist.api.history import HistoryResult, history
     from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.api.import_csv import import_csv
     from pam_antagonist.api.new_rig import new_rig
@@ -39,6 +40,7 @@ _NAMES = {
     "api.check": ("CheckResult", "check"),
     "api.diagnose": ("DiagnoseResult", "diagnose"),
     "api.excite": ("excite",),
+    "api.history": ("HistoryResult", "history"),
     "api.identify": ("IdentifyResult", "identify"),
     "api.import_csv": ("import_csv",),
     "api.new_rig": ("new_rig",),
@@ -53,6 +55,7 @@ __all__ = [
     "CheckResult",
     "DiagnoseResult",
     "Estimator",
+    "HistoryResult",
     "IdentifyResult",
     "Recording",
     "ReplayResult",
@@ -62,6 +65,7 @@ __all__ = [
     "check",
     "diagnose",
     "excite",
+    "history",
     "identify",
     "import_csv",
     "load_rig",

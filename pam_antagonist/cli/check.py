@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.recording.corrections import Corrections, add_options, from_options
 from pam_antagonist.strict_json import dumps
 
@@ -39,6 +40,7 @@ def parser() -> common.Parser:
     out.shared("--joint-name", help="joint in measured/joint_states (default: the first)")
     out.shared("--recover")
     out.option("--json", "write the findings there as well; - for standard output alone", metavar="FILE")
+    out.shared("--no-log")
     add_options(out)
     return out
 
@@ -60,7 +62,8 @@ def _main(arguments: argparse.Namespace) -> int:
             recover=arguments.recover, corrections=Corrections(align_clocks=given.align_clocks), judge=False,
         )  # fmt: skip
         measured = measured or recording.angle is not None
-        results[str(bag)] = check(recording, rig, arguments.joint, lock_angle, given)
+        results[str(bag)] = checked = check(recording, rig, arguments.joint, lock_angle, given)
+        note_down(arguments, "check", [recording], rig, checked)
         if arguments.json != "-":
             print(_text(bag, recording, rig, results[str(bag)]))
     if arguments.json != "-" and (rests_on := next(iter(results.values())).assumption) is not None:

@@ -67,6 +67,7 @@ def parser() -> common.Parser:
     out.shared("--seed", help="seed of the random starts of fits (default: 0)")
     out.flag("--resume", "continue an interrupted run, which left its results in DIR.part")
     given.add_names_and_report(out)
+    out.shared("--no-log")
     return out
 
 
@@ -113,6 +114,7 @@ def _in_one_go(
         raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
     found = _diagnosed(arguments, rig, recordings, share)
     given.announce(arguments, found, found.next_rig)
+    _note_down(arguments, recordings, rig, found)
     if whole and found.next_rig is not None:
         print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / found.next_rig} --out DIR"))
     return common.DONE
@@ -157,11 +159,17 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
     corrected = corrections.from_options(arguments, dict(rig.calibration))
     found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
     given.announce(arguments, found, found.next_rig)
+    _note_down(arguments, recordings, rig, found)
     shutil.rmtree(kept, ignore_errors=True)
     if (proposed := found.choice.proposed) is not None:
         own = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
         print(common.next_command("replay", own, f"--rig {arguments.out / proposed.name} --out DIR"))
     return common.DONE
+
+
+def _note_down(arguments: argparse.Namespace, recordings: Sequence[Recording], rig: Rig, found: Any) -> None:
+    written = None if found.next_rig is None else arguments.out / found.next_rig
+    given.note_down(arguments, "close_loop", recordings, rig, found, written)
 
 
 def _diagnosed(

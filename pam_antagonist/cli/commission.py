@@ -53,6 +53,7 @@ def parser() -> common.Parser:
         "joint drawn from the priors of its file)", metavar="RIG",
     )  # fmt: skip
     out.shared("--seed", help="seed of the searches and of the simulated joint (default: 0)", metavar="N")
+    out.shared("--no-log")
     add_limits(out)
     add_source(out)
     return out

@@ -156,6 +156,7 @@ class GuessedCommission(Commission):
         result = identify(self._bags(), self._rig, seed=self._arguments.seed)
         assert isinstance(result, IdentifyResult), "a rig of new_rig"
         result.save(self._result("identified"), figures=True)
+        self._note_down(result)
         if result.rejected:
             raise StepFailed(f"identify: do not use this rig: {result.rejected}")
         found = result.found

@@ -12,14 +12,15 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from pam_antagonist.cli.driving import Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
+from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.design import Plan, designed
 from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
 from pam_antagonist.design.exploration import Program
@@ -34,6 +35,9 @@ from pam_antagonist.report.commission import CommissionResult, Step
 from pam_antagonist.report.commission import Driven as DrivenStep
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import steady_voltage
+
+if TYPE_CHECKING:
+    from pam_antagonist.api.identify import IdentifyResult
 
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
@@ -229,11 +233,18 @@ class Commission:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}
         result.save(self._result("identified"), figures=False)
+        self._note_down(result)
         warnings = list(result.warnings)
         if result.rejected:
             return {"said": f"the identified rig is not used: {result.rejected}", "warnings": warnings}
         left = f"{len(result.rig.directions)} uncertain directions are left"
         return {"said": left, "warnings": warnings, "folder": "identified"}
+
+    def _note_down(self, found: IdentifyResult) -> None:
+        """Write what was identified into the rig's log book; a simulated joint is not in it."""
+        if self._arguments.source not in SIMULATED:
+            recordings = [recording for recording, _, _ in found.recordings]
+            note_down(self._arguments, "commission", recordings, self._rig, found, self._out / "rig.yaml")
 
     def _diagnosed(self, name: str) -> dict[str, Any]:
         from pam_antagonist.api.diagnose import EpisodesDiagnoseResult, diagnose

@@ -116,6 +116,7 @@ _SHARED: dict[str, dict[str, Any]] = {
         "help": "write the content of report.json to this file as well; with -, it goes to standard output and the "
         "tables go to standard error", "metavar": "FILE",
     },
+    "--no-log": {"help": "write nothing into the log book of the rig (see history)", **_FLAG},
     "--no-figures": {"help": "leave the figures out of report.html (2 MB less)", **_FLAG},
     "--open": {"help": "show report.html in the browser afterwards", **_FLAG},
     "--dask": {

@@ -51,6 +51,7 @@ def parser() -> common.Parser:
     out.shared("--seed", help="seed of the further starts (default: 0)")
     out.shared("--jobs", "--dask")
     given.add_names_and_report(out)
+    out.shared("--no-log")
     return out
 
 
@@ -77,6 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
     given.announce(arguments, found, None if found.rejected else "rig.yaml", apart=True)
     identified = arguments.out / "rig.yaml"
+    given.note_down(arguments, "identify", recordings, rig, found, None if found.rejected else identified)
     if found.rejected or (isinstance(found, IdentifyResult) and found.lacks_an_effect):
         # The next command takes the rig that was given.
         print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))

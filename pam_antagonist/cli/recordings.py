@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -110,6 +111,21 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
 def damage(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> list[str]:
     """With ``--recover``: what there is to say of each recording, since something is missing from it."""
     return [issue for recording in recordings for issue in recording.issues] if arguments.recover else []
+
+
+def note_down(
+    arguments: argparse.Namespace, command: str, recordings: Sequence[Recording], rig: Rig, found: object,
+    written: Path | None = None,
+) -> None:  # fmt: skip
+    """Write a result into the rig's log book; where that fails a line says so, and the result is not lost."""
+    if arguments.no_log:
+        return
+    from pam_antagonist.api.history import log
+
+    try:
+        log(command, arguments.rig, recordings, rig, found, written)
+    except BadInput as error:
+        print(f"warning: {error}", file=sys.stderr)
 
 
 def announce(arguments: argparse.Namespace, found: Result, rig: str | None, apart: bool = False) -> None:

@@ -120,6 +120,7 @@ def test_the_likelihood_is_that_of_the_textbook():
     design = np.column_stack([np.ones(60), rng.uniform(-2.0, 2.0, 60)])
     value = design @ [0.5, 1.5] + 0.7 * rng.standard_normal(60)
     censored = value < 0.2
+
     def cost(x):
         left = design @ x[:2]
         scale = np.exp(x[2])
