@@ -132,11 +132,9 @@ def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
         "rig": rig.name,
         "joint": plan.joint,
         "lock_angle_rad": plan.lock_angle if plan.joint == "locked" else None,
-        "duration_s": plan.duration,
         "limits": {
             "pressure_pa": plan.limits.pressure, "angle_rad": plan.limits.angle, "rate_rad_s": plan.limits.rate,
         },
-        "rest_v": plan.rest,
     }  # fmt: skip
     if len(plan.voltage):
         changes = np.flatnonzero(np.any(np.diff(plan.voltage, axis=0) != 0.0, axis=1)) + 1
@@ -144,9 +142,8 @@ def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
         lines = [f"{k * plan.period:.6g},{plan.voltage[k, 0]:.4f},{plan.voltage[k, 1]:.4f}" for k in rows]
         (out / "voltages.csv").write_text("\n".join(["t_s,u1,u2", *lines]) + "\n", encoding="utf-8")
         start = (plan.pressure, plan.pressure)
-        document["standard_errors"] = standard_errors(
-            rig, plan.voltage, plan.period, plan.joint, plan.lock_angle, start
-        )
+        errors = standard_errors(rig, plan.voltage, plan.period, plan.joint, plan.lock_angle, start)
+        document |= {"duration_s": plan.duration, "rest_v": plan.rest, "standard_errors": errors}
     write_json(out / "plan.json", document)
     return dict(plain(document))
 

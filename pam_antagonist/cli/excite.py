@@ -131,16 +131,11 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise BadInput(f"{folder}: expected a folder of close_loop with its report.json: {why}") from None
+    expected = "expected a folder whose report.json lists effects in ambiguous_with"
     if not effects:
-        raise BadInput(
-            f"{folder}: close_loop found no effect there; expected a folder whose report.json lists effects in "
-            "ambiguous_with"
-        )
+        raise BadInput(f"{folder}: close_loop found no effect there; {expected}")
     if not rivals:
-        raise BadInput(
-            f"{folder}: {effects[0]} is decided, so no experiment is needed; expected a folder whose report.json "
-            "lists effects in ambiguous_with"
-        )
+        raise BadInput(f"{folder}: {effects[0]} is decided, so no experiment is needed; {expected}")
     extended = folder / "rig_extended.yaml"
     if not extended.is_file():
         raise BadInput(

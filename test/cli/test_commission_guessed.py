@@ -55,6 +55,22 @@ def joint_of(rig: Rig) -> Rig:
     )
 
 
+def at_rest(rig: Rig, limits: Limits) -> Plan:
+    """Where a joint without air begins, and its limits."""
+    least, command = vented(rig)
+    return Plan(np.empty((0, 2)), rig.sample_period, "free", 0.0, limits, least, command)
+
+
+def test_beyond_a_limit_a_rehearsal_lets_the_air_out(tmp_path):
+    rig = guess(tmp_path, "valves")
+    least, command = vented(rig)
+    limits = replace(Limits.of(rig), pressure=(least, least + 20e3))
+    _, ended = rehearse(joint_of(rig), at_rest(rig, limits), FirstAir(rig), 1, 0.0, tmp_path / "bag")
+    recording = read_bag(tmp_path / "bag", judge=False)
+    assert "above the limit of 121 kPa" in ended
+    assert np.all(recording.voltage[-20:] == command) and recording.pressure[-1].max() < recording.pressure.max() - 5e3
+
+
 @pytest.mark.slow(15)
 def test_a_guess_becomes_a_controlled_joint(tmp_path):
     """With regulators; the tutorial's rig, which the tests of the pages commission, has valves."""
@@ -85,9 +101,8 @@ def test_a_guess_becomes_a_controlled_joint(tmp_path):
 @pytest.mark.parametrize("drive", DRIVES)
 def test_first_air_says_what_is_exchanged(drive, tmp_path):
     rig = guess(tmp_path, drive)
-    program, (least, command) = FirstAir(rig), vented(rig)
-    plan = Plan(np.empty((0, 2)), rig.sample_period, "free", 0.0, Limits.of(rig), least, command)
-    _, ended = rehearse(joint_of(rig), plan, program, 1, 0.0, tmp_path / "bag")
+    program = FirstAir(rig)
+    _, ended = rehearse(joint_of(rig), at_rest(rig, Limits.of(rig)), program, 1, 0.0, tmp_path / "bag")
     recording = read_bag(tmp_path / "bag", judge=False)
     assert ended == "" and pulse_faults(rig, recording, program.pulses) == []
     assert all(pulse.rise.max() < 150e3 for pulse in program.pulses), "a little air only"
