@@ -210,7 +210,7 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None 
 
     A program drives the joint in place of the plan's voltages.
     """
-    from pam_antagonist.nodes.client import DriveClient
+    from pam_antagonist.nodes.client import DriveClient, planned
     from pam_antagonist.nodes.processes import Processes, ProcessFailed
 
     if owner.source != "none":  # a node that runs already is heard
@@ -238,9 +238,11 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None 
             with counted(seconds, f"excite, joint {plan.joint}") as advance:
                 begun_ns = client.now_ns()
                 if program is None:
-                    ended = client.drive(plan.voltage, plan.period, rest, plan.limits.broken, check, advance)
+                    command = planned(plan.voltage, plan.period)
+                    ended = client.follow(command, seconds, rest, plan.limits.broken, check, advance)
                 else:
-                    ended = client.explore(program.command, seconds, rest, _watched(program, plan), check, advance)
+                    ended = client.follow(program.command, seconds, rest, _watched(program, plan), check, advance)
+                    client.hold(rest)
         finally:
             if owner.source in processes.running:
                 processes.stop(owner.source)

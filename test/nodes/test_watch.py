@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 import socket
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -378,3 +379,34 @@ def test_commands_are_checked_and_carried_out(domain: None) -> None:
             executor.shutdown()
     finally:
         watch.close()
+
+
+@pytest.mark.ros
+def test_the_page_shows_the_step_of_a_command_until_it_ends(domain: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pam_antagonist.nodes import watch
+    from pam_antagonist.nodes.client import Announcer
+
+    monkeypatch.setattr(watch, "_GONE", 1.5)
+    page = watch.PipelineWatch()
+    page.listen(True)
+
+    def report(wanted: str) -> dict[str, Any]:
+        deadline = time.monotonic() + 20.0
+        while time.monotonic() < deadline:
+            page.frame()
+            found = page.report()
+            if (bool(wanted) and wanted in found["at"][0]) if found["at"] else not wanted:
+                return found
+            time.sleep(0.05)
+        raise AssertionError(f"the page never showed {wanted!r}")
+
+    try:
+        with Announcer("commission") as announcer:
+            announcer.say("step 2 of 7, free: driving the joint", 40.0)
+            report("step 2 of 7, free: driving the joint, 1 of 40 s")
+            announcer.say("step 4 of 7, identify: working")
+            (status,) = report("step 4 of 7, identify: working, 0 s")["statuses"]
+            assert status["name"] == "commission: step" and status["level"] == 0
+        assert report("")["statuses"] == [], "a command that has ended is no fault"
+    finally:
+        page.close()
