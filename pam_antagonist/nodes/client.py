@@ -22,7 +22,7 @@ from pam_antagonist.control import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level
 from pam_antagonist.nodes.spin import client_node
-from pam_antagonist.nodes.wire import message_class
+from pam_antagonist.nodes.wire import message_class, take
 from pam_antagonist.recording.topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, TOPICS
 from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
 from pam_antagonist_msgs.msg import JointReference
@@ -88,11 +88,8 @@ class PipelineClient:
     def latest(self, topic: str) -> Any:
         """The newest message of a topic (logical name); None before the first."""
         self._check()
-        subscription = self._topics[topic]
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, False)
-        if taken is not None:
-            self._latest[topic] = taken[0]
+        for message, _ in take(self._topics[topic]):
+            self._latest[topic] = message
         return self._latest.get(topic)
 
     @property

@@ -113,7 +113,7 @@ class EstimatorNode(PamNode):
         self._last: Sample | None = None
         frame = values["frame_id"]
         self._estimates = wire.Outgoing(self, "joint_estimate", frame, wire.ESTIMATE)
-        body, self._state_values = wire.joint_state(values["joint_name"], velocity=True)
+        body, self._state_values = wire.joint_state(values["joint_name"], "position", "velocity", "effort")
         self._states = wire.Outgoing(self, "joint_states", frame, body)
         self._external: wire.Outgoing | None = None
         if self._estimator.estimates_external_torque:

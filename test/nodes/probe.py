@@ -21,6 +21,7 @@ from sensor_msgs.msg import FluidPressure, JointState
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.nodes.wire import take
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
 
@@ -103,9 +104,8 @@ class Probe:
 
     def collect(self) -> None:
         for topic, subscription in self._subscriptions.items():
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                    self.seen[topic].append((taken[1]["received_timestamp"], taken[0]))
+            for message, info in take(subscription):
+                self.seen[topic].append((info["received_timestamp"], message))
 
     def clear(self) -> None:
         self.collect()

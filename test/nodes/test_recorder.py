@@ -56,14 +56,14 @@ def diagnosis(probe: Any) -> list[Any]:
     from diagnostic_msgs.msg import DiagnosticArray
 
     from pam_antagonist.nodes import qos
+    from pam_antagonist.nodes.wire import take
 
     heard: list[Any] = []
     subscription = probe.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: None, qos.DIAGNOSTICS)
 
     def collect() -> list[Any]:
-        with subscription.handle:
-            while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                heard.extend(status for status in taken[0].status if status.name == "pam/recorder: bag")
+        for message, _ in take(subscription):
+            heard.extend(status for status in message.status if status.name == "pam/recorder: bag")
         return heard
 
     return collect
