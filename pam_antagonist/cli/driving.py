@@ -216,7 +216,8 @@ def _through_nodes(owner: Owner, plan: Plan, program: Program, drive: str, out: 
             client.settle(rest, lambda seen: bool(np.all(seen <= ready)), check, _LONGEST_VENT_S)
             with counted(program.seconds, f"excite, joint {plan.joint}") as advance:
                 begun_ns = client.now_ns()
-                ended = client.explore(program.command, program.seconds, rest, broken, check, advance)
+                ended = client.follow(program.command, program.seconds, rest, broken, check, advance)
+                client.hold(rest)
         finally:
             if owner.source in processes.running:
                 processes.stop(owner.source)

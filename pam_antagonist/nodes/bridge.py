@@ -50,18 +50,16 @@ PARAMETERS = (
     JOINT_NAME,
     FRAME,
     *VALVE_OWNER,
-    Parameter("port", "/dev/ttyACM0", "serial port of the device; better a link in /dev/serial/by-id"),
-    Parameter("baud", 921_600, "bit rate of the port; USB devices ignore it [1/s]", 9600, 20_000_000),
-    Parameter("hardware", "example", "calibration: a name in config/hardware, or path of a YAML file"),
-    Parameter(
-        "pressure_rest",
-        [0.0, 0.0],
-        "correction that is added to the pressures, as ~/measure_rest finds it [Pa]",
-        -50e3,
-        50e3,
+    Parameter("port", "/dev/ttyACM0").about("serial port of the device; better a link in /dev/serial/by-id"),
+    Parameter("baud", 921_600, 9600, 20_000_000).about("bit rate of the port; USB devices ignore it [1/s]"),
+    Parameter("hardware", "example").about("calibration: a name in config/hardware, or path of a YAML file"),
+    Parameter("pressure_rest", [0.0, 0.0], -50e3, 50e3).about(
+        "correction that is added to the pressures, as ~/measure_rest finds it [Pa]"
     ),
-    Parameter("angle_sensor", "none", "encoder: publishes the encoder's angle as angle_sensor", choices=ANGLE_SENSORS),
-    Parameter("device_timeout", 3.0, "time that the device may take to answer the greeting [s]", 0.1, 30.0),
+    Parameter("angle_sensor", "none", choices=ANGLE_SENSORS).about(
+        "encoder: publishes the encoder's angle as angle_sensor"
+    ),
+    Parameter("device_timeout", 3.0, 0.1, 30.0).about("time that the device may take to answer the greeting [s]"),
 )
 
 

@@ -22,7 +22,7 @@ from pam_antagonist.control import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level
 from pam_antagonist.nodes.spin import client_node
-from pam_antagonist.nodes.wire import message_class
+from pam_antagonist.nodes.wire import message_class, take
 from pam_antagonist.recording.topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, TOPICS
 from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
 from pam_antagonist_msgs.msg import JointReference
@@ -34,8 +34,8 @@ _PRESSURES = ("pressure_1", "pressure_2")
 _FIELDS = {"valve": "voltage", "regulator": "pressure"}
 
 Floats = NDArray[np.float64]
-Broken = Callable[[Floats, float], str]
-"""Which limit pressures (2,) [Pa] or angle [rad] exceed, in words; empty for none."""
+Command = Callable[[float, Floats, float], tuple[float, float] | None]
+"""Voltages [V] for a time [s], measured pressures (2,) [Pa] and angle [rad]; None at the end."""
 _Self = TypeVar("_Self", bound="PipelineClient")
 
 
@@ -88,11 +88,8 @@ class PipelineClient:
     def latest(self, topic: str) -> Any:
         """The newest message of a topic (logical name); None before the first."""
         self._check()
-        subscription = self._topics[topic]
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, False)
-        if taken is not None:
-            self._latest[topic] = taken[0]
+        for message, _ in take(self._topics[topic]):
+            self._latest[topic] = message
         return self._latest.get(topic)
 
     @property
@@ -196,62 +193,26 @@ class DriveClient(PipelineClient):
         end = time.monotonic() + longest
         while time.monotonic() < end and not within(self.seen()[0]):
             check()
-            self._hold(rest, _PROGRESS_S)
+            self.hold(rest)
 
-    def drive(
+    def follow(
         self,
-        voltage: Floats,
-        period: float,
+        command: Command,
+        seconds: float,
         rest: Floats,
-        broken: Broken,
+        broken: Callable[[Floats, float], str],
         check: Callable[[], None],
         progress: Callable[[float], None],
     ) -> str:
-        """Command a plan in real time; when a limit is exceeded, hold the resting voltages and end.
+        """Command voltages in real time; when a limit is exceeded, hold the resting voltages, end and say why.
 
         Args:
-            voltage: (N, 2) [V], one row for each period.
-            period: [s].
+            command: gives the voltages.
+            seconds: length at most [s].
             rest: resting voltages (2,) [V].
-            broken: which limit is exceeded.
+            broken: which limit pressures (2,) [Pa] or angle [rad] exceed, in words; empty for none.
             progress: called with the time since the last call [s].
         """
-
-        def row(elapsed: float, _pressures: Floats, _angle: float) -> tuple[float, float]:
-            first, second = voltage[min(int(elapsed / period), len(voltage) - 1)]
-            return first, second
-
-        return self._follow(row, len(voltage) * period, rest, broken, check, progress)
-
-    def explore(
-        self,
-        command: Callable[[float, Floats, float], tuple[float, float] | None],
-        seconds: float,
-        rest: Floats,
-        broken: Broken,
-        check: Callable[[], None],
-        progress: Callable[[float], None],
-    ) -> str:
-        """Command what follows from the measurements, in real time; at the end, the resting voltages.
-
-        `command`: returns the voltages [V] for the time [s], pressures (2,) [Pa] and angle [rad]; None at the end.
-        `seconds`: length at most [s]. The others are those of :meth:`drive`.
-        """
-        reason = self._follow(command, seconds, rest, broken, check, progress)
-        if not reason:
-            self._hold(rest, _PROGRESS_S)
-        return reason
-
-    def _follow(
-        self,
-        command: Callable[[float, Floats, float], tuple[float, float] | None],
-        seconds: float,
-        rest: Floats,
-        broken: Broken,
-        check: Callable[[], None],
-        progress: Callable[[float], None],
-    ) -> str:
-        """Send commands in real time, as :meth:`explore`, but leave the last one at the end."""
         begin, reported, lookout = time.monotonic(), 0.0, Lookout()
         while (elapsed := time.monotonic() - begin) < seconds:
             pressures, angle = self.seen()
@@ -260,7 +221,7 @@ class DriveClient(PipelineClient):
                 break
             self.send(np.array(voltage))
             if reason := lookout.ends(broken(pressures, angle)):
-                self._hold(rest, RETREAT)
+                self.hold(rest, RETREAT)
                 return f"after {elapsed:.1f} s {reason}"
             if elapsed - reported > _PROGRESS_S:
                 check()
@@ -270,11 +231,22 @@ class DriveClient(PipelineClient):
         progress(elapsed - reported)
         return ""
 
-    def _hold(self, voltage: Floats, seconds: float) -> None:
+    def hold(self, voltage: Floats, seconds: float = _PROGRESS_S) -> None:
+        """Command voltages (2,) [V] for a time [s]."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.send(voltage)
             time.sleep(TICK)
+
+
+def planned(voltage: Floats, period: float) -> Command:
+    """The command of a plan. `voltage`: (N, 2) [V], one row for each `period` [s]."""
+
+    def row(elapsed: float, _pressures: Floats, _angle: float) -> tuple[float, float]:
+        first, second = voltage[min(int(elapsed / period), len(voltage) - 1)]
+        return first, second
+
+    return row
 
 
 STATUS = "step"

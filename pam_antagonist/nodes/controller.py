@@ -16,7 +16,7 @@ from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.laws import PARAMETERS, described, make_laws, retune
-from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import by_rig, check_pressure_sensors
 from pam_antagonist.nodes.references import ReferenceInput
 from pam_antagonist.nodes.rigs import RigWatch, announce
@@ -170,7 +170,7 @@ class ControllerNode(PamNode):
         """Read the voltages on the valves; only while active."""
         if not self.active:
             return
-        for data, _ in take(self._valve_state):
+        for data, _ in wire.take(self._valve_state):
             _, first, second = self._valves(data)
             if math.isfinite(first) and math.isfinite(second):
                 self._following.saw((self._limits.clip(first), self._limits.clip(second)), time.monotonic_ns())

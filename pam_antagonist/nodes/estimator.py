@@ -55,33 +55,19 @@ PARAMETERS = (
     LOCK_ANGLE,
     JOINT_NAME,
     FRAME,
-    Parameter(
-        "tuning",
-        "default",
-        "name of one of the rig's filter tunings; a change starts the filter anew",
-        read_only=False,
+    Parameter("tuning", "default", read_only=False).about(
+        "name of one of the rig's filter tunings; a change starts the filter anew"
     ),
-    Parameter(
-        "angle_sensor",
-        "none",
-        "encoder: topic angle_sensor is an input as well, with noise and offset of the rig file's encoder",
-        choices=ANGLE_SENSORS,
+    Parameter("angle_sensor", "none", choices=ANGLE_SENSORS).about(
+        "encoder: topic angle_sensor is an input as well, with noise and offset of the rig file's encoder"
     ),
-    Parameter(
-        "pressure_sensors",
-        "measured",
+    Parameter("pressure_sensors", "measured", choices=PRESSURE_SENSORS).about(
         "none: the filter uses the commanded pressures of the regulators and subscribes to no pressure topic; for a "
-        "rig with drive: regulator",
-        choices=PRESSURE_SENSORS,
+        "rig with drive: regulator"
     ),
-    Parameter("pairing_timeout", 0.02, "longest time that a sample waits for its other topics [s]", 0.001, 1.0),
-    Parameter(
-        "max_age",
-        0.0,
-        "age beyond which an estimate is flagged LATE [s]; 0: three samples of the rig, at least 0.02",
-        0.001,
-        10.0,
-        left=0.0,
+    Parameter("pairing_timeout", 0.02, 0.001, 1.0).about("longest time that a sample waits for its other topics [s]"),
+    Parameter("max_age", 0.0, 0.001, 10.0, left=0.0).about(
+        "age beyond which an estimate is flagged LATE [s]; 0: three samples of the rig, at least 0.02"
     ),
 )
 
@@ -127,7 +113,7 @@ class EstimatorNode(PamNode):
         self._last: Sample | None = None
         frame = values["frame_id"]
         self._estimates = wire.Outgoing(self, "joint_estimate", frame, wire.ESTIMATE)
-        body, self._state_values = wire.joint_state(values["joint_name"], velocity=True)
+        body, self._state_values = wire.joint_state(values["joint_name"], "position", "velocity", "effort")
         self._states = wire.Outgoing(self, "joint_states", frame, body)
         self._external: wire.Outgoing | None = None
         if self._estimator.estimates_external_torque:

@@ -39,12 +39,9 @@ services:    ~/stop_all (std_srvs/Trigger: stops the valves of every joint until
 """
 
 PARAMETERS = (
-    Parameter("joints", ["pam"], "namespaces of the joints, such as [left/elbow, left/wrist]"),
-    Parameter(
-        "source",
-        "plant",
-        "what each joint has: plant, the simulated joint; bridge, a way to hardware; none: it is started elsewhere",
-        choices=("plant", "bridge", "none"),
+    Parameter("joints", ["pam"]).about("namespaces of the joints, such as [left/elbow, left/wrist]"),
+    Parameter("source", "plant", choices=("plant", "bridge", "none")).about(
+        "what each joint has: plant, the simulated joint; bridge, a way to hardware; none: it is started elsewhere"
     ),
 )
 

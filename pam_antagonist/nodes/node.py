@@ -215,7 +215,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         return self.create_timer(period, callback, clock=self._steady)
 
     def collect(self, kind: Any, topic: str, profile: Any) -> Subscription:
-        """Make a subscription that does not wake the executor; :func:`take` returns its serialised messages.
+        """Make a subscription that does not wake the executor; :func:`wire.take` returns its serialised messages.
 
         This costs less than a callback, and is the only way to get the middleware's information about a message: with a
         callback for it, the ``EventsExecutor`` of rclpy 7.1 fails with "SystemError: null argument".
@@ -384,14 +384,6 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     def connections(self) -> Health:
         """Part ``connections``: which nodes quality of service keeps from this one's topics."""
         return connections(self, (*self.publishers, *super().subscriptions))
-
-
-def take(subscription: Subscription) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
-    """Messages of a subscription of :meth:`PamNode.collect`, oldest first, each with the middleware's information."""
-    handle = subscription.handle
-    with handle:
-        while (taken := handle.take_message(subscription.msg_type, True)) is not None:
-            yield taken
 
 
 def _never(_message: bytes) -> None:

@@ -55,39 +55,24 @@ PARAMETERS = (
     JOINT_NAME,
     FRAME,
     *VALVE_OWNER,
-    Parameter("seed", 0, "seed of the parameters' mismatch and of the sensor noise [-]", 0, 2**31 - 1),
-    Parameter("mismatch", 0.0, "relative standard deviation of the parameters from the rig's [-]", 0.0, 0.29),
-    Parameter("noise", True, "whether the sensors have noise and steps"),
-    Parameter(
-        "angle_sensor",
-        "none",
-        "encoder: publishes angle_sensor, by the rig file's encoder",
-        choices=ANGLE_SENSORS,
+    Parameter("seed", 0, 0, 2**31 - 1).about("seed of the parameters' mismatch and of the sensor noise [-]"),
+    Parameter("mismatch", 0.0, 0.0, 0.29).about("relative standard deviation of the parameters from the rig's [-]"),
+    Parameter("noise", True).about("whether the sensors have noise and steps"),
+    Parameter("angle_sensor", "none", choices=ANGLE_SENSORS).about(
+        "encoder: publishes angle_sensor, by the rig file's encoder"
     ),
-    Parameter(
-        "pressure_sensors",
-        "measured",
-        "none: publishes no pressures, like a joint without pressure sensors; for a rig with drive: regulator",
-        choices=PRESSURE_SENSORS,
+    Parameter("pressure_sensors", "measured", choices=PRESSURE_SENSORS).about(
+        "none: publishes no pressures, like a joint without pressure sensors; for a rig with drive: regulator"
     ),
-    Parameter(
-        "push",
-        0.0,
-        "torque with which somebody pushes the joint, about +z [N m]",
-        -10.0,
-        10.0,
-        read_only=False,
+    Parameter("push", 0.0, -10.0, 10.0, read_only=False).about(
+        "torque with which somebody pushes the joint, about +z [N m]"
     ),
-    Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
-    Parameter(
-        "initial_pressure", [0.0, 0.0], "pressures at the start, absolute [Pa]; 0: at rest, by the rig file", 0.0, 2e6
+    Parameter("substeps", 4, 1, 64).about("integration steps a sample [-]"),
+    Parameter("initial_pressure", [0.0, 0.0], 0.0, 2e6).about(
+        "pressures at the start, absolute [Pa]; 0: at rest, by the rig file"
     ),
-    Parameter(
-        "wait_for_subscribers",
-        0,
-        "subscribers of each sample topic that the first sample waits for [-]",
-        0,
-        16,
+    Parameter("wait_for_subscribers", 0, 0, 16).about(
+        "subscribers of each sample topic that the first sample waits for [-]"
     ),
 )
 

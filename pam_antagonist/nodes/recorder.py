@@ -20,10 +20,10 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, judged
-from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
-from pam_antagonist.nodes.wire import Gaps, message_class, number_of
+from pam_antagonist.nodes.wire import Gaps, message_class, number_of, take
 from pam_antagonist.program import typed
 from pam_antagonist.recording.bag_files import Limits
 from pam_antagonist.recording.topics import TOPICS, Topic, normalize_namespace

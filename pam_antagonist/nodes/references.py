@@ -16,8 +16,8 @@ from pam_antagonist.control.reference import Nearest, References, Rules, Traject
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import Health, Level, Rises, judged, publishers_of
-from pam_antagonist.nodes.node import PamNode, take
-from pam_antagonist.nodes.wire import number_of
+from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.wire import number_of, take
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.safety import ReferenceOwner
 from pam_antagonist_msgs.msg import JointReference

@@ -27,8 +27,8 @@ from pam_antagonist.control import VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, full_name, judged
-from pam_antagonist.nodes.node import PamNode, take
-from pam_antagonist.nodes.wire import number_of
+from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.wire import number_of, take
 from pam_antagonist.recording.topics import COMMAND_TOPICS, TOPICS
 from pam_antagonist.rig import Rig
 from pam_antagonist.safety import PressureSupervision, SafeAction, ValveGuard

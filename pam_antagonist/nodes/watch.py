@@ -22,7 +22,7 @@ from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.processes import busy_domains
 from pam_antagonist.nodes.references import ASKED, MODE, MODES, STIFFNESS
 from pam_antagonist.nodes.spin import client_node, nothing_there
-from pam_antagonist.nodes.wire import message_class
+from pam_antagonist.nodes.wire import message_class, take
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS, normalize_namespace
 from pam_antagonist.rig import RigIdentity
 from pam_antagonist_msgs.msg import JointReference
@@ -198,9 +198,8 @@ class PipelineWatch:
 
     def _take(self, now: float) -> None:
         for name, subscription in self._topics.items():
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                    self._heard(name, taken[0], now)
+            for message, _ in take(subscription):
+                self._heard(name, message, now)
         if self._caller is not None:
             self._answer(now)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import importlib
 import math
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 if TYPE_CHECKING:
     from builtin_interfaces.msg import Time
     from rclpy.node import Node
+    from rclpy.subscription import Subscription
 
     from pam_antagonist.nodes.node import PamNode
     from pam_antagonist.rig import Rig
@@ -60,24 +61,28 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
 
 
-def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple[object, ...]]]:
-    """Layout of a ``sensor_msgs/JointState`` of one joint.
+def joint_state(name: str, *given: str) -> tuple[Body, Callable[..., list[object]]]:
+    """Layout of a ``sensor_msgs/JointState`` of one joint that has some of position, velocity and effort.
 
-    Returns the body, and a function that inserts (position, [velocity,] effort) between the constant parts.
+    Returns the body, and a function that inserts the given ones between the constant parts.
     """
     text = name.encode() + b"\0"
-    one = (("I", 4), ("d", 8))
-    body = (("I", 4), (f"I{len(text)}s", 4), *one, *(one if velocity else (("I", 4),)), *one)
-    if velocity:
-        return body, lambda position, speed, effort: (1, len(text), text, 1, position, 1, speed, 1, effort)
-    return body, lambda position, effort: (1, len(text), text, 1, position, 0, 1, effort)
+    constant: list[object] = [1, len(text), text]
+    body = [("I", 4), (f"I{len(text)}s", 4)]
+    places = []
+    for field in ("position", "velocity", "effort"):
+        there = field in given
+        body += [("I", 4), ("d", 8)] if there else [("I", 4)]
+        constant += [1, 0.0] if there else [0]
+        places += [len(constant) - 1] if there else []
 
+    def values(*numbers: float) -> list[object]:
+        out = constant.copy()
+        for place, number in zip(places, numbers, strict=True):
+            out[place] = number
+        return out
 
-def joint_position(name: str) -> tuple[Body, Callable[[float], tuple[object, ...]]]:
-    """Layout of a ``sensor_msgs/JointState`` of one joint with only a position."""
-    text = name.encode() + b"\0"
-    body = (("I", 4), (f"I{len(text)}s", 4), ("I", 4), ("d", 8), ("II", 4))
-    return body, lambda position: (1, len(text), text, 1, position, 0, 0)
+    return tuple(body), values
 
 
 def position_in(data: bytes, joint: str) -> tuple[int, float]:
@@ -160,9 +165,9 @@ class SampleOutput:
             Outgoing(node, f"pressure_{i}", f"muscle_{i}", PRESSURE) for i in ((1, 2) if pressures else ())
         )
         self.valves = Outgoing(node, STATE_TOPICS[rig.drive], FRAMES[rig.drive], VALVES)
-        body, self._position = joint_position(name)
+        body, self._position = joint_state(name, "position")
         self.encoder = Outgoing(node, "angle_sensor", frame, body) if encoder else None
-        body, self._state = joint_state(name, velocity=False)
+        body, self._state = joint_state(name, "position", "effort")
         self.joint = Outgoing(node, "measured_joint_states", frame, body)
         self._partial = message_class("measured_joint_states")(name=[name])  # without one of the two channels
         self._partial.header.frame_id = frame
@@ -214,6 +219,14 @@ def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:
 def set_stamp(stamp: Time, time_ns: int) -> None:
     """Write a time [ns] into the stamp of a message object, where speed does not matter."""
     stamp.sec, stamp.nanosec = divmod(time_ns, _SECOND)
+
+
+def take(subscription: Subscription) -> Iterator[tuple[Any, Mapping[str, Any]]]:
+    """Messages of a subscription without an executor, oldest first, each with the middleware's information."""
+    handle = subscription.handle
+    with handle:
+        while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield taken
 
 
 _MOST_NUMBER = 2**63  # a larger number means that the middleware gives none

@@ -79,7 +79,7 @@ def test_packed_is_what_rclpy_serialises(node: Any, frame: str) -> None:
     assert_same(out.bytes_of(STAMP, 1.25, 9.5), valves)
 
     for velocity in (True, False):
-        body, values = wire.joint_state("joint", velocity=velocity)
+        body, values = wire.joint_state("joint", "position", *(("velocity",) if velocity else ()), "effort")
         state = header(JointState(name=["joint"], position=[0.1], effort=[-2.0]), frame)
         if velocity:
             state.velocity = [3.0]
@@ -135,7 +135,7 @@ def test_an_encoder_s_message_is_packed_and_read(node: Any, frame: str) -> None:
     from sensor_msgs.msg import JointState
 
     state = header(JointState(name=["joint"], position=[0.1]), frame)
-    body, values = wire.joint_position("joint")
+    body, values = wire.joint_state("joint", "position")
     assert_same(wire.Outgoing(node, "angle_sensor", frame, body).bytes_of(STAMP, *values(0.1)), state)
     for message, expected in (
         (state, 0.1),

@@ -23,7 +23,7 @@ from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
 
 ROLES = ("plant", "estimator", "controller")
-_PERIOD = Parameter("sample_period", 0.001, "time between two samples [s]", 1e-4, 0.1)
+_PERIOD = Parameter("sample_period", 0.001, 1e-4, 0.1).about("time between two samples [s]")
 _BURST = 25
 
 

@@ -99,7 +99,7 @@ def estimation(context: Context, joint: str, tuning: str, seconds: float) -> Rec
     Raises:
         ProcessFailed: a node has ended or does not start.
     """
-    from pam_antagonist.nodes.client import DriveClient
+    from pam_antagonist.nodes.client import DriveClient, planned
 
     folder = context.folder / f"online_{joint}"
     period = context.work.rig.declared.sample_period
@@ -115,7 +115,8 @@ def estimation(context: Context, joint: str, tuning: str, seconds: float) -> Rec
 
         processes.wait(missing)
         with _bar(seconds, f"live, joint {joint}") as bar:
-            drive.drive(voltage, period, voltage[0], lambda _pressures, _angle: "", processes.check, bar.update)
+            plan, unlimited = planned(voltage, period), lambda _pressures, _angle: ""
+            drive.follow(plan, seconds, voltage[0], unlimited, processes.check, bar.update)
     return _read(folder)
 
 
