@@ -18,7 +18,7 @@ from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:
-    from pam_antagonist.report.close_loop import DiagnoseResult
+    from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 
 _NEAR = 4.0
 """Half width of a profile's plot, in standard errors."""
@@ -29,7 +29,7 @@ _DRAWN = 3
 """Number of residuals of each recording that are drawn over the signals that they depend on."""
 
 
-def residuals(found: DiagnoseResult) -> tuple[Figure, ...]:
+def residuals(found: ClosedLoop) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
     shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if found.extended.effects else [])]
     return tuple(_residual(part, shown) for part in found.compared)

@@ -11,10 +11,10 @@ from pam_antagonist.report.document import Finding, good, note, warn
 from pam_antagonist.report.table import number
 
 if TYPE_CHECKING:
-    from pam_antagonist.report.close_loop import DiagnoseResult
+    from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 
 
-def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
+def findings(found: ClosedLoop) -> tuple[Finding, ...]:
     """Findings in addition to the verdict."""
     out = [warn(sentence(text)) for text in found.warnings]
     rivals = {item.other: item for item in found.ambiguities if item.ambiguous}
@@ -47,7 +47,7 @@ def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
     return tuple(out)
 
 
-def calibration_findings(found: DiagnoseResult) -> tuple[Finding, ...]:
+def calibration_findings(found: ClosedLoop) -> tuple[Finding, ...]:
     """The calibrations that the recordings need, with command line options."""
     if not found.calibrations:
         return ()
@@ -83,7 +83,7 @@ def sentence(text: str) -> str:
     return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def assumed(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
+def assumed(found: ClosedLoop) -> tuple[tuple[str, str], ...]:
     """Assumptions of the diagnosis."""
     tried = {item.effect for item in found.ranking}
     tested = ", ".join(name for name in CATALOGUE if name in tried)

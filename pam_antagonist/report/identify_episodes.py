@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from typing_extensions import override
 
 from pam_antagonist.identification.episodes import EpisodesIdentified
+from pam_antagonist.identification.held_out import WORSE, do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background, note, warn
@@ -22,7 +23,6 @@ from pam_antagonist.report.episodes import (
     times,
     units_findings,
 )
-from pam_antagonist.report.identify_findings import WORSE, do_not_use
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
@@ -166,7 +166,7 @@ class EpisodesIdentifyResult(Result):
         return intervals_frame({**self.found.values, **regulators})
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         episodes = f"{self.found.counts[0]} episodes of {self.joint.name}."
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {episodes}"
         if self.rejected:

@@ -13,8 +13,7 @@ from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.report.close_loop import DiagnoseResult
-from pam_antagonist.report.close_loop_document import errors_table, summary
+from pam_antagonist.report.close_loop import DiagnoseResult, errors_table
 from pam_antagonist.report.close_loop_findings import findings
 from pam_antagonist.report.document import Findings
 from pam_antagonist.rig import Rig
@@ -135,6 +134,6 @@ def test_a_part_that_is_not_explained_is_a_warning(found: DiagnoseResult) -> Non
 
 
 def test_names_of_recordings_keep_their_first_letter(found: DiagnoseResult) -> None:
-    shown = summary(replace(found, warnings=("lab/free: too short", "the noise is large")))
+    shown = replace(found, warnings=("lab/free: too short", "the noise is large")).blocks()
     warnings, *_ = [block for block in shown if isinstance(block, Findings)]
     assert [item.text for item in warnings.items] == ["lab/free: too short.", "The noise is large."]

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.identification import held_out as held_out_errors
 from pam_antagonist.identification.result import Held
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.report import identify_episodes, identify_findings
@@ -51,7 +52,7 @@ def parameter(name: str, value: float, bound: float | None = None) -> Any:
 def test_a_filter_that_became_worse_or_that_pressures_do_not_help_is_a_warning(part: Any, said: str) -> None:
     found = identify_findings.of_recording(part)
     assert [item.status for item in found] == ["warn"] * bool(said) and all(said in item.text for item in found)
-    assert identify_findings.lacks_an_effect([part]) == ("as configured" in said)
+    assert held_out_errors.lacks_an_effect([part]) == ("as configured" in said)
 
 
 MET = [parameter("friction.shaft", 1.0, 1.0)]
@@ -73,7 +74,7 @@ MET = [parameter("friction.shaft", 1.0, 1.0)]
     ],
 )
 def test_a_fit_that_did_not_work_says_so(part: Any, options: dict[str, Any], said: str) -> None:
-    found = identify_findings.rejection([part], **options)
+    found = held_out_errors.rejection([part], **options)
     assert said in found and bool(found) == bool(said)
     assert "\n" not in found
 
