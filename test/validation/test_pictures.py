@@ -198,13 +198,14 @@ def test_a_picture_is_known_by_its_mark() -> None:
 def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     code = (
         "import sys\n"
-        "from pam_antagonist.report import figure, figures\nfrom validation import pictures\n"
+        "from pam_antagonist.report import figure\nfrom validation import pictures\n"
         "import importlib.util, validation.paper.command, pam_antagonist.cli.replay\n"
         "if importlib.util.find_spec('rclpy'):\n"
         "    from pam_antagonist.nodes import bridge, controller, estimator, plant, recorder\n"
         "assert not {'matplotlib', 'PIL'} & set(sys.modules)\n"
         "import numpy as np\n"
-        "panel = figures.spreads([('a', np.ones(3), '#000000')], 'x')\n"
+        "points = figure.Points('a', np.ones(3), np.ones(3), '#000000')\n"
+        "panel = figure.Panel(figure.Axis('x'), figure.Axis(), (points,))\n"
         "pictures.picture(figure.Figure('t', '', (panel,)))\n"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules\n"
     )
