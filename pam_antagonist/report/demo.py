@@ -17,12 +17,12 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
 from pam_antagonist.replays.channels import judged
+from pam_antagonist.replays.result import numbers as replay_numbers
 from pam_antagonist.report.document import Block, Document, Section, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.figures import tracking_figure
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
-from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import ESTIMATE, MODEL

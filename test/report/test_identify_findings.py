@@ -11,9 +11,10 @@ import pytest
 
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.identification import held_out as held_out_errors
+from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.result import Held
 from pam_antagonist.inference.bootstrap import Interval
-from pam_antagonist.report import identify_episodes, identify_findings
+from pam_antagonist.report import identify_findings
 from pam_antagonist.rig import load_rig
 
 
@@ -92,8 +93,7 @@ def test_an_error_that_is_large_for_the_range_is_a_warning() -> None:
 def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: str) -> None:
     errors = {name: (Interval(value, 0.0, 9.0),) * 2 for name, value in (("as configured", 1.0), ("identified", later))}
     rig = load_rig("shin2022_regulators", regulators=True)
-    found: Any = SimpleNamespace(rig=rig, errors=errors)
-    rejected = identify_episodes.rejection(found)
-    assert said in rejected and bool(rejected) == bool(said)
-    found.rig = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
-    assert "impossible (joint.inertia" in identify_episodes.rejection(found)
+    found = EpisodesIdentified(rig, rig, {}, errors, None, (1, 1, 1))
+    assert said in found.rejected and bool(found.rejected) == bool(said)
+    impossible = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
+    assert "impossible (joint.inertia" in replace(found, rig=impossible).rejected
