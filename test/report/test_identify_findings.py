@@ -89,6 +89,29 @@ def test_an_error_that_is_large_for_the_range_is_a_warning() -> None:
     assert "10.0 % of the angle's range: the joint is no plain pair of muscles" in found.text
 
 
+@pytest.mark.parametrize(
+    ("coverage", "status", "said"),
+    [
+        (
+            0.95,
+            "good",
+            "95.0 % of the held-out readings lie in their 95 % intervals. The filter's covariance is honest.",
+        ),
+        (0.5, "warn", "covariance is too small (angle of lab/free 50.0 %)."),
+        (1.0, "note", "covariance is larger than needed (angle of lab/free 100.0 %)."),
+    ],
+)
+def test_the_coverage_of_all_recordings_is_one_sentence(coverage: float, status: str, said: str) -> None:
+    part = held_out(0.15, 0.05)
+    part.reports["identified"].ukf.angle = replace(part.reports["identified"].ukf.angle, coverage95=coverage)
+    found: Any = SimpleNamespace(
+        found=SimpleNamespace(notes=()), parameters=(), rejected="", held=[part], coverage95=(coverage, math.nan),
+        between=(), correlations=(), recordings=(part,),
+    )  # fmt: skip
+    (item,) = [one for one in identify_findings.findings(found) if "95 % intervals" in one.text]
+    assert item.status == status and item.text.endswith(said)
+
+
 @pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])
 def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: str) -> None:
     errors = {name: (Interval(value, 0.0, 9.0),) * 2 for name, value in (("as configured", 1.0), ("identified", later))}
