@@ -7,10 +7,11 @@ import math
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 from typing_extensions import override
 
+T = TypeVar("T")
 _LONGEST = 500
 _VALUE = 40
 MISSING = "–"
@@ -33,6 +34,11 @@ class Shown:
         """The tables of the command, for a notebook."""
         summary = getattr(self, "summary", None)
         return f"<pre>{html.escape(repr(self) if summary is None else summary())}</pre>"
+
+
+def widened(kind: type[T], base: Any, **more: Any) -> T:
+    """An instance of a subclass: the fields of an instance of its base, and further ones."""
+    return kind(**{item.name: getattr(base, item.name) for item in fields(base)}, **more)
 
 
 def _short(value: Any) -> str:

@@ -200,9 +200,7 @@ def _heatmap(axes: Any, part: Heatmap, depth: float) -> None:
     cells, norm = np.ma.masked_invalid(part.values), Normalize(*part.bounds)
     edges, rows = _edges(part.x), np.arange(len(part.rows) + 1) - 0.5
     line = {"edgecolors": "white", "linewidth": 1.0} if part.cell else {}
-    mesh = axes.pcolormesh(edges, rows, cells, cmap=shades, norm=norm, zorder=depth, **line)
-    if part.scale:
-        axes.figure.colorbar(mesh, cax=axes.inset_axes((1.02, 0.2, 0.012, 0.6))).outline.set_visible(False)
+    axes.pcolormesh(edges, rows, cells, cmap=shades, norm=norm, zorder=depth, **line)
     if not part.cell:
         return
     for row, values in enumerate(part.values):

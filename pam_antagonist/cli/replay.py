@@ -70,9 +70,9 @@ def parser() -> common.Parser:
 
 def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.cli.first_start import REPLAY
-    from pam_antagonist.replays.result import check_estimate
+    from pam_antagonist.replays.result import check_estimate, numbers
     from pam_antagonist.report import html
-    from pam_antagonist.report.replay import document, numbers
+    from pam_antagonist.report.replay import document
 
     if arguments.save is not None:
         if len(arguments.bags) > 1:

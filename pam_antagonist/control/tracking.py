@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,24 @@ class Tracking:
     worst_steady_error: float  # largest steady error of all steps; NaN if no step was long enough
     range: float
     performance: float  # 1 - worst_steady_error / range; NaN where either is not known
+
+    def numbers(self, unit: str) -> dict[str, Any]:
+        """The keys of ``report.json``, with a unit in their names."""
+        steps = [
+            {
+                "start_s": step.start_s, "length_s": step.length_s, f"reference_{unit}": step.reference,
+                f"steady_error_{unit}": step.steady_error, "settling_s": step.settling_s,
+            }
+            for step in self.steps
+        ]  # fmt: skip
+        return {
+            f"rmse_{unit}": self.rmse,
+            f"max_{unit}": self.largest,
+            f"worst_steady_error_{unit}": self.worst_steady_error,
+            f"reference_range_{unit}": self.range,
+            "steady_state_performance": self.performance,
+            "steps": steps,
+        }
 
 
 def held(stamp_ns: Stamps, reference_stamp_ns: Stamps, value: Floats) -> Floats:

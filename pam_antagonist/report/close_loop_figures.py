@@ -18,18 +18,20 @@ from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:
-    from pam_antagonist.report.close_loop import DiagnoseResult
+    from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 
 _NEAR = 4.0
 """Half width of a profile's plot, in standard errors."""
 _LIMIT = 3.84
 """Rise of −2 log posterior at the end of a 95 % interval."""
+_LEAST_SHARE = 0.005
+"""A table is left out if all its shares are smaller and would show as 0 %."""
 _POINTS = 300
 _DRAWN = 3
 """Number of residuals of each recording that are drawn over the signals that they depend on."""
 
 
-def residuals(found: DiagnoseResult) -> tuple[Figure, ...]:
+def residuals(found: ClosedLoop) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
     shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if found.extended.effects else [])]
     return tuple(_residual(part, shown) for part in found.compared)
@@ -118,18 +120,26 @@ def laws(effects: Sequence[FoundEffect]) -> tuple[Figure, ...]:
 def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
     """The remaining residual: in words, as shares, and drawn over the signals that it depends on."""
     out: list[Block] = [Findings(tuple(note(item.line()) for item in found))]
-    depends = "share of each residual's variance that one kind of dependence explains alone, minus what chance gives"
-    power = "share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz"
-    for name in dict.fromkeys(item.recording for item in found):
-        mine = [item for item in found if item.recording == name]
-        for about, shares in ((depends, [item.depends_on for item in mine]), (power, [item.bands for item in mine])):
+    for about, shares in (
+        (
+            "Share of each residual's variance that one kind of dependence explains alone, minus what chance gives",
+            [item.depends_on for item in found],
+        ),
+        (
+            "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz",
+            [item.bands for item in found],
+        ),
+    ):
+        if max((share for each in shares for share in each.values()), default=0.0) >= _LEAST_SHARE:
             keys = tuple(dict.fromkeys(key for each in shares for key in each))
-            cells = (tuple(percent(each.get(key)) for key in keys) for each in shares)
-            rows = tuple((item.channel, *row) for item, row in zip(mine, cells, strict=True))
-            out.append(Table(("Residual", *keys), rows, f"{name}: {about}"))
-        if with_figures:
-            clear = sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN]
-            out += map(_drawn, clear)
+            rows = tuple(
+                (f"{item.recording}: {item.channel}", *(percent(each.get(key)) for key in keys))
+                for item, each in zip(found, shares, strict=True)
+            )
+            out.append(Table(("Residual", *keys), rows, about))
+    for name in dict.fromkeys(item.recording for item in found if with_figures):
+        mine = [item for item in found if item.recording == name]
+        out += map(_drawn, sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN])
     return tuple(out)
 
 

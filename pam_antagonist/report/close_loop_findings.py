@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.result import Ambiguity
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report.document import Finding, good, note, warn
+from pam_antagonist.report.document import Finding, good, note, warn, words
 from pam_antagonist.report.table import number
 
 if TYPE_CHECKING:
-    from pam_antagonist.report.close_loop import DiagnoseResult
+    from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 
 
-def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
+def findings(found: ClosedLoop) -> tuple[Finding, ...]:
     """Findings in addition to the verdict."""
     out = [warn(sentence(text)) for text in found.warnings]
     rivals = {item.other: item for item in found.ambiguities if item.ambiguous}
@@ -47,7 +47,7 @@ def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
     return tuple(out)
 
 
-def calibration_findings(found: DiagnoseResult) -> tuple[Finding, ...]:
+def calibration_findings(found: ClosedLoop) -> tuple[Finding, ...]:
     """The calibrations that the recordings need, with command line options."""
     if not found.calibrations:
         return ()
@@ -83,26 +83,8 @@ def sentence(text: str) -> str:
     return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def assumed(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
+def assumed(found: ClosedLoop) -> tuple[tuple[str, str], ...]:
     """Assumptions of the diagnosis."""
-    tried = {item.effect for item in found.ranking}
-    tested = ", ".join(name for name in CATALOGUE if name in tried)
-    own: tuple[tuple[str, str], ...] = (
-        ("Start", "Each recording begins at rest, and slow effects have settled."),
-        ("Base parameters", "Known to 5 % before the fit (the supply to 1 %). Each recording has its own values."),
-        ("Sensors", "White noise, estimated from the changes between samples, and the resolution of their converters."),
-        ("Catalogue", f"{tested}. Anything else is a law that is measured, or unexplained."),
-    )
-    if found.driven:
-        own = (
-            ("Input", "The measured angle. Where it is noisy, it is smoothed at 3 Hz without a phase shift."),
-            ("Volume and force", "As the rig file declares them, except for what `identify` finds on a sealed joint."),
-            (
-                "Sensors",
-                "The noise of the pressures is estimated from the changes between samples. That of encoder and torque "
-                "is the rig file's; an error of the encoder changes the modelled pressures and torque as well.",
-            ),
-        )
     needed = (
         f"An effect needs a ΔBIC of {thresholds.STRONG:g}. The first effect has to explain "
         f"{100 * thresholds.FIRST_SHARE:.0f} % of the excess over noise on held-out data. Each further effect has to "
@@ -110,5 +92,8 @@ def assumed(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
         f"{100 * thresholds.EXPLAINED:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
         "simulated joints."
     )
-    noise = "Gaussian, of unknown size for each channel, at least the sensor's noise."
-    return *own, ("Errors of the model", noise), ("Thresholds", needed)
+    page = "close_loop of a driven joint, assumed" if found.driven else "close_loop, assumed"
+    tried = {item.effect for item in found.ranking}
+    tested = ", ".join(name for name in CATALOGUE if name in tried)
+    catalogue = ("Catalogue", f"{tested}. Anything else is a law that is measured, or unexplained.")
+    return *words(page), ("Thresholds", needed), *(() if found.driven else (catalogue,))

@@ -17,7 +17,7 @@ from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report.close_loop import effects_frame
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
-from pam_antagonist.report.identify_document import held_out_figures
+from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Comparison, Table, number, percent
 from pam_antagonist.rig import Rig
@@ -217,7 +217,7 @@ class PressuresDiagnoseResult(Result):
         return effects_frame(self.effects)
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         about = textwrap.wrap(f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}", 110)
         if self.next_rig is not None:
             write_rig(self.rig_extended, folder / self.next_rig, about)

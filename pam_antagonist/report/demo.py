@@ -17,12 +17,12 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
 from pam_antagonist.replays.channels import judged
+from pam_antagonist.replays.result import numbers as replay_numbers
 from pam_antagonist.report.document import Block, Document, Section, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.figures import tracking_figure
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
-from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import ESTIMATE, MODEL
@@ -120,28 +120,11 @@ class Demo(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        unit, followed = _UNIT[self.mode.quantity], self.tracking
         about = {
             "mode": self.mode.name.lower(),
             "simulated_joint": self.simulated,
             "gains": self.gains,
-            "tracking": {
-                f"rmse_{unit}": followed.rmse,
-                f"max_{unit}": followed.largest,
-                f"worst_steady_error_{unit}": followed.worst_steady_error,
-                f"reference_range_{unit}": followed.range,
-                "steady_state_performance": followed.performance,
-                "steps": [
-                    {
-                        "start_s": step.start_s,
-                        "length_s": step.length_s,
-                        f"reference_{unit}": step.reference,
-                        f"steady_error_{unit}": step.steady_error,
-                        "settling_s": step.settling_s,
-                    }
-                    for step in followed.steps
-                ],
-            },
+            "tracking": self.tracking.numbers(_UNIT[self.mode.quantity]),
             "stiffness": self.stiffness,
             "yielding": self.yielding,
             "pipeline": self.accounting,

@@ -396,7 +396,7 @@ class EpisodesDiagnoseResult(Result):
         return intervals_frame(self.found.values)
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
         if self.next_rig is not None:
             write_rig(self.rig_extended, folder / self.next_rig, [about])

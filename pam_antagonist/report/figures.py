@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.report import decimate
-from pam_antagonist.report.figure import (
-    TIME,
-    Axis,
-    Figure,
-    FloatArray,
-    Heatmap,
-    Line,
-    Panel,
-    Points,
-    Series,
-)
-from pam_antagonist.report.style import DEEP, ESTIMATE, MEASURED, MODEL, PALE, PALETTE, SECOND
+from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Heatmap, Line, Panel
+from pam_antagonist.report.style import DEEP, ESTIMATE, MEASURED, MODEL, PALE, SECOND
 
 
 def seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> FloatArray:
@@ -42,12 +32,6 @@ def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: 
     """Single samples as a faint line, and in front their moving mean, which reduces the sensor's noise."""
     faint = Line(name, x, values, color, width=0.8, quiet=True, opacity=0.3)
     return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
-
-
-def lines(x: FloatArray, values: Mapping[str, FloatArray], quiet: bool = False, width: float = 1.7) -> tuple[Line, ...]:
-    """A line for each name, in the palette's colours. `values`: name -> samples (N,)."""
-    named = zip(values.items(), PALETTE, strict=False)
-    return tuple(Line(name, x, line, color, quiet=quiet, width=width) for (name, line), color in named)
 
 
 def tracking_figure(
@@ -88,19 +72,3 @@ def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, colu
     y = Axis("Subsystem σ [-]", labels=short, bounds=(-0.5, len(seen) - 0.5))
     part = Heatmap(x[middle], cells, rows, (PALE, DEEP), (0.0, 1.0), hover)
     return Panel(TIME, y, (part,), max(66, 26 * len(seen) + 36))
-
-
-def spreads(rows: Sequence[tuple[str, FloatArray, str]], title: str, log: bool = False) -> Panel:
-    """A row of points for each name, values (K,) and colour; each point a repetition, with a bar at the median."""
-    parts: list[Series] = []
-    for number, (name, values, color) in enumerate(rows):
-        known = np.asarray(values, dtype=np.float64)
-        known = known[np.isfinite(known)]
-        # A fixed jitter, so that points of equal value do not hide each other.
-        place = number + 0.24 * (np.arange(len(known)) % 5 - 2) / 2
-        parts.append(Points(name, known, place, color, opacity=0.45, quiet=True))
-        if len(known):
-            middle = np.full(2, float(np.median(known)))
-            parts.append(Line(name, middle, np.array([number - 0.36, number + 0.36]), color, width=4.0, quiet=True))
-    names = tuple(name for name, _, _ in rows)
-    return Panel(Axis(title, log=log), Axis(labels=names), tuple(parts), 26 + 34 * len(rows))

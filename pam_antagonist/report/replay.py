@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from typing_extensions import override
 
 from pam_antagonist.replays.channels import CHANNELS, joint_text, judged
-from pam_antagonist.replays.result import Replay, ReplayReport, columns, write_estimate
+from pam_antagonist.replays.result import Replay, ReplayReport, columns, numbers, write_estimate
 from pam_antagonist.report.document import (
     Block,
     Columns,
@@ -30,8 +30,6 @@ from pam_antagonist.report.replay_findings import findings, verdict
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.rig.assumption import assumption
-from pam_antagonist.software import versions
-from pam_antagonist.strict_json import picked, plain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -97,26 +95,6 @@ class ReplayResult(Replay, Result):
         The columns are those of ``replay --save estimate.csv``; each name contains the unit.
         """
         return frame_of(columns(self))
-
-
-def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
-    """Content of ``report.json``: of one recording its numbers, of several those of each in a list."""
-    rig, name = replays[0].rig, replays[0].tuning
-    tuning, reports = rig.tuning(name), [plain(replay.report) for replay in replays]
-    settings = {
-        "rig": rig.name,
-        "rig_source": rig.source.strip(),
-        "sample_period_s": rig.sample_period,
-        "tuning": {
-            "name": name,
-            **picked(tuning, "initial", "process", "measurement", "kappa"),
-            "consider": rig.uncertainty if tuning.consider else {},
-            "gate": tuning.gate,
-        },
-        "assumption": assumption(rig, name),
-    }
-    whole = reports[0] if len(reports) == 1 else {"recordings": reports}
-    return {**whole, "settings": settings, "software": versions()}
 
 
 def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:

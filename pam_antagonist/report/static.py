@@ -96,7 +96,7 @@ class StaticResult(StaticFits, Result):
         return frame_of(rows, ("coefficient", "value", "std", "unit"), "coefficient")
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         if self.fitted is None:
             return
         tables, whose = (" and ".join(map(str, names)) for names in ([t.name for t in self.tables], self.muscles))

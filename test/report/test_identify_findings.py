@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 
 from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.identification import held_out as held_out_errors
+from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.result import Held
 from pam_antagonist.inference.bootstrap import Interval
-from pam_antagonist.report import identify_episodes, identify_findings
+from pam_antagonist.report import identify_findings
 from pam_antagonist.rig import load_rig
 
 
@@ -51,7 +53,7 @@ def parameter(name: str, value: float, bound: float | None = None) -> Any:
 def test_a_filter_that_became_worse_or_that_pressures_do_not_help_is_a_warning(part: Any, said: str) -> None:
     found = identify_findings.of_recording(part)
     assert [item.status for item in found] == ["warn"] * bool(said) and all(said in item.text for item in found)
-    assert identify_findings.lacks_an_effect([part]) == ("as configured" in said)
+    assert held_out_errors.lacks_an_effect([part]) == ("as configured" in said)
 
 
 MET = [parameter("friction.shaft", 1.0, 1.0)]
@@ -73,7 +75,7 @@ MET = [parameter("friction.shaft", 1.0, 1.0)]
     ],
 )
 def test_a_fit_that_did_not_work_says_so(part: Any, options: dict[str, Any], said: str) -> None:
-    found = identify_findings.rejection([part], **options)
+    found = held_out_errors.rejection([part], **options)
     assert said in found and bool(found) == bool(said)
     assert "\n" not in found
 
@@ -87,12 +89,34 @@ def test_an_error_that_is_large_for_the_range_is_a_warning() -> None:
     assert "10.0 % of the angle's range: the joint is no plain pair of muscles" in found.text
 
 
+@pytest.mark.parametrize(
+    ("coverage", "status", "said"),
+    [
+        (
+            0.95,
+            "good",
+            "95.0 % of the held-out readings lie in their 95 % intervals. The filter's covariance is honest.",
+        ),
+        (0.5, "warn", "covariance is too small (angle of lab/free 50.0 %)."),
+        (1.0, "note", "covariance is larger than needed (angle of lab/free 100.0 %)."),
+    ],
+)
+def test_the_coverage_of_all_recordings_is_one_sentence(coverage: float, status: str, said: str) -> None:
+    part = held_out(0.15, 0.05)
+    part.reports["identified"].ukf.angle = replace(part.reports["identified"].ukf.angle, coverage95=coverage)
+    found: Any = SimpleNamespace(
+        found=SimpleNamespace(notes=()), parameters=(), rejected="", held=[part], coverage95=(coverage, math.nan),
+        between=(), correlations=(), recordings=(part,),
+    )  # fmt: skip
+    (item,) = [one for one in identify_findings.findings(found) if "95 % intervals" in one.text]
+    assert item.status == status and item.text.endswith(said)
+
+
 @pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])
 def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: str) -> None:
     errors = {name: (Interval(value, 0.0, 9.0),) * 2 for name, value in (("as configured", 1.0), ("identified", later))}
     rig = load_rig("shin2022_regulators", regulators=True)
-    found: Any = SimpleNamespace(rig=rig, errors=errors)
-    rejected = identify_episodes.rejection(found)
-    assert said in rejected and bool(rejected) == bool(said)
-    found.rig = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
-    assert "impossible (joint.inertia" in identify_episodes.rejection(found)
+    found = EpisodesIdentified(rig, rig, {}, errors, None, (1, 1, 1))
+    assert said in found.rejected and bool(found.rejected) == bool(said)
+    impossible = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
+    assert "impossible (joint.inertia" in replace(found, rig=impossible).rejected

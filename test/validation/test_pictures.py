@@ -19,7 +19,6 @@ from pam_antagonist.report.figure import (
     Band,
     Bars,
     Figure,
-    Heatmap,
     Line,
     Panel,
     Points,
@@ -199,13 +198,14 @@ def test_a_picture_is_known_by_its_mark() -> None:
 def test_nodes_never_load_what_draws_and_pictures_open_no_window() -> None:
     code = (
         "import sys\n"
-        "from pam_antagonist.report import figure, figures\nfrom validation import pictures\n"
+        "from pam_antagonist.report import figure\nfrom validation import pictures\n"
         "import importlib.util, validation.paper.command, pam_antagonist.cli.replay\n"
         "if importlib.util.find_spec('rclpy'):\n"
         "    from pam_antagonist.nodes import bridge, controller, estimator, plant, recorder\n"
         "assert not {'matplotlib', 'PIL'} & set(sys.modules)\n"
         "import numpy as np\n"
-        "panel = figures.spreads([('a', np.ones(3), '#000000')], 'x')\n"
+        "points = figure.Points('a', np.ones(3), np.ones(3), '#000000')\n"
+        "panel = figure.Panel(figure.Axis('x'), figure.Axis(), (points,))\n"
         "pictures.picture(figure.Figure('t', '', (panel,)))\n"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules\n"
     )
@@ -221,12 +221,3 @@ def test_an_interval_is_a_bar_around_its_point_and_rows_have_names() -> None:
     area = (WIDTH - LEFT - RIGHT) * SHARPNESS
     assert np.ptp(columns) == pytest.approx(area / 2, rel=0.02), "from -1 to 1 on an axis from -2 to 2"
     assert np.flatnonzero(red.any(axis=1)).mean() == pytest.approx((10 + 50) * SHARPNESS, abs=3), "the upper row"
-
-
-def test_a_scale_of_colours_stands_beside_its_cells_within_the_picture() -> None:
-    cells = Heatmap(np.arange(2.0), np.zeros((2, 2)), ("r", "s"), (BLUE, "#ffffff", RED), (-1.0, 1.0), "{value}")
-    axes, rows = Axis(labels=("a", "b")), Axis(labels=("r", "s"))
-    without, image = (pixels(alone(Panel(axes, rows, (replace(cells, scale=scale),), 200))) for scale in (False, True))
-    assert not found(without, RED).any() and found(image, RED).any() and found(image, BLUE).any()
-    assert np.flatnonzero(found(image, RED).any(axis=1)).max() < np.flatnonzero(found(image, BLUE).any(axis=1)).min()
-    assert (image[:, -4:] == 255).all(), "its numbers included"

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pam_antagonist.report.figure import Figure
-from pam_antagonist.report.figures import spreads
+from pam_antagonist.report.figure import Axis, Figure, FloatArray, Line, Panel, Points, Series
 from pam_antagonist.report.style import PALETTE
 from pam_antagonist.report.table import MISSING, Table, number
 from validation.paper.result import Context
@@ -123,3 +122,19 @@ def _short(label: str) -> str:
         .replace(", the paper's constants", "")
         .replace(", the paper's constant", "")
     )
+
+
+def spreads(rows: Sequence[tuple[str, FloatArray, str]], title: str, log: bool = False) -> Panel:
+    """A row of points for each name, values (K,) and colour; each point a repetition, with a bar at the median."""
+    parts: list[Series] = []
+    for row, (name, values, color) in enumerate(rows):
+        known = np.asarray(values, dtype=np.float64)
+        known = known[np.isfinite(known)]
+        # A fixed jitter, so that points of equal value do not hide each other.
+        place = row + 0.24 * (np.arange(len(known)) % 5 - 2) / 2
+        parts.append(Points(name, known, place, color, opacity=0.45, quiet=True))
+        if len(known):
+            middle = np.full(2, float(np.median(known)))
+            parts.append(Line(name, middle, np.array([row - 0.36, row + 0.36]), color, width=4.0, quiet=True))
+    names = tuple(name for name, _, _ in rows)
+    return Panel(Axis(title, log=log), Axis(labels=names), tuple(parts), 26 + 34 * len(rows))

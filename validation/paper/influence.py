@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.model import equilibrium, integration
-from pam_antagonist.report.figure import TIME, Axis, Figure, Panel
-from pam_antagonist.report.figures import lines
+from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel
+from pam_antagonist.report.style import PALETTE
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
 from pam_antagonist.simulation.excitation import Span
@@ -239,7 +239,11 @@ def _figures(rig: Rig) -> tuple[Figure, ...]:
                 states = run(rig, abrupt[:until], dict.fromkeys(PARAMETERS[label], factor))
                 angles[f"× {factor:g}"] = np.degrees(states[:, 0])
             axis = Axis(f"ψ [°], {label}" if len(labels) > 1 else "ψ [°]")
-            panels.append(Panel(TIME, axis, lines(x, angles, quiet=bool(panels), width=1.3), 200))
+            drawn = (
+                Line(name, x, values, color, quiet=bool(panels))
+                for (name, values), color in zip(angles.items(), PALETTE, strict=False)
+            )
+            panels.append(Panel(TIME, axis, tuple(drawn), 200))
         about = "A step of both valves at 2 s, declared model."
         out.append(Figure(f"Influence of {title}", about, tuple(panels), "influence"))
     return tuple(out)

@@ -12,10 +12,11 @@ import numpy as np
 from pam_antagonist.estimation import metrics
 from pam_antagonist.recording import Recording
 from pam_antagonist.report.figure import TIME, Axis, Band, Figure, Line, Panel, Series
-from pam_antagonist.report.figures import seconds, spreads
+from pam_antagonist.report.figures import seconds
 from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, PALETTE, SECOND
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig import Rig
+from validation.paper.comparison import spreads
 from validation.paper.result import Beside, Context, Result
 from validation.paper.seed_work import TUNINGS, SeedWork, Track, judged, measured_of
 
