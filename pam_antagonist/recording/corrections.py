@@ -129,6 +129,10 @@ class Corrections:
             torque = _later(time, torque, self.delay_torque, again.get("torque"))
         return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
 
+    def replaced(self, **values: Any) -> Corrections:
+        """These corrections with other values, by name."""
+        return replace(self, **values)
+
     def applied(self, recording: Recording) -> Recording:
         """All corrections of a recording that was read without any."""
         return self.arranged(
