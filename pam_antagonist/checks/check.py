@@ -279,7 +279,7 @@ def _driven(
         tolerance = wiring.unit_tolerance(rig, direction.channel)
         units, unit = wiring.unit_of(direction, now, by_values, tolerance)
         findings += units
-        now = numbers.changed(now, {f"{direction.channel}_unit": unit})
+        now = now.replaced(**{f"{direction.channel}_unit": unit})
     wired, now = wiring.which_is_exchanged(found, directions, now, typed)
     findings += wired
     zeros, now = numbers.without_zeros(timed, model, rig, joint, now)

@@ -39,12 +39,9 @@ class SeveralJoints(BadInput):
 def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str | None) -> dict[str, RawTopic]:
     """Find the package's topics in a bag.
 
-    Args:
-        topics: Logical (or relative) name -> topic in the bag, for topics that have another name there.
-        namespace: Namespace of all other topics; None to find it in the bag.
-
-    Returns:
-        Logical name -> messages; all sample topics are there and not empty. ``bag.issues`` names the topics that were
+    `topics`: Logical (or relative) name -> topic in the bag, for topics that have another name there. `namespace`: of
+    all other topics; None to find it in the bag. Returns logical name -> messages; all sample topics are there and not
+    empty.
     """
     if not any(len(raw) for raw in bag.topics.values()):
         raise BadInput(f"{bag.path}: no samples, the bag holds no messages ({_list(bag)})")
@@ -108,26 +105,17 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
 def joints_in(bag: RawBag) -> list[str]:
     """The namespaces with messages of every sample topic; each is a joint."""
 
-    def there(namespace: str, name: str) -> bool:
-        raw = bag.topics.get(TOPICS[name].resolve(namespace))
-        return raw is not None and raw.msgtype == TOPICS[name].type and len(raw) > 0
+    def there(namespace: str, *names: str) -> bool:
+        every = [(TOPICS[name].type, bag.topics.get(TOPICS[name].resolve(namespace))) for name in names]
+        return all(raw is not None and raw.msgtype == kind and len(raw) > 0 for kind, raw in every)
 
-    found = set()
-    for name in STATE_TOPICS.values():
-        ending = f"/{TOPICS[name].relative}"
-        found |= {actual[: -len(ending)] for actual in bag.topics if actual.endswith(ending)}
-
-    def whole(namespace: str) -> bool:
-        return there(namespace, STATE_TOPICS["regulator"]) or all(there(namespace, name) for name in SAMPLE_TOPICS)
-
-    return sorted(filter(whole, found))
+    endings = [f"/{TOPICS[name].relative}" for name in STATE_TOPICS.values()]
+    found = {actual[: -len(end)] for actual in bag.topics for end in endings if actual.endswith(end)}
+    return sorted(one for one in found if there(one, STATE_TOPICS["regulator"]) or there(one, *SAMPLE_TOPICS))
 
 
 def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:
-    """Drive of a joint: ``regulator`` where pressure commands but no voltages were recorded, else ``valve``.
-
-    `renamed`: Logical name -> topic in the bag, for topics that have another name there.
-    """
+    """Drive of a joint: ``regulator`` where pressure commands but no voltages were recorded, else ``valve``."""
 
     def there(name: str) -> bool:
         raw = bag.topics.get(renamed.get(name, TOPICS[name].resolve(namespace)))
@@ -184,14 +172,9 @@ def _list(bag: RawBag) -> str:
 def values_of_joint(
     bag: RawBag, topic: str, decoded: Decoded, joint: str | None, live: Decoded | None
 ) -> tuple[dict[str, Floats], NDArray[np.bool_]]:
-    """Values of one joint of a JointState topic, by its name.
+    """Position [rad] and effort [N m] of one joint in all messages of a JointState, NaN where one has none.
 
-    Args:
-        bag: The bag; its issues tell which of several joints was taken.
-        live: Messages of the estimator's ``joint_states``, or None.
-
-    Returns:
-        Position [rad] and effort [N m] of all messages, NaN where a message has none, and which messages name it.
+    `live`: Messages of the estimator's ``joint_states``, or None. Also returns which messages name the joint.
     """
     names = _joint_names(decoded)
     listed = ", ".join(names) or "no names"

@@ -99,10 +99,16 @@ def read_bag(
     """
     if not isinstance(path, (str, Path)):
         raise BadInput(f"bag: found a value of type {type(path).__name__}, expected its path")
+    if restarts not in ("refuse", "last"):
+        raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
+    path, fixes = Path(path), corrections or Corrections()
     try:
-        recording = _read(
-            Path(path), topics, namespace, joint_name, restarts, recover, corrections or Corrections(), judge, also
-        )
+        types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
+        bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
+        if path.is_dir():
+            bag.issues += noted_issues(path)
+        chosen = _chosen(bag, topics, namespace, joint_name, restarts == "last", fixes.align_clocks)
+        recording = _recording(bag, chosen, _Values(str(path), bag.issues, fixes, judge), also)
         recording = recording if corrections is None else corrections.arranged(recording)
     except MemoryError:
         what = "needs more memory than there is; split the recording, or use a larger machine"
@@ -111,77 +117,70 @@ def read_bag(
     return recording
 
 
-def _read(
-    path: Path,
+def _chosen(
+    bag: RawBag,
     topics: Mapping[str, str] | None,
     namespace: str | None,
     joint_name: str | None,
-    restarts: Restarts,
-    recover: bool,
-    corrections: Corrections,
-    judge: bool,
-    also: Sequence[str],
-) -> Recording:
-    if restarts not in ("refuse", "last"):
-        raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
-    types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
-    bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
-    if path.is_dir():
-        bag.issues += noted_issues(path)
-    chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
+    cut: bool,
+    align: bool,
+) -> dict[str, _Topic]:
+    """The package's topics by logical name, decoded and in order, of one joint and one clock."""
+    chosen = {name: _decode(bag.path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
     live = chosen["joint_states"].decoded if "joint_states" in chosen else None
     for topic in (chosen[name] for name in ("measured_joint_states", "angle_sensor") if name in chosen):
         topic.joint, there = values_of_joint(bag, topic.actual, topic.decoded, joint_name, live)
         topic.keep = topic.keep[there[topic.keep]]
-    if restarts == "last":
+    if cut:
         _cut(chosen, bag.issues)
     for topic in chosen.values():
-        if corrections.align_clocks and not np.any(topic.stamp_ns):
+        if align and not np.any(topic.stamp_ns):
             topic.stamp_ns = topic.log_ns.copy()
             bag.issues.append(Issue(f"{topic.actual} without stamps: took the times of reception", "clock"))
-        _sort(path, topic, bag.issues)
-    _one_clock(path, chosen, bag.issues, corrections.align_clocks)
+        _sort(bag.path, topic, bag.issues)
+    _one_clock(bag.path, chosen, bag.issues, align)
+    return chosen
+
+
+def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Values, also: Sequence[str]) -> Recording:
+    """Samples at the stamps of pressures and commands, and everything else at these samples."""
     drive = "valve" if "valve_state" in chosen else "regulator"
     state = STATE_TOPICS[drive]
     names = tuple(name for name in ("pressure_1", "pressure_2", state) if name in chosen)
     samples = stamps.union([chosen[name].arrival.stamp_ns for name in names])
     beside = chosen[state].actual.rpartition("/")[0]
     episode_ns = signals.read_episodes(bag, beside, samples)
-    convert = _Values(str(path), bag.issues, corrections, judge)
     pressure, voltage = _samples(bag, {name: chosen[name] for name in names}, samples, convert, episode_ns)
-    measured = chosen.get("measured_joint_states")
-    angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, convert)
-    external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
-    estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
-    sensor, further = chosen.get("angle_sensor"), signals.read_signals(bag, beside, samples, also)
+
+    def measured(name: str, field: str, what: str) -> Floats | None:
+        topic = chosen.get(name)
+        return None if topic is None else _validation(bag, topic, samples, what, topic.values(field), convert)
+
+    angle, torque, external = (measured(*each) for each in _MEASURED)
+    estimate, reference, sensor = (chosen.get(name) for name in ("joint_estimate", "reference", "angle_sensor"))
+    remembered, joints = chosen.get("filter_checkpoint"), joints_in(bag)
+    mine = [joint for joint in joints if TOPICS[state].resolve(joint) == chosen[state].actual]
     return Recording(
-        path=path,
+        path=bag.path,
         stamp_ns=samples,
         pressure=pressure,
         voltage=voltage,
         angle=angle,
         torque=torque,
-        external_torque=None if external is None else _external(bag, external, samples, convert),
+        external_torque=external,
         angle_sensor=None if sensor is None else _angle_sensor(bag, sensor, samples),
         estimate=None if estimate is None else _estimate(estimate),
         reference=None if reference is None else _reference(reference),
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
-        issues=Issue.sorted(bag.issues),
         rigs=signals.rig_texts(bag, beside),
         checkpoints=() if remembered is None else signals.read_checkpoints(remembered.decoded, remembered.keep),
-        namespace=_own_namespace(bag, state, chosen[state].actual),
-        signals=further,
+        namespace=mine[0] if mine and len(joints) > 1 else "",
+        signals=signals.read_signals(bag, beside, samples, also),
         episode_ns=episode_ns,
         drive=drive,
+        issues=Issue.sorted(bag.issues),
     )
-
-
-def _own_namespace(bag: RawBag, state: str, actual: str) -> str:
-    """Namespace of the joint that was read; empty where the bag holds only one."""
-    joints = joints_in(bag)
-    mine = [joint for joint in joints if TOPICS[state].resolve(joint) == actual]
-    return mine[0] if mine and len(joints) > 1 else ""
 
 
 def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
@@ -266,6 +265,11 @@ _COMPARED: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Topics that samples are made from -> the fields in which messages with one stamp must agree."""
 
+_MEASURED = (
+    ("measured_joint_states", "position", "position"), ("measured_joint_states", "effort", "effort"),
+    ("measured_external_torque", "wrench.torque.z", "torque about z"),
+)  # fmt: skip
+"""Topic, field and name of each validation signal."""
 _FIELDS = {"valve_state": ("voltage", "voltage", "voltage"), "pressure_state": ("pressure", "command", "pressure")}
 """Topic -> field of its message, its name and its quantity, for messages other than FluidPressure."""
 
@@ -302,14 +306,6 @@ def _samples(
     return pressure, next(columns[name] for name in STATE_TOPICS.values() if name in columns)
 
 
-def _measured(
-    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values
-) -> tuple[Floats | None, Floats | None]:
-    """Measured angle and torque at the sample stamps (N,), None where the topic has no such field."""
-    angle = _validation(bag, topic, samples, "position", topic.values("position"), convert)
-    return angle, _validation(bag, topic, samples, "effort", topic.values("effort"), convert)
-
-
 def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Floats:
     """The encoder's angle at the sample stamps (N,) [rad]; a filter input, so never interpolated or corrected."""
     stamp_ns = topic.arrival.stamp_ns
@@ -317,16 +313,6 @@ def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Flo
     if alone:
         bag.issues.append(Issue(f"{alone} angles on {topic.actual} belong to no sample: left out", "dropped", alone))
     return stamps.spread(samples, stamp_ns, topic.values("position"))
-
-
-_SHOWN = {"position": "angle (field position)", "effort": "torque (field effort)"}
-"""Fields of a JointState in words, for messages."""
-
-
-def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values) -> Floats | None:
-    """Torque from outside at the sample stamps (N,) [N m]."""
-    torque = np.asarray(topic.values("wrench.torque.z"), np.float64)
-    return _validation(bag, topic, samples, "torque about z", torque, convert)
 
 
 def _validation(
@@ -338,7 +324,8 @@ def _validation(
     rate) is interpolated, which is reported as an issue.
     """
     if not np.any(np.isfinite(values)):
-        bag.issues.append(f"{topic.actual} holds no {_SHOWN.get(what, what)}")
+        shown = {"position": "angle (field position)", "effort": "torque (field effort)"}.get(what, what)
+        bag.issues.append(f"{topic.actual} holds no {shown}")
         return None
     values = convert.of(topic.actual, what, "angle" if what == "position" else "torque", values)
     stamp_ns = topic.arrival.stamp_ns

@@ -64,8 +64,7 @@ def blocks(
         field = KINDS[kind][0]
         fields: dict[str, Any] = {**header, field: values, "variance": 0.0}
         if unit == "rad":
-            nothing = np.empty((size, 0))
-            fields = {**header, "name": [name], "position": values[:, None], "velocity": nothing, "effort": nothing}
+            fields = {**header, **joint_fields(name, size, {"position": values})}
         there = np.isfinite(values)
         matrix = encode(kind, size, fields)[there]
         out[Topic(name, f"{ALSO}{name}", kind, "")] = recording.stamp_ns[there], matrix
@@ -73,6 +72,14 @@ def blocks(
         columns = {**stamp, "frame_id": frame_id}
         out[EPISODE] = recording.episode_ns, encode(EPISODE.type, len(recording.episode_ns), columns)
     return out
+
+
+def joint_fields(
+    name: str, size: int, given: Mapping[str, Floats], there: NDArray[np.bool_] | slice = slice(None)
+) -> dict[str, Any]:
+    """Fields of JointState messages of one joint beside their headers; ``there`` are the samples with a message."""
+    nothing = dict.fromkeys(("position", "velocity", "effort"), np.empty((size, 0)))
+    return {"name": [name], **nothing, **{field: values[there, None] for field, values in given.items()}}
 
 
 def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[str] = ()) -> dict[str, FurtherSignal]:

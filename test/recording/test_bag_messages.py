@@ -1,4 +1,4 @@
-"""The definitions in Python against the .msg files, and the topic table."""
+"""The definitions of messages, and the topic table."""
 
 from __future__ import annotations
 
@@ -8,23 +8,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rosbags.typesys import get_types_from_msg
 
 from pam_antagonist.recording import TOPICS
-from pam_antagonist.recording.messages import DEFINITIONS, is_known, typestore
+from pam_antagonist.recording.messages import is_known, typestore
 from pam_antagonist.recording.topics import find_topic
 
-MSG = Path(__file__).parents[2] / "pam_antagonist_msgs" / "msg"
 VALVE = "pam_antagonist_msgs/msg/ValveCommand"
-
-
-def test_definitions_equal_the_msg_files() -> None:
-    files = {f"pam_antagonist_msgs/msg/{file.stem}": file for file in MSG.glob("*.msg")}
-    assert files.keys() == DEFINITIONS.keys()
-    for name, file in files.items():
-        theirs = get_types_from_msg(file.read_text(), name)[name]
-        ours = get_types_from_msg(DEFINITIONS[name], name)[name]
-        assert ours == theirs, f"{file.name} and messages.py differ"
 
 
 def test_valve_command_has_the_hash_of_existing_recordings(rig_a: Path) -> None:
