@@ -15,7 +15,7 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.estimator import considered, parameter_sets
 from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
+from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE
 from pam_antagonist.rig import Rig, load_rig
 
 RIG = load_rig("shin2022")
@@ -196,19 +196,3 @@ def test_eight_added_states_are_within_a_fifth_of_the_sample_period() -> None:
     print(f"{whole * 1e6:.0f} µs a sample, {bare * 1e6:.0f} µs of {count} bare Runge-Kutta steps")
     assert whole < 2.0 * bare
     assert whole < 0.2 * rig.sample_period
-
-
-def test_noise_of_the_outer_torque_is_the_rig_s() -> None:
-    """Its variance grows by σ² t: a filter that sees no pressure does nothing but that."""
-    sigma = 0.07
-    rig = RIG.replaced(effects={"external_torque": {"noise": sigma}})
-    path = parameter_path("external_torque", "noise")
-    assert rig.parameters()[par.INDEX[path]] == sigma
-    recording = trial(5.0, seed=11)
-    pressed = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
-    still = Estimator(rig.replaced(effects={"external_torque": {"noise": 1e-6}}))
-    calm = still.run(recording.stamp_ns, recording.pressure, recording.voltage)
-    # Without noise the state keeps what its first variance let it take; with it, it follows the recording.
-    assert np.std(np.diff(pressed.added["external_torque"][2000:])) > 3.0 * np.std(
-        np.diff(calm.added["external_torque"][2000:])
-    )
