@@ -46,12 +46,7 @@ def steady_open_rate(pressure: Floats, p: Floats) -> Floats:
     orifice areas nor polytropic indices (Proposition 1). The paper gets the same relation by simulating until the
     pressure is constant.
 
-    Args:
-        pressure: (K,) [Pa], between atmosphere and supply.
-        p: parameter vector (P,).
-
-    Returns:
-        α (K,) [-].
+    `pressure`: (K,) [Pa], between atmosphere and supply. Returns α (K,) [-].
     """
     inflow = np.array([flow.orifice_flow(p[par.SUPPLY], value, p) for value in pressure])
     outflow = np.array([flow.orifice_flow(value, p[par.ATMOSPHERE], p) for value in pressure])
