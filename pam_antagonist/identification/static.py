@@ -117,11 +117,9 @@ def work_out(
 ) -> StaticFits:
     """Fit static tables and put them into a rig.
 
-    Args:
-        muscles: which the tables hold for, 1, 2 or both.
-        form: of the force map, one of ``parameters.FORCE_FORMS``; default: the rig's, and for muscles of a data sheet
-            ``braided``, as in an identification.
-        length: muscle length at ψ = 0 [m] in place of the rig's; without a rig the nominal one. 0: not given.
+    `muscles`: which the tables hold for, 1, 2 or both. `form`: of the force map, one of ``parameters.FORCE_FORMS``;
+    default: the rig's, and for muscles of a data sheet ``braided``, as in an identification. `length`: muscle length at
+    ψ = 0 [m] in place of the rig's; without a rig the nominal one. 0: not given.
     """
     if length and rig is not None:
         rig = rig.replaced(geometry=rig.geometry.replaced(length=length))

@@ -198,11 +198,9 @@ def rms(errors: Sequence[float] | Floats) -> float:
 def fit(table: StaticTable, name: str, rest_length: float = 0.2, nominal: float = 0.0) -> StaticFit:
     """Fit a form to a table, to all of it and without each of its lengths.
 
-    Args:
-        name: of the form, a key of ``UNITS``.
-        rest_length: L_0 of the rig [m], from which the contraction k = 1 − l/L_0 counts.
-        nominal: length of the muscle without pressure and load [m], from which that of ``braided`` counts; 0: the
-            longest of the table. Inside the table it changes nothing, beyond its longest length much.
+    `name`: of the form, a key of ``UNITS``. `rest_length`: L_0 of the rig [m], from which the contraction k = 1 − l/L_0
+    counts. `nominal`: length of the muscle without pressure and load [m], from which that of ``braided`` counts; 0: the
+    longest of the table. Inside the table it changes nothing, beyond its longest length much.
     """
     if name == "braided":
         rest_length = nominal or float(table.length.max())

@@ -130,11 +130,9 @@ def read_force_map(
 ) -> StaticTable:
     """Read a table of length, pressure and force.
 
-    Args:
-        atmosphere: absolute pressure of the surroundings [Pa], which gauge pressures count from.
-        columns: by quantity, those that the user named; the others are found by their names.
-        reference: gauge or absolute, for a pressure whose column does not say it.
-        slack_below: largest force [N] that is taken for a slack muscle or for no measurement.
+    `atmosphere`: absolute pressure of the surroundings [Pa], which gauge pressures count from. `columns`: by quantity,
+    those that the user named; the others are found by their names. `reference`: gauge or absolute, for a pressure whose
+    column does not say it. `slack_below`: largest force [N] that is taken for a slack muscle or for no measurement.
     """
     table, labels = _read(path, ("length", "pressure", "force"), columns, reference, atmosphere)
     force = table.value

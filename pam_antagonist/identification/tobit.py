@@ -43,13 +43,10 @@ class Solution(NamedTuple):
 def solve(design: Floats, value: Floats, censored: Bools, spread: Floats, declared: bool, taken: int) -> Solution:
     """Most likely coefficients of value = design · coefficients + error.
 
-    Args:
-        design: (N, K).
-        value: measured values (N,); where censored, the limit below which the true value lies.
-        censored: which are known only to lie below (N,).
-        spread: standard deviation of each, or its ratio to the others' (N,).
-        declared: whether ``spread`` is known in the unit of the values; else its scale is estimated.
-        taken: degrees of freedom that were taken, by the coefficients and by others that were fitted outside.
+    `design`: (N, K). `value`: measured values (N,); where censored, the limit below which the true value lies.
+    `censored`: which are known only to lie below (N,). `spread`: standard deviation of each, or its ratio to the
+    others' (N,). `declared`: whether ``spread`` is known in the unit of the values; else its scale is estimated.
+    `taken`: degrees of freedom that were taken, by the coefficients and by others that were fitted outside.
     """
     measured, rows, values = ~censored, design / spread[:, None], value / spread
     count = int(measured.sum())
