@@ -60,7 +60,6 @@ NAVIGATION = {
         "pamy",
         "evidence/close_loop",
         "battery",
-        "rehearsals",
         "evidence/identification",
         "evidence/other_rigs",
         "evidence/peers",

@@ -1,12 +1,9 @@
 """Effects from the literature that no law of the catalogue can imitate, to try a search for laws on.
 
-They were written by another hand than the search. Where each sits, and what it depends on, stands in ``places``. What
-the catalogue leaves of them stands in ``LEFT``.
+They were written by another hand than the search. Where each sits, and what it depends on, stands in ``places``.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -89,20 +86,3 @@ FORMS: tuple[Form, ...] = (
     Form("eccentric code disc", "eccentric", False, _eccentric, "Sanchez-Brea and Morlanes (2008)"),
 )  # fmt: skip
 """Forms outside of every law."""
-LEFT: Mapping[str, tuple[float, float, str]] = {
-    "check valve between the chambers": (0.731, 0.506, "valve_offset"),
-    "relief valve": (0.738, 0.252, "pressure_sensor"),
-    "kinked hose": (0.618, 0.392, "valve_offset"),
-    "fold of the bladder": (0.535, 0.476, "supply_droop"),
-    "flow forces on the spool": (0.753, 0.164, "thermal"),
-    "coil with minor loops": (0.442, 0.240, "valve_play"),
-    "damping other one way": (0.954, 0.213, "creep"),
-    "spring that engages": (0.517, 0.392, "load_torque"),
-    "gauge behind a tube": (0.928, 0.517, "line_resistance"),
-    "multiplexer that remembers": (0.922, 0.814, "creep"),
-    "eccentric code disc": (0.148, 0.127, "creep"),
-}
-"""Shares of what a form does that base parameters leave, and with them the best law of the catalogue, and which it is.
-
-As the remainders of the other forms: 30 s without noise, a size of 8, both recordings, fitted at commit c47df4a.
-"""

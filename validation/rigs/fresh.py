@@ -37,38 +37,23 @@ _PLANT_STEP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Laboratory:
-    """A rig of a laboratory.
+    """A rig of a laboratory."""
 
-    Attributes:
-        name: of the rig, with what it is.
-        typed: the rig file, from ruler and data sheets.
-        fit: recordings for the identification.
-        held: recordings of another day.
-        truth: true values by name of the unknown; empty where the simulator has other laws.
-    """
-
-    name: str
-    typed: Rig
-    fit: Sequence[Recording]
-    held: Sequence[Recording]
-    truth: dict[str, float]
+    name: str  # of the rig, with what it is
+    typed: Rig  # the rig file, from ruler and data sheets
+    fit: Sequence[Recording]  # recordings for the identification
+    held: Sequence[Recording]  # recordings of another day
+    truth: dict[str, float]  # true values by name of the unknown; empty where the simulator has other laws
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How a laboratory records: what is drawn besides the values of the joint.
+    """How a laboratory records: what is drawn besides the values of the joint."""
 
-    Attributes:
-        regulators: in place of valves.
-        trials: short trials, each from rest, in place of a long recording.
-        period: of the log [s].
-        hysteresis: that nobody declared, as a share of a muscle's force.
-    """
-
-    regulators: bool
-    trials: bool
-    period: float
-    hysteresis: float
+    regulators: bool  # in place of valves
+    trials: bool  # short trials, each from rest, in place of a long recording
+    period: float  # of the log [s]
+    hysteresis: float  # that nobody declared, as a share of a muscle's force
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Kind:
@@ -148,15 +133,7 @@ def targets(rng: np.random.Generator, times: Floats, low: float, high: float) ->
 
 
 class Logged:
-    """What a laboratory logs of a simulated joint.
-
-    Args:
-        typed: the rig file.
-        period: of the simulation's rows [s].
-        every: the log has every so many rows.
-        zero: reading of the encoder at ψ = 0 [rad].
-        late: by how much the readings of the angle are late [s].
-    """
+    """What a laboratory logs of a simulated joint."""
 
     def __init__(self, typed: Rig, period: float, every: int, zero: float, late: float) -> None:
         self.typed, self.period, self.every, self.zero, self.late = typed, period, every, zero, late
@@ -164,14 +141,7 @@ class Logged:
     def recording(
         self, step: Callable[[Floats], tuple[Floats, float]], seconds: float, rng: np.random.Generator, name: str
     ) -> Recording:
-        """A recording.
-
-        Args:
-            step: of the simulated joint, by its commands (2,), to the readings of pressures [Pa] and angle [rad].
-            seconds: of the recording.
-            rng: for the motion.
-            name: of the recording.
-        """
+        """A recording."""
         typed = self.typed
         count = round(seconds / self.period / self.every) * self.every
         time: Floats = self.period * np.arange(1, count + 1, dtype=np.float64)
@@ -199,12 +169,7 @@ class Logged:
 
 
 def laboratory(seed: int, declared: bool = False) -> Laboratory:
-    """A fresh rig.
-
-    Args:
-        seed: of everything.
-        declared: whether there is nothing that nobody declared.
-    """
+    """A fresh rig."""
     rng = np.random.default_rng(seed)
     kind = Kind.drawn(rng)
     kind = replace(kind, hysteresis=0.0) if declared else kind
@@ -230,12 +195,7 @@ def laboratory(seed: int, declared: bool = False) -> Laboratory:
 
 
 def sets(recorded: Callable[[float, int], Recording], trials: bool) -> tuple[list[Recording], list[Recording]]:
-    """Recordings to fit, and of another day: trials of 10 s, or a long one.
-
-    Args:
-        recorded: makes one, of a length [s] and with a number.
-        trials: whether they are short.
-    """
+    """Recordings to fit, and of another day: trials of 10 s, or a long one."""
     if trials:
         return [recorded(10.0, k) for k in range(9)], [recorded(10.0, k) for k in range(100, 103)]
     return [recorded(60.0, 0)], [recorded(30.0, 100)]

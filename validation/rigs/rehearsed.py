@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.plant import Plant
 from pam_antagonist.strict_json import write_json
-from validation.rigs.judge import interval
+from validation.battery.scores import interval
 
 _DESCRIPTION = """\
 Commission twelve rigs of new_rig, unattended, each on a joint that is drawn from the priors of its file.
@@ -42,17 +41,6 @@ _SEED = 1
 """Of the sensors' noise."""
 
 
-@dataclass(frozen=True)
-class Described:
-    """What a laboratory types into ``new_rig``, beside the name.
-
-    Attributes:
-        name: of the rig.
-        words: options.
-    """
-
-    name: str
-    words: str
 
 
 def _valve(kind: str, muscle: str, valve: str, more: str) -> str:
@@ -66,37 +54,32 @@ def _regulator(kind: str, muscle: str, regulator: str, time: float, more: str) -
 _SMALL = "--radius 14mm --nominal-length 150mm --length 137mm --inertia 0.001 --mass 0.3kg"
 _USUAL = "--radius 25mm --nominal-length 300mm --length 272mm --inertia 0.02 --mass 1.5kg"
 _LARGE = "--radius 45mm --nominal-length 600mm --length 545mm --inertia 0.25 --mass 5kg"
-_DRUM = f"{_SMALL} --supply 7bar --stop 35deg --rate 100"
-_ARM = f"{_USUAL} --supply 6bar --stop 40deg --rate 100"
-_LEG = f"{_LARGE} --supply 8bar --stop 40deg --rate 100"
-DESCRIBED = (
-    Described("finger", _valve("pulley", "DMSP-10", "MPYE-5-M5", f"{_SMALL} --supply 7bar --stop 35deg --rate 500")),
-    Described("wrist", _valve("lever", "MAS-10", "shin2022", f"{_SMALL} --supply 6bar --stop 30deg --rate 1000")),
-    Described("elbow", _valve("pulley", "DMSP-20", "own --valve-flow 60",
-                              f"{_USUAL} --supply 6bar --stop 45deg --rate 200 --limb-mass 1kg --limb-distance 12cm "
-                              "--limb-hanging=-40deg")),
-    Described("bench", _valve("pulley", "MAS-20", "MPYE-5-1/8-LF", f"{_USUAL} --supply 6bar --stop none --rate 1000")),
-    Described("crank", _valve("lever", "DMSP-20", "MPYE-5-1/8-HF", f"{_USUAL} --supply 6bar --stop 30deg --rate 500")),
-    Described("knee", _valve("pulley", "DMSP-40", "MPYE-5-1/4", f"{_LARGE} --supply 6bar --stop 40deg --rate 250")),
-    Described("hip", _valve("lever", "MAS-40", "MPYE-5-3/8", f"{_LARGE} --supply 6bar --stop none --rate 500")),
-    Described("drum", _regulator("pulley", "DMSP-10", "VEAA-D9", 0.08, _DRUM)),
-    Described("hand", _regulator("lever", "MAS-10", "ITV1050", 0.15, f"{_SMALL} --supply 8bar --stop none --rate 50")),
-    Described("arm", _regulator("pulley", "DMSP-20", "VPPM-0L6H", 0.1, _ARM)),
-    Described("crane", _regulator("lever", "MAS-20", "ITV2050", 0.2, f"{_USUAL} --supply 7bar --stop 30deg --rate 50")),
-    Described("leg", _regulator("pulley", "DMSP-40", "VEAA-D11", 0.25, _LEG)),
-)  # fmt: skip
-"""Every muscle and valve of the lists, levers and pulleys, with and without a stop, valves and regulators."""
+_LIMB = "--limb-mass 1kg --limb-distance 12cm --limb-hanging=-40deg"
+DESCRIBED = {
+    "finger": _valve("pulley", "DMSP-10", "MPYE-5-M5", f"{_SMALL} --supply 7bar --stop 35deg --rate 500"),
+    "wrist": _valve("lever", "MAS-10", "shin2022", f"{_SMALL} --supply 6bar --stop 30deg --rate 1000"),
+    "elbow": _valve("pulley", "DMSP-20", "own --valve-flow 60",
+                    f"{_USUAL} --supply 6bar --stop 45deg --rate 200 {_LIMB}"),
+    "bench": _valve("pulley", "MAS-20", "MPYE-5-1/8-LF", f"{_USUAL} --supply 6bar --stop none --rate 1000"),
+    "crank": _valve("lever", "DMSP-20", "MPYE-5-1/8-HF", f"{_USUAL} --supply 6bar --stop 30deg --rate 500"),
+    "knee": _valve("pulley", "DMSP-40", "MPYE-5-1/4", f"{_LARGE} --supply 6bar --stop 40deg --rate 250"),
+    "hip": _valve("lever", "MAS-40", "MPYE-5-3/8", f"{_LARGE} --supply 6bar --stop none --rate 500"),
+    "drum": _regulator("pulley", "DMSP-10", "VEAA-D9", 0.08, f"{_SMALL} --supply 7bar --stop 35deg --rate 100"),
+    "hand": _regulator("lever", "MAS-10", "ITV1050", 0.15, f"{_SMALL} --supply 8bar --stop none --rate 50"),
+    "arm": _regulator("pulley", "DMSP-20", "VPPM-0L6H", 0.1, f"{_USUAL} --supply 6bar --stop 40deg --rate 100"),
+    "crane": _regulator("lever", "MAS-20", "ITV2050", 0.2, f"{_USUAL} --supply 7bar --stop 30deg --rate 50"),
+    "leg": _regulator("pulley", "DMSP-40", "VEAA-D11", 0.25, f"{_LARGE} --supply 8bar --stop 40deg --rate 100"),
+}  # fmt: skip
+"""What a laboratory types into ``new_rig`` beside the name.
+
+Every muscle and valve of the lists, levers and pulleys, with and without a stop, valves and regulators.
+"""
 
 
-def written(described: Described, path: Path) -> Rig:
-    """Type a description into ``new_rig``.
-
-    Args:
-        described: the rig.
-        path: new file.
-    """
-    if new_rig.main(["--out", str(path), "--name", described.name, *described.words.split()]) != 0:
-        raise BadInput(f"{described.name}: new_rig refuses it")
+def written(name: str, path: Path) -> Rig:
+    """Type a description into ``new_rig``."""
+    if new_rig.main(["--out", str(path), "--name", name, *DESCRIBED[name].split()]) != 0:
+        raise BadInput(f"{name}: new_rig refuses it")
     return load_rig(path, regulators=True)
 
 
@@ -111,20 +94,15 @@ def parser() -> common.Parser:
     return out
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
-
-
 def _main(arguments: argparse.Namespace) -> int:
     found = []
     for draw in arguments.seed or [0]:
-        for number, described in enumerate(DESCRIBED):
-            if arguments.rig and described.name not in arguments.rig:
+        for number, name in enumerate(DESCRIBED):
+            if arguments.rig and name not in arguments.rig:
                 continue
-            folder = arguments.out / f"{described.name}_{draw}"
+            folder = arguments.out / f"{name}_{draw}"
             if not (folder / "outcome.json").exists():
-                outcome = {"draw": draw, **rehearsed(described, len(DESCRIBED) * draw + number, folder)}
+                outcome = {"draw": draw, **rehearsed(name, len(DESCRIBED) * draw + number, folder)}
                 write_json(folder / "outcome.json", outcome)
             found.append(json.loads((folder / "outcome.json").read_text(encoding="utf-8")))
     if arguments.docs is not None:
@@ -133,23 +111,17 @@ def _main(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-def rehearsed(described: Described, seed: int, folder: Path) -> dict[str, Any]:
-    """Commission a rig, and what came of it.
-
-    Args:
-        described: the rig.
-        seed: of the joint.
-        folder: of the rehearsal.
-    """
+def rehearsed(name: str, seed: int, folder: Path) -> dict[str, Any]:
+    """Commission a rig, and what came of it."""
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "truth.yaml").exists():
-        write_rig(drawn(written(described, folder / "rig.yaml"), seed), folder / "truth.yaml")
+        write_rig(drawn(written(name, folder / "rig.yaml"), seed), folder / "truth.yaml")
     out = folder / "commissioned"
     given = ["--rig", str(folder / "rig.yaml"), "--plant", str(folder / "truth.yaml"), "--out", str(out)]
     status = commission.main([*given, "--mismatch", "0", "--source", "rehearsal", "--unattended"])
     steps = json.loads((out / "state.json").read_text(encoding="utf-8"))["steps"]
     outcome = {
-        "rig": described.name,
+        "rig": name,
         "status": status,
         "said": next(
             (step["said"] for step in steps.values() if not step["done"]), steps.get("identify", {}).get("said", "")
@@ -172,11 +144,7 @@ def _beyond(out: Path) -> float:
 
 
 def controlled(folder: Path) -> dict[str, Any]:
-    """Steps of the angle, as a demo asks for them, on the joint with the rig and the gains that came out.
-
-    Args:
-        folder: of the rehearsal.
-    """
+    """Steps of the angle, as a demo asks for them, on the joint with the rig and the gains that came out."""
     rig, joint = (
         load_rig(folder / name, regulators=True) for name in (Path("commissioned", "rig.yaml"), Path("truth.yaml"))
     )
@@ -192,11 +160,7 @@ def controlled(folder: Path) -> dict[str, Any]:
 
 
 def table(found: Sequence[dict[str, Any]]) -> Table:
-    """A row a rig and draw.
-
-    Args:
-        found: outcomes.
-    """
+    """A row a rig and draw."""
     rows = []
     for one in found:
         error, allowed = (f"{one[name]:.2f}" if name in one else "-" for name in ("angle_error_deg", "allowed_deg"))
@@ -209,15 +173,14 @@ def table(found: Sequence[dict[str, Any]]) -> Table:
 
 
 def summary(found: Sequence[dict[str, Any]]) -> str:
-    """How many came to the end and held their angles, and why the others did not.
-
-    Args:
-        found: outcomes.
-    """
+    """How many came to the end and held their angles, and why the others did not."""
     ended = [one for one in found if one["status"] == common.DONE]
     held = [one for one in ended if one["angle_error_deg"] <= one["allowed_deg"]]
-    low, high = interval(len(held), len(found))
+    low, high = interval(len(held), len(found)) or (0.0, 1.0)
     said = [f"{len(ended)} of {len(found)} come to the end, {len(held)} hold their angles within what is allowed: "
             f"{len(held) / len(found):.0%}, by Clopper and Pearson {low:.0%} to {high:.0%} (95 %)."]  # fmt: skip
     said += [f"{one['rig']}, draw {one['draw']}: {one['said']}" for one in found if one not in ended]
     return "\n".join(said)
+
+
+main = common.command(parser, _main)
