@@ -53,6 +53,7 @@ NAVIGATION = {
         "explanation/control",
         "explanation/identification",
         "explanation/close_loop",
+        "explanation/look_alike",
         "architecture",
     ],
     "Evidence": [

@@ -12,6 +12,7 @@ COMMANDS: dict[str, Command] = {
     "battery": Command("validation.battery.command:main", "measure how often close_loop is right, on simulated joints"),
     "oracle": Command("validation.oracle:main", "run close_loop on cases whose answer is frozen, say what got worse"),
     "peers": Command("validation.peers.command:main", "compare ours with soft sensors, other filters and fitted laws"),
+    "ambiguity": Command("validation.ambiguity:main", "show which missing effects look alike, on simulated joints"),
     "rehearse_new_rigs": Command(
         "validation.rigs.rehearsed:main",
         "run commission on twelve rigs of new_rig and joints drawn from their priors",

@@ -17,7 +17,7 @@ from pam_antagonist.model import parameters as par
 from validation.paper import control, estimates, linear, model, muscles
 from validation.paper.command import main
 from validation.paper.experiments import EXPERIMENTS, Done
-from validation.paper.page import beside
+from validation.paper.page import beside, write
 from validation.paper.virtual import EXACT, START, Mismatch, VirtualRig
 
 
@@ -130,8 +130,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_page_pictures_and_numbers_are_written(written: Path) -> None:
-    assert sorted(path.name for path in written.iterdir()) == ["paper", "paper.md", "report.json"]
+def test_page_and_numbers_are_written(written: Path) -> None:
+    assert sorted(path.name for path in written.iterdir()) == ["paper.md", "report.json"]
     report = json.loads((written / "report.json").read_text(encoding="utf-8"))
     assert list(report["experiments"]) == ["static", "influence"] and report["seeds"] == [7, 8, 9]
     static = report["experiments"]["static"]
@@ -141,11 +141,11 @@ def test_page_pictures_and_numbers_are_written(written: Path) -> None:
     assert row["what"] == "fitted map" and row["min"] <= row["median"] <= row["max"] and row["paper"] is None
     text = (written / "paper.md").read_text(encoding="utf-8")
     assert "## Static characteristics" in text and "| fitted map |" in text and "## Proposition 1" in text
-    shown = re.findall(r"^!\[.+\]\((.+)\)$", text, re.MULTILINE)
-    assert shown and all((written / place).read_bytes().startswith(b"\x89PNG") for place in shown)
 
 
-def test_every_row_of_the_table_is_a_number_that_its_experiment_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_row_of_the_table_is_a_number_that_its_experiment_gives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import pandas as pd
 
     short = VirtualRig(0, seconds=70.0)
@@ -155,6 +155,11 @@ def test_every_row_of_the_table_is_a_number_that_its_experiment_gives(monkeypatc
     table = beside(Done([0], {"offline": values}, {}), "offline")
     assert table.rows[0][0] == "angle, model alone, 𝕀, 𝕄, ℚ" and table.rows[0][2] == "1.053°, 3.5°, 8.87 %"
     assert len(EXPERIMENTS["offline"].said(values)) == 2
+    done = Done([0], {"offline": values}, {})
+    monkeypatch.setattr("validation.paper.page.VirtualRig", lambda seed: short)
+    write(done, tmp_path, with_figures=True)
+    shown = re.findall(r"^!\[.+\]\((.+)\)$", (tmp_path / "paper.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(shown) == 3 and all((tmp_path / place).read_bytes().startswith(b"\x89PNG") for place in shown)
 
 
 @pytest.mark.ros

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,10 +93,11 @@ def each(muscle: int | None, change: Change) -> Change:
     return changed
 
 
+def remembered(values: Floats, rule: Callable[[float, float], float]) -> Floats:
+    """A signal with a memory: what it held and each value in turn give what it holds then."""
+    return np.array(list(accumulate(values.tolist(), rule)))
+
+
 def played(values: Floats, half: float) -> Floats:
     """Play: the output stands until the input has moved by `half` either way."""
-    out, held = np.empty(len(values)), float(values[0])
-    for k, value in enumerate(values.tolist()):
-        held = min(max(held, value - half), value + half)
-        out[k] = held
-    return out
+    return remembered(values, lambda held, value: min(max(held, value - half), value + half))

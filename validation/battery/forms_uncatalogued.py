@@ -7,7 +7,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from validation.battery.form import Deviation, Floats, Form, Make, Random, each, named, plain, played, sides, sign
+from validation.battery.form import (
+    Deviation,
+    Floats,
+    Form,
+    Make,
+    Random,
+    each,
+    named,
+    plain,
+    played,
+    remembered,
+    sides,
+    sign,
+)
 
 
 def _on_a_side(name: str, unit: float, way: str = "way", **others: tuple[float, float]) -> Make:
@@ -40,12 +53,8 @@ def _gauge_tube(amount: float, muscle: int | None, rng: Random) -> Deviation:
     slow = amount * 1e-2
 
     def late(time: Floats, pressure: Floats) -> Floats:
-        step = float(time[1] - time[0])
-        out, held = np.empty(len(pressure)), float(pressure[0])
-        for k, value in enumerate(pressure.tolist()):
-            held += (value - held) * min(step / slow * (held / 450e3) ** 2, 1.0)
-            out[k] = held
-        return out
+        rate = float(time[1] - time[0]) / slow
+        return remembered(pressure, lambda held, p: held + (p - held) * min(rate * (held / 450e3) ** 2, 1.0))
 
     return Deviation(pressure=each(muscle, late))
 

@@ -167,7 +167,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         "line at each length (6), then slope and intercept against length (7). Errors are the largest of three points.",
         (Row("fitted map", "N", None, "Hysteresis averages out: both ways are measured. The paper shows a picture."),
          Row("declared map", "N", None, "The declared mismatch: a force map is off by 2 % as a whole, about 1 N.")),
-        muscles.static, figures=figures.static,
+        muscles.static,
     ),
     "kappa": Experiment(
         "The valve curve κ(u)",
@@ -187,7 +187,7 @@ EXPERIMENTS: dict[str, Experiment] = {
          Row("lowest pressure", "kPa", 200.0, "Set by voltage, so it depends on the rig's valves."),
          Row("highest pressure", "kPa", 700.0, "Bounded by the supply: 710 kPa, 2 % off here."),
          Row("subsystems visited, of 18", "-", None, "The paper names 18 and does not say which its run visits.")),
-        model.profile, figures=figures.profile,
+        model.profile,
     ),
     "offline": Experiment(
         "Offline estimation",

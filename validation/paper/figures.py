@@ -14,7 +14,6 @@ from pam_antagonist.control import PI_MODES
 from pam_antagonist.estimation import metrics
 from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
 from validation.paper import control as loop
-from validation.paper import muscles
 from validation.paper.estimates import LABELS, MODELS
 from validation.paper.virtual import JOINT, TUNINGS, UNITS, Floats, VirtualRig, measured_of
 
@@ -30,43 +29,6 @@ def _panels(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
 
 def _time(rig: VirtualRig, count: int) -> Floats:
     return np.asarray(np.arange(count) * rig.declared.sample_period)
-
-
-def static(rig: VirtualRig, values: pd.DataFrame) -> dict[str, Figure]:
-    """Force against pressure at each length with its line (6), slope and intercept against length (7), muscle 1."""
-    test = muscles.static_test(rig, 1)
-    figure, ((force, slope, rest),) = _panels(1, 3, 3.2)
-    found = []
-    for group in range(test.lengths):
-        inside = test.group == group
-        pressure, length = test.pressure[inside] / 1e3, 1e3 * test.length[inside].mean()
-        v, w = np.polyfit(pressure, test.value[inside], 1)
-        force.plot(pressure, test.value[inside], ".", color=MEASURED, markersize=3)
-        force.plot(pressure, v * pressure + w, label=f"{length:.1f} mm")
-        found.append((length, v * 1e3, w))
-    lengths, slopes, rests = np.array(found).T
-    for axes, line, name in ((slope, slopes, "v [N/MPa]"), (rest, rests, "w [N]")):
-        axes.plot(lengths, line, "o", color=MODEL)
-        axes.plot(lengths, np.polyval(np.polyfit(lengths, line, 1), lengths), color=ESTIMATE)
-        axes.set(xlabel="l [mm]", ylabel=name)
-    force.set(xlabel="P [kPa abs]", ylabel="F [N]")
-    force.legend(fontsize=7)
-    return {"muscle_1": figure}
-
-
-def profile(rig: VirtualRig, values: pd.DataFrame) -> dict[str, Figure]:
-    """Voltages of the profile, the pressures that they make, and the subsystem that is active."""
-    figure, ((voltages,), (pressures,), (sigma,)) = _panels(3, 1, 5.5)
-    x = _time(rig, len(rig.voltage))[::_EVERY]
-    for i, color in enumerate((MEASURED, SECOND)):
-        voltages.plot(x, rig.voltage[::_EVERY, i], color=color, label=f"muscle {i + 1}")
-        pressures.plot(x, rig.free.pressure[::_EVERY, i] / 1e3, color=color)
-    sigma.plot(x, rig.run(rig.voltage)[2][::_EVERY], ".", color=MODEL, markersize=2)
-    for axes, name in ((voltages, "u [V]"), (pressures, "P [kPa abs]"), (sigma, "σ")):
-        axes.set_ylabel(name)
-    voltages.legend(ncols=2)
-    sigma.set_xlabel("Time [s]")
-    return {"": figure}
 
 
 def _spreads(axes: Any, values: pd.DataFrame, rows: Sequence[tuple[str, str]]) -> None:

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pam_antagonist.identification.valve_curve import steady_open_rate, steady_points, valve_curve
+from pam_antagonist.identification.valve_curve import steady_points, valve_curve
 from pam_antagonist.model import equilibrium, flow, integration
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.schema import Curve
 from pam_antagonist.simulation.excitation import Span
 from validation.paper.virtual import START, Floats, VirtualRig
 
@@ -47,20 +46,6 @@ def kappa(rig: VirtualRig) -> dict[str, float]:
             errors["declared"].append(abs(flow.open_rate(valve, voltage, p) - true))
     return {f"error of the {name} open rate, {word}": float(pick(values)) for name, values in errors.items()
             for word, pick in (("median", np.median), ("largest", np.max))}  # fmt: skip
-
-
-def step_one(rig: VirtualRig) -> float:
-    """Largest difference between simulated steady pressures' open rates and the closed form of (5)."""
-    straight = rig.declared.valve_1.replaced(curve=Curve(voltage=(0.0, 10.0), open_rate=(0.0, 1.0)))
-    p = rig.declared.replaced(valve_1=straight, valve_2=straight).parameters("locked")
-    rates = np.linspace(0.2, 0.8, 13)
-    pressures = []
-    for rate in rates:
-        voltage = np.full((round(60.0 / rig.declared.sample_period), 2), 10.0 * rate)
-        start = equilibrium.initial_state(0.0, *START, voltage[0], p)
-        pressures.append(integration.course(start, voltage, p, rig.declared.sample_period, 1)[0][-1, 2])
-    closed = steady_open_rate(np.array(pressures), rig.declared.parameters("locked"))
-    return float(np.max(np.abs(closed - rates)))
 
 
 class Response(NamedTuple):
