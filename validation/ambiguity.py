@@ -89,6 +89,7 @@ def shown(law: Law | None, joint: str) -> Floats:
             (Path(folder) / "rig.yaml").write_text(law.rig(), encoding="utf-8")
             rig = load_rig(Path(folder) / "rig.yaml")
     found = simulate(rig, duration=_SECONDS, joint=joint, seed=_SEED, noise=False)
+    assert found.angle is not None and found.torque is not None  # a simulated joint has both
     sensors = rig.sensors
     columns = {"angle": (found.angle, sensors.angle_std), "torque": (found.torque, sensors.torque_std),
                **{f"pressure {i + 1}": (found.pressure[:, i], sensors.pressure_std) for i in (0, 1)}}  # fmt: skip
