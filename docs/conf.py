@@ -59,6 +59,7 @@ NAVIGATION = {
         "explanation/control",
         "explanation/identification",
         "explanation/close_loop",
+        "explanation/look_alike",
         "architecture",
     ],
     "Evidence": [
@@ -66,7 +67,6 @@ NAVIGATION = {
         "pamy",
         "evidence/close_loop",
         "battery",
-        "rehearsals",
         "evidence/identification",
         "evidence/other_rigs",
         "evidence/peers",

@@ -1,4 +1,4 @@
-"""Location of the package's data files: rigs, scenarios, node parameters."""
+"""Location of the package's data files: rigs, maps, node parameters."""
 
 from __future__ import annotations
 

@@ -21,7 +21,6 @@ USUAL = {
     "battery": "--out {out}",
     "paper": "--out {out}",
     "benchmark": "",
-    "control_laws": "",
 }
 REFUSED = {
     "simulate": [
@@ -80,19 +79,10 @@ REFUSED = {
         ("--only static --seeds 0", "--seeds: '0': expected"),
         ("--only static --seed -1", "--seed: '-1': expected"),
         ("--only static --jobs 0", "--jobs: '0': expected"),
-        ("--only compare_torque --force-map no_such.csv", "no_such.csv"),
     ],
-    "benchmark": [
-        ("--soak 3", "--soak 3: expected seconds from 15 to 86400"),
-        ("--soak nan", "--soak nan: expected seconds"),
-        ("--soak 60 --only kernels", "--soak and --only"),
-    ],
-    "control_laws": [
-        (f"{option} 0", f"{option}: '0': expected a whole number from 1 to")
-        for option in ("--seeds", "--references", "--jobs")
-    ],
+    "benchmark": [("--only soak", "invalid choice: 'soak'"), ("--rig no_such.yaml", "no_such.yaml")],
 }
-NEED_ROS = {"demo": "rclpy", "benchmark": "rclpy"}
+NEED_ROS = {"demo": "rclpy"}
 
 
 @pytest.mark.parametrize(
