@@ -11,6 +11,7 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.diagnosis.learned_law import with_laws
+from pam_antagonist.diagnosis.preparation import Settings
 from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import is_for
@@ -93,7 +94,8 @@ def diagnose(
     hashes = tuple(recording_hash(one) for one in every)
     if are_trials(every, chosen):
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
-        found = _from_pressures(given, chosen, holdout, seed, jobs, progress, len(kept))
+        settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or _silent, False, False, Checkpoint())
+        found = _from_pressures(given, chosen, settings, len(kept))
         return PressuresDiagnoseResult(chosen, found, hashes)
     if are_episodes(every, chosen):
         if len(fitted) > 1 or len(kept) > 1:

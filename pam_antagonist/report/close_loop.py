@@ -12,7 +12,6 @@ from typing_extensions import override
 from pam_antagonist.diagnosis import FoundEffect
 from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 from pam_antagonist.diagnosis.errors import ModelErrors
-from pam_antagonist.diagnosis.from_pressures import Tried
 from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
@@ -98,7 +97,7 @@ class DiagnoseResult(ClosedLoop, Result):
         return effects_frame(self.effects)
 
 
-def effects_frame(effects: Sequence[FoundEffect | Tried]) -> DataFrame:
+def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
     """A row for each parameter of each effect."""
     rows = [
         (effect.name, effect.muscle, name, value, std, unit, effect.delta_bic)

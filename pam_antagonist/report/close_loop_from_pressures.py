@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.from_pressures import LEAST_GAIN, FoundFromPressures, Tried
+from pam_antagonist.diagnosis import FoundEffect, thresholds
+from pam_antagonist.diagnosis.description import in_words
+from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Place
 from pam_antagonist.identification.from_pressures import CLEAR
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report.close_loop import effects_frame
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.identify import held_out_figures
@@ -35,8 +36,8 @@ def sentence(found: FoundFromPressures) -> str:
     """The verdict in words."""
     now = found.proposed
     before = found.recalibrated.pooled("as_configured")
-    if found.taken:
-        what = "; ".join(map(_in_words, found.taken))
+    if found.effects:
+        what = "; ".join(_in_words(*item) for item in found.effects)
         out = what[0].upper() + what[1:] + "."
     elif found.unexplained:
         out = f"No effect of the catalogue explains what is left in {' and in '.join(found.unexplained)}."
@@ -50,9 +51,9 @@ def sentence(found: FoundFromPressures) -> str:
     return f"{out} The filter's angle error on held-out data {change} from {number(before)}° to {number(after)}°."
 
 
-def _in_words(item: Tried) -> str:
-    words = CATALOGUE[item.name].in_words(item.muscle, {k: v for k, (v, _, _) in item.parameters.items()})
-    return f"{words}, which removes {percent(item.gain)} of the squared error of {item.place} on held-out data"
+def _in_words(place: Place, effect: FoundEffect) -> str:
+    share = percent(effect.holdout_gain or 0.0)
+    return f"{in_words(effect, False)}, which explains {share} of the excess over noise of {place} on held-out data"
 
 
 def _errors(found: FoundFromPressures) -> Table:
@@ -68,18 +69,26 @@ def _errors(found: FoundFromPressures) -> Table:
 
 
 def _effects(found: FoundFromPressures) -> Table:
+    taken = {effect.name for _, effect in found.effects}
     rows = tuple(
         (
-            item.name if item.muscle is None else f"{item.name}, muscle {item.muscle}", item.place,
-            percent(item.gain), number(item.delta_bic), "taken" if item in found.taken else "",
+            item.effect,
+            place,
+            percent(None if item.shares is None else item.shares[0]),
+            number(item.delta_bic),
+            number(item.held_out_evidence),
+            "taken" if item.effect in taken else "",
         )
-        for item in found.tried[:_SHOWN]
-    )  # fmt: skip
-    caption = f"An effect is taken if it removes {percent(LEAST_GAIN)} of the held-out squared error or more."
-    return Table(("Effect", "acts on", "removes", "ΔBIC", ""), rows, caption)
+        for place, item in found.tried[:_SHOWN]
+    )
+    caption = (
+        f"An effect is taken if its held-out evidence is {number(thresholds.STRONG)} or more, both together "
+        f"{number(thresholds.TAKEN)}, and if it explains enough of the excess over noise."
+    )
+    return Table(("Effect", "acts on", "explains, held-out", "ΔBIC", "held-out evidence", ""), rows, caption)
 
 
-def _values(item: Tried) -> Table:
+def _values(item: FoundEffect) -> Table:
     rows = tuple(
         (f"{item.name}: {name} [{shown.name}]", number(value * shown.scale), number(std * shown.scale, 2))
         for name, (value, std, unit) in item.parameters.items()
@@ -111,9 +120,9 @@ class PressuresDiagnoseResult(Result):
         return sentence(self.found)
 
     @property
-    def effects(self) -> tuple[Tried, ...]:
+    def effects(self) -> tuple[FoundEffect, ...]:
         """The detected effects."""
-        return self.found.taken
+        return tuple(effect for _, effect in self.found.effects)
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
@@ -143,6 +152,7 @@ class PressuresDiagnoseResult(Result):
     def to_json(self) -> dict[str, Any]:
         base, best = self.found.recalibrated, self.found.extended or self.found.recalibrated
         values, stds = base.final[0].values, base.final[0].stds
+        muscles = {effect.name: effect.muscle for effect in self.effects}
         three = {
             "as_configured": (base, "as_configured"), "recalibrated": (base, "identified"),
             "extended": (best, "identified"),
@@ -154,13 +164,14 @@ class PressuresDiagnoseResult(Result):
                 {
                     "name": item.name,
                     "muscle": item.muscle,
-                    "place": item.place,
-                    "parameters": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in item.parameters.items()},
+                    "place": place,
+                    "parameters": {name: size.to_json() for name, size in item.parameters.items()},
                     "delta_bic": item.delta_bic,
-                    "holdout_gain": item.gain,
+                    "holdout_gain": item.holdout_gain,
                     "onset_s": None,
+                    "splits": item.splits,
                 }
-                for item in self.effects
+                for place, item in self.found.effects
             ],
             "ambiguous_with": self.ambiguous_with,
             "calibration": [
@@ -174,9 +185,10 @@ class PressuresDiagnoseResult(Result):
             "errors": {name: _model_errors(one, rig) for name, (one, rig) in three.items()},
             "filter_errors_deg": {name: one.pooled(rig) for name, (one, rig) in three.items()},
             "candidates": [
-                {"name": item.name, "muscle": item.muscle, "place": item.place, "holdout_gain": item.gain,
-                 "delta_bic": item.delta_bic}
-                for item in self.found.tried
+                {"name": item.effect, "muscle": muscles.get(item.effect), "place": place, "round": item.round,
+                 "holdout_gain": None if item.shares is None else item.shares[0], "delta_bic": item.delta_bic,
+                 "held_out_evidence": item.held_out_evidence}
+                for place, item in self.found.tried
             ],
             "unexplained": self.found.unexplained,
             "next_rig": self.next_rig,
@@ -190,7 +202,8 @@ class PressuresDiagnoseResult(Result):
         items = [note(text) for text in (found.extended or found.recalibrated).notes]
         if found.ambiguous_with:
             items.append(warn(f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
-        for place in found.unexplained if found.taken else ():
+        items += [warn(text) for one in found.judged for text in one.warnings]
+        for place in found.unexplained if found.effects else ():
             items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
         remarks = (Findings(tuple(items)),) if items else ()
         return Text(self.sentence, "verdict"), *remarks, _errors(found), _effects(found)
@@ -200,7 +213,7 @@ class PressuresDiagnoseResult(Result):
         found, rig, best = self.found, self.start.name, self.found.proposed
         was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
         now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
-        names = ", ".join(item.name for item in found.taken)
+        names = ", ".join(item.name for item in self.effects)
         tiles = Tiles((Tile("verdict", self.verdict, names), Tile("angle, held-out", now, was)))
         verdict, *rest = self.blocks()
         held = (found.extended or found.recalibrated).held if figures else ()
@@ -209,7 +222,7 @@ class PressuresDiagnoseResult(Result):
         lede = Text(f"Rig {rig}: which effect its model lacks.", "lede")
         return Document(
             "Closing the loop with measured data", rig,
-            (lede, verdict, tiles, *rest, *map(_values, found.taken), *drawn, *ends),
+            (lede, verdict, tiles, *rest, *map(_values, self.effects), *drawn, *ends),
         )  # fmt: skip
 
     def to_dataframe(self) -> DataFrame:
