@@ -13,13 +13,13 @@ import numpy as np
 from pam_antagonist.api.check import CheckResult
 from pam_antagonist.api.identify import IdentifyResult
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.identified import unit_of_unknown
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.identification.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.report.history import FORCE, HistoryResult, Limit, values_of
-from pam_antagonist.report.identify import unit_of_unknown
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.logbook import Entry, Span, append, book_of, identity, measured, read
