@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from functools import partial
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
-from pam_antagonist.diagnosis import Diagnosis
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
@@ -23,6 +21,7 @@ from pam_antagonist.report.close_loop import DiagnoseResult
 from pam_antagonist.report.close_loop_from_pressures import PressuresDiagnoseResult
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.rig import Rig, as_rig
+from pam_antagonist.shown import widened
 
 __all__ = [
     "DiagnoseResult",
@@ -114,8 +113,9 @@ def diagnose(
         profiles=profiles, estimator=estimator, store=store,
     )  # fmt: skip
     diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or _silent)
-    return DiagnoseResult(
-        **{item.name: getattr(diagnosis, item.name) for item in fields(Diagnosis)},
+    return widened(
+        DiagnoseResult,
+        diagnosis,
         start=chosen,
         hashes=hashes,
         seed=seed,
