@@ -152,15 +152,7 @@ def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> in
 
 
 def round_trips(recording: Recording, first: int, last: int) -> tuple[Stamps, NDArray[np.float64]]:
-    """Time from pressure to command of each sample with both, as in :class:`Latency`.
-
-    Args:
-        first: stamp of the first sample that counts [ns].
-        last: stamp of the last sample that counts [ns].
-
-    Returns:
-        Stamps (N,) [ns], and the times (N,) [ms].
-    """
+    """Stamps (N,) [ns] of the samples that count, and their times from pressure to command (N,) [ms]."""
     arrivals = _arrivals(recording)
     pressure, command = arrivals[_stages(recording)[0]], arrivals["valve_command"]
     stamp, one, two = np.intersect1d(pressure.stamp_ns, command.stamp_ns, return_indices=True)
