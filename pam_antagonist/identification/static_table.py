@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.tobit import Bools, Floats, Observations
+from pam_antagonist.identification.tobit import Bools, Floats
 from pam_antagonist.recording.csv_map import Delimiter, Layout
 from pam_antagonist.recording.csv_table import Table, read_table
 from pam_antagonist.recording.csv_text import Line, Lines, check_file, opened, split
@@ -92,9 +92,9 @@ class StaticTable:
         return int(self.group.max()) + 1 if len(self) else 0
 
     @property
-    def seen(self) -> Observations:
-        """The values, of which slack ones are only known not to be above the limit."""
-        return Observations(np.where(self.slack, self.limit, self.value), self.slack, self.spread, self.declared)
+    def aim(self) -> Floats:
+        """What is known of each value (N,): the measured one, or of a slack muscle the limit that it is not above."""
+        return np.where(self.slack, self.limit, self.value)
 
     def part(self, keep: Bools) -> StaticTable:
         """The rows of a mask (N,), lengths numbered anew."""
@@ -130,11 +130,9 @@ def read_force_map(
 ) -> StaticTable:
     """Read a table of length, pressure and force.
 
-    Args:
-        atmosphere: absolute pressure of the surroundings [Pa], which gauge pressures count from.
-        columns: by quantity, those that the user named; the others are found by their names.
-        reference: gauge or absolute, for a pressure whose column does not say it.
-        slack_below: largest force [N] that is taken for a slack muscle or for no measurement.
+    `atmosphere`: absolute pressure of the surroundings [Pa], which gauge pressures count from. `columns`: by quantity,
+    those that the user named; the others are found by their names. `reference`: gauge or absolute, for a pressure whose
+    column does not say it. `slack_below`: largest force [N] that is taken for a slack muscle or for no measurement.
     """
     table, labels = _read(path, ("length", "pressure", "force"), columns, reference, atmosphere)
     force = table.value
