@@ -96,6 +96,8 @@ JOINT = Parameter("joint", "free", choices=("free", "locked")).about("whether th
 LOCK_ANGLE = Parameter("lock_angle", 0.0, -1.6, 1.6).about("angle at which a locked joint is held [rad]")
 JOINT_NAME = Parameter("joint_name", "joint", solid=True).about("name of the joint in messages and diagnostics")
 FRAME = Parameter("frame_id", "joint").about("frame of the joint in the messages")
+SIMULATED_JOINT = (RIG, JOINT, LOCK_ANGLE, JOINT_NAME, FRAME)
+"""Parameters of a node that knows the equations of the joint."""
 SAFE_VOLTAGE = Parameter("safe_voltage", [-1.0, -1.0], 0.0, 10.0, left=-1.0).about(
     "voltages of both valves while no valid command comes [V]; -1: at which they keep the pressure at rest, by the rig "
     "file"
