@@ -36,14 +36,13 @@ def parser() -> common.Parser:
 
     kinds = "\n".join(f"  {kind.ljust(12)} {meaning}" for kind, meaning in KINDS.items())
     out = common.Parser("device_emulator", __doc__, kinds)
-    common.add_rig(out)
-    common.add_joint(out)
+    out.shared("--rig", "--joint", "--lock-angle")
     out.option("--hardware", "calibration of its sensors (default: example)", None, "example", "FILE")
     out.option("--link", "link to the port, so that its name stays the same", Path, metavar="PATH")
-    common.add_seed(out, "all random numbers")
+    out.shared("--seed")
     mismatch = "relative deviation of the joint's parameters from the rig file (default: 0)"
-    out.option("--mismatch", mismatch, float, 0.0, "X")
-    out.flag("--no-noise", "exact sensors")
+    out.shared("--mismatch", help=mismatch, default=0.0)
+    out.shared("--no-noise")
     out.option("--drift", "error of its clock [ppm] (default: 0)", float, 0.0, "PPM")
     out.option("--first-us", "its 32-bit counter at power-on [us] (default: 0)", int, 0, "US")
     out.option("--log", "CSV file of the voltages on the valves, row by change", Path, metavar="FILE")

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from typing_extensions import override
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level
 from pam_antagonist.nodes.spin import client_node

@@ -10,7 +10,8 @@ from typing import Any
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import override
 
-from pam_antagonist.control import Command, Seen, Status
+from pam_antagonist.control.command import Command, Status
+from pam_antagonist.control.model_law import Seen
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire

@@ -8,24 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.control import (
-    LAWS,
-    LOST,
-    PI_MODES,
-    PUBLISHED_GAINS,
-    Box,
-    Gains,
-    Governor,
-    Laws,
-    Limits,
-    Mode,
-    ModelController,
-    ModelGains,
-    PiController,
-    Reachable,
-    VoltageLimits,
-)
-from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
+from pam_antagonist.control.command import PI_MODES, Mode, VoltageLimits
+from pam_antagonist.control.governor import Governor, Limits
+from pam_antagonist.control.laws import LAWS, Laws, Reachable
+from pam_antagonist.control.model_law import ModelController, ModelGains
+from pam_antagonist.control.pi import PUBLISHED_GAINS, Gains, PiController
+from pam_antagonist.control.reference import LOST
+from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import JOINT_NAME, PRESSURE_SENSORS, RIG, SAFETY, Parameter
 from pam_antagonist.rig import Rig

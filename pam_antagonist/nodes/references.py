@@ -11,7 +11,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from pam_antagonist.control import Mode, Nearest, References, Rules, Trajectory
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.reference import Nearest, References, Rules, Trajectory
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import Health, Level, Rises, judged, publishers_of

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from std_srvs.srv import Trigger
 
-from pam_antagonist.control import VoltageLimits
+from pam_antagonist.control.command import VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, full_name, judged

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from pam_antagonist.control import VoltageLimits
+from pam_antagonist.control.command import VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.safety.authority import Authority, Verdict
 

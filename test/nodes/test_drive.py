@@ -15,8 +15,8 @@ import pytest
 from typing_extensions import override
 
 from pam_antagonist.cli import commission, commission_steps, excite
-from pam_antagonist.cli.driving import PLAN_NOTE, Owner, drive, explored
-from pam_antagonist.design import Limits, designed
+from pam_antagonist.cli.driving import PLAN_NOTE, Owner, drive
+from pam_antagonist.design import Limits, Plan, designed
 from pam_antagonist.design.exploration import Program
 from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.recording import read_bag
@@ -47,7 +47,7 @@ def test_it_ends_at_rest_where_a_limit_is_reached(tmp_path: Path, domain: None) 
     plan = designed(rig, Limits.of(rig), 8.0)
     # Somebody set the limit anew after the plan was made: what is measured decides.
     narrow = replace(plan, limits=replace(plan.limits, angle=math.radians(1.0)))
-    driven = drive(Owner("plant", "shin2022"), narrow, tmp_path)
+    driven = drive(Owner("plant", "shin2022"), narrow, tmp_path, rig)
     assert "beyond the limit of 1.0 deg" in driven.ended
     last = read_bag(tmp_path / "bag").voltage[-100:]
     assert np.allclose(last, plan.rest, atol=1e-6)
@@ -70,7 +70,8 @@ def test_regulators_follow_a_program_and_let_the_air_out_beyond_a_limit(
     limits, (least, rest) = Limits.of(REGULATORS), vented(REGULATORS)
     highest = 0.5 * (least + ASKED) if beyond else limits.pressure[1]
     within = replace(limits, pressure=(limits.pressure[0], highest))
-    ended = explored(Owner("plant", "shin2022_regulators"), REGULATORS, Fill(), within, tmp_path)
+    plan = Plan(np.empty((0, 2)), REGULATORS.sample_period, "free", 0.0, within, least, rest)
+    ended = drive(Owner("plant", "shin2022_regulators"), plan, tmp_path, REGULATORS, Fill()).ended
     recording = read_bag(tmp_path / "bag", judge=False)
     assert recording.drive == "regulator" and ("pressure" in ended) == beyond, ended
     pressure = recording.pressure

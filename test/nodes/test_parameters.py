@@ -50,7 +50,7 @@ def test_every_parameter_has_a_descriptor(name: str, made: Callable[..., Any]) -
 
 @pytest.mark.ros
 def test_gains_may_change_within_their_range_and_nothing_else_may(made: Callable[..., Any]) -> None:
-    from pam_antagonist.control import Mode
+    from pam_antagonist.control.command import Mode
 
     node = made("controller")
     assert change(node, "angle_proportional", 3.0)

@@ -11,7 +11,7 @@ import pytest
 import sent
 from sent import MS, refer, stamped
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 
 pytestmark = pytest.mark.ros
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.control import VoltageLimits
+from pam_antagonist.control.command import VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.safety import SafeAction, ValveGuard
 from pam_antagonist.safety.authority import Verdict
