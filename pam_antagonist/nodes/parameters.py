@@ -81,7 +81,7 @@ class Parameter:
             raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
         return value  # type: ignore[no-any-return]
 
-    def _allows(self, value: bool | int | float | str) -> bool:
+    def _allows(self, value: Any) -> bool:
         if isinstance(value, str):
             solid = bool(value) and value.isprintable() and " " not in value
             named = bool(value) or not isinstance(self.default, list)
