@@ -35,7 +35,13 @@ NAVIGATION = {
         "how-to/ros2_control",
         "how-to/several_joints",
     ],
-    "How-to: watch and keep it safe": ["how-to/safety", "how-to/watch", "how-to/tools", "how-to/security"],
+    "How-to: watch and keep it safe": [
+        "how-to/safety",
+        "how-to/watch",
+        "how-to/history",
+        "how-to/tools",
+        "how-to/security",
+    ],
     "How-to: machines and problems": ["how-to/machines", "how-to/troubleshooting", "release"],
     "Reference": [
         "reference/commands",

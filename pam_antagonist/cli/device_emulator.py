@@ -36,14 +36,13 @@ def parser() -> common.Parser:
 
     kinds = "\n".join(f"  {kind.ljust(12)} {meaning}" for kind, meaning in KINDS.items())
     out = common.Parser("device_emulator", __doc__, kinds)
-    common.add_rig(out)
-    common.add_joint(out)
+    out.shared("--rig", "--joint", "--lock-angle")
     out.option("--hardware", "calibration of its sensors (default: example)", None, "example", "FILE")
     out.option("--link", "link to the port, so that its name stays the same", Path, metavar="PATH")
-    common.add_seed(out, "all random numbers")
+    out.shared("--seed")
     mismatch = "relative deviation of the joint's parameters from the rig file (default: 0)"
-    out.option("--mismatch", mismatch, float, 0.0, "X")
-    out.flag("--no-noise", "exact sensors")
+    out.shared("--mismatch", help=mismatch, default=0.0)
+    out.shared("--no-noise")
     out.option("--drift", "error of its clock [ppm] (default: 0)", float, 0.0, "PPM")
     out.option("--first-us", "its 32-bit counter at power-on [us] (default: 0)", int, 0, "US")
     out.option("--log", "CSV file of the voltages on the valves, row by change", Path, metavar="FILE")
@@ -77,15 +76,12 @@ def _main(arguments: argparse.Namespace) -> int:
         raise BadInput(f"--first-us {arguments.first_us}: expected 0 to {(1 << 32) - 1}")
     rig = load_rig(arguments.rig, regulators=True)
     calibration = load_calibration(arguments.hardware)
-    converter, regulated = Converter(calibration), rig.drive == "regulator"
-    converter.suits(rig.drive)
+    converter = Converter(calibration)
+    converter.adapt(rig.drive)
     low, high = rig.command_limits
-    if regulated:
-        before = (0.5 * (low + high), 0.5 * (low + high))
-        power_on = converter.output(before)
-        low, high = min(converter.output((low, low))), max(converter.output((high, high)))
-    else:
-        before = power_on = rest_voltage(rig)
+    before = (0.5 * (low + high), 0.5 * (low + high)) if rig.drive == "regulator" else rest_voltage(rig)
+    power_on = converter.output(before)
+    low, high = min(converter.output((low, low))), max(converter.output((high, high)))
     angle = common.lock_angle(arguments) or 0.0
     plant = Plant(
         rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
@@ -114,7 +110,7 @@ def _main(arguments: argparse.Namespace) -> int:
         clock = DeviceClock(arguments.drift * 1e-6, arguments.first_us)
         plan = FaultPlan(faults, arguments.seed, orders)
         emulator = Emulator(
-            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock, regulated
+            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock
         )
         stack.callback(emulator.close)
         print(f"{arguments.link or emulator.path}", flush=True)

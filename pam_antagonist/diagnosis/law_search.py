@@ -120,11 +120,20 @@ def _simulated(simulation: Simulation, ranked: _Ranked, begin: Sequence[Floats])
             made = simulation.evaluated(one.law, near, one)
             if group not in starts or made.left < starts[group].left:
                 starts[group] = made
-    standing = list(starts.values())
+    standing = _best_of_places(list(starts.values()))
     for most, rounds in ((len(standing), 1), (_FINALISTS, 2), (1, _LAST_ROUNDS)):
         fitted = [simulation.fitted(one, rounds, anew=most == 1) for one in standing[:most]]
         standing = sorted([*fitted, *standing[most:]], key=lambda one: one.left)
     return _simplest(simulation, standing, ranked) if standing else standing
+
+
+def _best_of_places(tried: Sequence[Simulated]) -> list[Simulated]:
+    """Of each place the laws that leave least before they are fitted, one more than it has arguments."""
+    by_place: dict[str, list[Simulated]] = {}
+    for one in sorted(tried, key=lambda one: one.left):
+        assert one.law is not None
+        by_place.setdefault(one.law.at, []).append(one)
+    return sorted((one for own in by_place.values() for one in own[: _ARGUMENTS + 1]), key=lambda one: one.left)
 
 
 def _chosen(ranked: _Ranked) -> list[Group]:

@@ -20,11 +20,19 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.law_search import LEAST_GAIN, LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
-from pam_antagonist.diagnosis.models import further_share, held_share, likelier, price, share_of_all
+from pam_antagonist.diagnosis.models import (
+    Model,
+    further_share,
+    held_share,
+    likelier,
+    price,
+    recalibrated,
+    share_of_all,
+)
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
-from pam_antagonist.inference.gauss_newton import held_residual
+from pam_antagonist.inference.gauss_newton import held_residual, refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.recording import Recording
@@ -140,7 +148,7 @@ def with_laws(
         try:
             learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
             corrected, also = learned.corrected(fitted), learned.corrected(others)
-            after = diagnose(corrected, learned.rig, held_out=also) if learned.law is not None else now
+            after = diagnose(corrected, learned.rig, held_out=also) if may_be_better(now, learned) else now
         except BadInput:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             break
@@ -148,7 +156,7 @@ def with_laws(
             if now.verdict == "unexplained":
                 now = replace(now, sentence=f"{now.sentence} {place_in_words(learned.search)}".strip())
             break
-        if not is_better(now, after):
+        if after is now or not is_better(now, after.extended):
             if now.verdict == "unexplained":
                 words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
                 now = replace(now, sentence=f"{now.sentence} {words}")
@@ -170,11 +178,29 @@ def leaves_excess(found: Diagnosis) -> bool:
     return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
 
 
-def is_better(before: Diagnosis, after: Diagnosis) -> bool:
-    """Whether a diagnosis with a law does better where nothing was fitted, by the rules of a further effect."""
-    pairs = zip(before.extended.pairs, after.extended.pairs, strict=True)
+def may_be_better(before: Diagnosis, learned: Learned) -> bool:
+    """Whether a law is worth a diagnosis with it: alone, or beside the effects that were found, it does better."""
+    law = learned.law
+    if law is None or law.is_of_readings:
+        # Of what was recorded wrongly, only a diagnosis of the corrected recordings tells.
+        return law is not None
+
+    def with_it(model: Model) -> Model:
+        return replace(model, experiments=tuple(one.of_rig(learned.rig) for one in model.experiments))
+
+    alone = recalibrated(with_it(before.recalibrated).experiments, before.recalibrated)
+    if is_better(before, alone):
+        return True
+    return bool(before.effects) and is_better(before, with_it(before.extended).map(lambda experiment, fitted: refit(
+        experiment, fitted.point, fitted.free
+    )))  # fmt: skip
+
+
+def is_better(before: Diagnosis, model: Model) -> bool:
+    """Whether a model with a law does better where nothing was fitted, by the rules of a further effect."""
+    pairs = zip(before.extended.pairs, model.pairs, strict=True)
     gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
-    share = further_share(before.recalibrated, before.extended, after.extended)
+    share = further_share(before.recalibrated, before.extended, model)
     return gain >= thresholds.STRONG and share >= thresholds.FURTHER_SHARE
 
 

@@ -48,14 +48,9 @@ def kind_of(path: Path) -> str:
 
 
 def read_columns(path: Path, kind: str, columns: Mapping[str, int | str], most: int) -> dict[str, Floats]:
-    """Read some columns.
+    """Quantity -> numbers (N,), NaN where a value is missing, of a file of a kind that :func:`kind_of` knows.
 
-    Args:
-        kind: of :func:`kind_of`.
-        columns: quantity -> name of its column; a number where the file holds a single matrix or a table.
-
-    Returns:
-        Quantity -> numbers (N,), NaN where a value is missing.
+    `columns`: quantity -> name of its column; a number where the file holds a single matrix or a table.
     """
     what, reader = _READERS[kind]
     with _readable(path, what):

@@ -5,8 +5,6 @@ Of commands that are refused before they read a recording; those of the others s
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pam_antagonist.__main__ import COMMANDS, main
@@ -90,9 +88,7 @@ NEED_ROS = {"demo": "rclpy"}
 @pytest.mark.parametrize(
     ("name", "tried", "words"), [(name, tried, words) for name, cases in REFUSED.items() for tried, words in cases]
 )
-def test_what_cannot_be_used_is_refused_in_one_line(
-    name: str, tried: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_used_is_refused_in_one_line(name, tried, words, tmp_path, capsys):
     if name in NEED_ROS:
         pytest.importorskip(NEED_ROS[name])
     usual = USUAL[name].format(out=tmp_path / "out").split()
@@ -103,9 +99,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("name", ["simulate", "replay", "identify", "close_loop", "import_csv", "demo", "paper"])
-def test_an_output_that_exists_is_left_alone(
-    name: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_output_that_exists_is_left_alone(name, bag, tmp_path, capsys):
     if name in NEED_ROS:
         pytest.importorskip(NEED_ROS[name])
     (tmp_path / "precious").write_text("data")

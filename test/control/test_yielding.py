@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from pam_antagonist.cli.tried_gains import seen
-from pam_antagonist.control import Box, Laws, Mode, ModelController, PiController, Reachable, VoltageLimits, Wanted
+from pam_antagonist.control.command import Mode, VoltageLimits
+from pam_antagonist.control.laws import Laws, Reachable
+from pam_antagonist.control.model_law import ModelController
+from pam_antagonist.control.pi import PiController
+from pam_antagonist.control.reference import Wanted
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator

@@ -15,7 +15,9 @@ from pathlib import Path
 import pytest
 
 from pam_antagonist.cli.demo_steps import task
-from pam_antagonist.control import PI_MODES, Box, Mode, Reachable
+from pam_antagonist.control.command import PI_MODES, Mode
+from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import load_rig

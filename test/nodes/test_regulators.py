@@ -168,4 +168,4 @@ def test_a_device_puts_out_voltages_that_ask_for_the_pressures() -> None:
     assert safe.hold == pytest.approx((5.0, 4.0)) and safe.vent == pytest.approx((0.0, 0.0))
     assert safe.rate == pytest.approx(0.5)
     with pytest.raises(BadInput, match="calibration example has no regulators, but the rig has"):
-        Converter(load_calibration("example")).suits("regulator")
+        Converter(load_calibration("example")).adapt("regulator")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pam_antagonist.safety import Authority, Verdict
+from pam_antagonist.safety import Authority
+from pam_antagonist.safety.authority import Verdict
 
 MS = 1_000_000
 TIMEOUT = 0.02

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.control.tracking import tracking
 from pam_antagonist.estimation import metrics
 from pam_antagonist.model import parameters as par

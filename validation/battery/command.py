@@ -68,7 +68,10 @@ def parser() -> common.Parser:
     out.option("--shard", "run only every K-th case, from the I-th on (default: 1/1)", _shard, (1, 1), "I/K")
     out.option("--duration", f"length of a recording [s] (default: {DURATION:g})", float, DURATION, "S")
     out.option("--jobs", "threads (default: all cores)", JOBS, os.cpu_count() or 1, "N")
-    cluster.add_dask(out, "judge whole cases, one a worker's thread,")
+    out.shared(
+        "--dask", help="judge whole cases, one a worker's thread, on the workers of this Dask scheduler, such as "
+        "tcp://10.0.0.5:8786 (needs pam_antagonist[dask])"
+    )  # fmt: skip
     out.option("--docs", "write the table of figures as Markdown; FILE is replaced", Path, metavar="FILE")
     common.add_new_json(out, "summary.json")
     return out

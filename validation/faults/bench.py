@@ -225,8 +225,6 @@ class Bench:
         return Bench(self.folder / "second", self.domain, namespace="/left/elbow", rig=str(rig))
 
 
-
-
 def _write(pipe: Path, text: str) -> None:
     """A line into a named pipe that somebody reads."""
     try:

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.nodes.spin import tune_middleware

@@ -45,10 +45,10 @@ examples:
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("paper", _DESCRIPTION, _EXAMPLES)
-    common.add_out(out)
+    out.shared("--out")
     out.add_argument("--only", nargs="+", action="extend", choices=tuple(_NAMES), metavar="NAME",
                      help="run these experiments alone")  # fmt: skip
-    common.add_seed(out, "the first virtual rig", "N")
+    out.shared("--seed", help="seed of the first virtual rig (default: 0)", metavar="N")
     out.option("--seeds", "how many virtual rigs (default: 20)", whole(1, 1000), 20, "N")
     out.option("--jobs", "processes (default: one a core)", JOBS, os.cpu_count() or 1, "N")
     out.flag("--short", "live runs of 30 s and less, in place of 130, 62, 38 and 20 s")
@@ -64,8 +64,9 @@ def _run(arguments: argparse.Namespace) -> int:
     live = [name for name in names if EXPERIMENTS[name].live]
     if live and not available("rclpy"):
         others = " ".join(name for name, item in EXPERIMENTS.items() if not item.live)
-        raise BadInput(f"{', '.join(live)}: start ROS 2 nodes, and rclpy is not installed; for the rest: --only "
-                       f"{others}")
+        raise BadInput(
+            f"{', '.join(live)}: start ROS 2 nodes, and rclpy is not installed; for the rest: --only {others}"
+        )
     seeds = range(arguments.seed, arguments.seed + arguments.seeds)
     common.check_output(arguments.out)
     with common.output_folder(arguments.out) as folder:

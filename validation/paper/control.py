@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from pam_antagonist.control import PI_MODES, Mode, PiController
+from pam_antagonist.control.command import PI_MODES, Mode
+from pam_antagonist.control.pi import PiController
 from pam_antagonist.control.tracking import tracking
 from pam_antagonist.estimation import Estimator
 from validation.paper.virtual import TUNINGS, Floats, VirtualRig

@@ -47,7 +47,7 @@ _OFFLINE = {
 _OFFLINE_WHY = {
     "model": "The mismatches were chosen so that ℚ is near the paper's.",
     "published": "With this Q the filter's joint creeps where the real one sticks (docs/explanation/model.md, "
-                 "correction 11).",
+    "correction 11).",
     "default": "The paper has no such tuning: small process noise, parameters considered uncertain.",
     "told": "The rig file holds the hysteresis, and says by how much each group of parameters is off.",
 }
@@ -56,7 +56,7 @@ _TABLE_3 = {"proposed": 0.0791, "linear": 0.192, "simple": 0.0990, "tondu": 0.09
 _TABLE_3_WHY = {
     "proposed": "The paper's value is that of its online run; here the error that the tuning itself brings dominates.",
     "linear": "A state-space model from 60 s of random steps. The paper gives neither the data of its own nor its "
-              "order.",
+    "order.",
     "simple": "The constant as printed is too large for this joint, whichever unit is taken.",
     "tondu": "The paper's constants, taken in N m and rad/s; the print leaves the units out.",
     "none": "Without friction nothing holds the filter's joint where the real one sticks.",

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pam_antagonist.control import PI_MODES
+from pam_antagonist.control.command import PI_MODES
 from pam_antagonist.estimation import metrics
 from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
 from validation.paper import control as loop

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pam_antagonist.control import PI_MODES, Mode
+from pam_antagonist.control.command import PI_MODES, Mode
 from pam_antagonist.control.tracking import held, tracking
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
@@ -36,8 +36,9 @@ _SHORT_S, _DRAIN, _LOOP, _COMMAND_TIMEOUT = 30.0, 0.3, 0.05, 0.5
 def _pipeline(rig: VirtualRig, folder: Path, joint: str, tuning: str, controlled: bool) -> Iterator[Processes]:
     """Everything but who gives commands or references; the bag is in ``folder/bag`` afterwards."""
     folder.mkdir(parents=True)
-    write_rig(rig.actual, folder / "virtual_rig.yaml", ["What the plant was; its parameters are scattered in "
-                                                        "addition."])
+    write_rig(
+        rig.actual, folder / "virtual_rig.yaml", ["What the plant was; its parameters are scattered in addition."]
+    )
     write_rig(rig.declared, folder / "declared_rig.yaml", ["What the estimator was given."])
     declared: dict[str, object] = {"rig": str((folder / "declared_rig.yaml").resolve())}
     condition: dict[str, object] = {"joint": "free"} if joint == "free" else {"joint": "locked", "lock_angle": 0.0}
@@ -75,19 +76,23 @@ def _read(folder: Path) -> Recording:
 
 def estimation(rig: VirtualRig, folder: Path, joint: str, seconds: float) -> Recording:
     """The profile on the live plant, with the estimator beside it."""
-    from pam_antagonist.nodes.client import VoltageClient
+    from pam_antagonist.nodes.client import DriveClient, planned
 
     period = rig.declared.sample_period
     voltage = rig.voltage[: round(seconds / period)]
     tuning = TUNING["estimation"]
-    with _pipeline(rig, folder, joint, tuning, controlled=False) as processes, VoltageClient() as drive:
+    with (
+        _pipeline(rig, folder, joint, tuning, controlled=False) as processes,
+        DriveClient(also=("joint_estimate",)) as drive,
+    ):
 
         def missing() -> str:
             drive.send(voltage[0])
             return drive.missing()
 
         processes.wait(missing)
-        drive.follow(voltage, period, processes.check, lambda elapsed: None)
+        plan, unlimited = planned(voltage, period), lambda _pressures, _angle: ""
+        drive.follow(plan, len(voltage) * period, voltage[0], unlimited, processes.check, lambda elapsed: None)
     return _read(folder)
 
 

@@ -158,8 +158,12 @@ def write(done: Sequence[Mapping[str, Any]], path: Path) -> None:
         folder = path.with_suffix("")
         folder.mkdir(exist_ok=True)
         figure.savefig(folder / "curves.png", dpi=110)
-        lines += ["## Data needed", "", f"![Held-out error of the angle against the length of what was "
-                                        f"fitted]({folder.name}/curves.png)", ""]
+        lines += [
+            "## Data needed",
+            "",
+            f"![Held-out error of the angle against the length of what was fitted]({folder.name}/curves.png)",
+            "",
+        ]
     failed = _whole(done)[lambda found: found.why.notna()]
     why = [f"* {_short(one.joint)}, {_WORDS[one.peer]}: {one.why}" for one in failed.itertuples()]
     lines += ["## What gave no figure", "", *why, ""] if why else []

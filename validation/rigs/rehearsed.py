@@ -41,8 +41,6 @@ _SEED = 1
 """Of the sensors' noise."""
 
 
-
-
 def _valve(kind: str, muscle: str, valve: str, more: str) -> str:
     return f"--kind {kind} --muscle {muscle} --drive valve --valve {valve} {more}"
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pam_antagonist.report.assumption import assumption, in_first_lines
+from pam_antagonist.report.document import in_first_lines
 from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.assumption import assumption
 
 RIG = load_rig("shin2022")
 

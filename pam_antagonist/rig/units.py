@@ -1,4 +1,4 @@
-"""Readable units for reports, such as mm² for orifices. Files use SI units."""
+"""Readable units for people, such as mm² for orifices. Files use SI units."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig.schema import Rig
 from pam_antagonist.strict_yaml import described, fields_of
 
 
@@ -19,8 +19,6 @@ class Unit(NamedTuple):
     scale: float
 
 
-_AFTER_NUMBER = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")
-"""The space between a number and its unit."""
 _READABLE = {
     "m": Unit("mm", 1e3),
     "m²": Unit("mm²", 1e6),
@@ -65,8 +63,3 @@ def unit_of(rig: Rig, name: str) -> str:
     kind = type(attrgetter(part)(rig) if part else rig)
     found = re.search(r"\[([^\]]*)\]", described(fields_of(kind)[last]))
     return found[1] if found else "-"
-
-
-def with_unit(text: str) -> str:
-    """Text without line breaks between a number and its unit, or within a unit."""
-    return _AFTER_NUMBER.sub("\u00a0", text.replace("N m", "N\u00a0m"))

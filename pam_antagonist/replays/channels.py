@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pam_antagonist.estimation.errors import ChannelErrors, ModelErrors
 from pam_antagonist.replays.result import JointFacts, ReplayReport
-from pam_antagonist.report.table import number
+from pam_antagonist.shown import number
 
 
 class Channel(NamedTuple):

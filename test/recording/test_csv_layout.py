@@ -46,6 +46,7 @@ NAMES = ",".join(HEADER) + "\n"
         ("#" + NAMES + BODY, {"comment": None}),
         ("Logger 7; 3 channels\nrun,5\n" + NAMES + "s,kPa,kPa,V,V\n" + BODY, {"skip_lines": 2, "skip_after_header": 1}),
         (NAMES + BODY + ",,,,\n,,,,\n", {}),
+        ("\ufeffsep=;\n" + (NAMES + BODY).replace(",", ";").replace(".", ","), {"delimiter": ";", "decimal": ","}),
     ],
 )  # fmt: skip
 def test_ways_to_write_the_same_file(lab: Lab, text: str, layout: dict[str, object]) -> None:

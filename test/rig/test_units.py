@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pam_antagonist.report.table import Comparison
-from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.units import readable, unit_of
 
 
 @pytest.mark.parametrize(

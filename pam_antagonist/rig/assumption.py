@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pam_antagonist.report.document import Text
-from pam_antagonist.report.table import number
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig.schema import Rig
+from pam_antagonist.shown import number
 
 
 def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> str | None:
@@ -23,11 +22,6 @@ def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> s
         f"{known} and if nothing else is wrong.{also} The NIS tests the pressures only: it cannot show whether that is "
         "so."
     )
-
-
-def in_first_lines(text: str | None) -> tuple[Text, ...]:
-    """The assumption as a block of a report; empty without one."""
-    return () if text is None else (Text(text),)
 
 
 def _size(value: float, std: float) -> str:
