@@ -39,7 +39,6 @@ from pam_antagonist.identification.runs import Run
 from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, FreeEffectParameter
-from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial
@@ -139,8 +138,16 @@ class _Part(Experiment):
 
     @override
     def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
-        """In mean squares: measured inputs keep a model near what is measured, and its law errs everywhere."""
-        return in_mean_squares(before, after, self.noise)
+        """In mean squares, in units of what is tolerated: measured inputs keep a model near what is measured.
+
+        In units of the noise, the sensor that is best beside what the law leaves would decide alone.
+        """
+
+        def excess(residual: Floats) -> float:
+            squares = np.mean(residual**2, axis=0) if len(residual) else self.noise**2
+            return float(np.sum(np.maximum(squares - self.noise**2, 0.0) / self.tolerated**2))
+
+        return excess(before) - excess(after), excess(before)
 
     @property
     @override
