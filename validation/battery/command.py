@@ -84,8 +84,9 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _main(arguments: argparse.Namespace) -> int:
-    if not SHORTEST <= arguments.duration <= 3600.0:
-        raise BadInput(f"--duration {arguments.duration:g}: expected {SHORTEST:g} to 3600 s")
+    if not SHORTEST < arguments.duration <= 3600.0:
+        # What is shorter counts as a trial, in which effects are looked for in another way.
+        raise BadInput(f"--duration {arguments.duration:g}: expected more than {SHORTEST:g} s, up to 3600")
     asked = {name: getattr(arguments, name) for name in ("seed", "count", *_KINDS, "effect")}
     every = cases(**asked)
     first, shards = arguments.shard
