@@ -60,7 +60,7 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
             chosen[name] = bag.topics[actual]
         elif needed:
             raise BadInput(f"{bag.path}: {problem}{_hint(bag, topic, actual, namespace)}")
-        elif actual in bag.topics and (len(bag.topics[actual]) or name == "measured/joint_states"):
+        elif actual in bag.topics and len(bag.topics[actual]):
             bag.issues.append(Issue(f"{problem}: left out", "missing"))
     return chosen
 
