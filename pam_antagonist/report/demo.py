@@ -178,11 +178,11 @@ def _verdict(demo: Demo) -> str:
             "Estimates or commands came too late, or were refused: logs/ and /diagnostics in the bag say which."
         )
     steps, slowest = len(followed.steps) - 1, _slowest(demo)
-    settled = (
-        f"Each of the {steps} steps settled within {slowest:.1f} s"
-        if math.isfinite(slowest)
-        else f"Not each of the {steps} steps settled within its time"
-    )
+    if math.isfinite(slowest):
+        settled = f"{'The step' if steps == 1 else f'Each of the {steps} steps'} settled within {slowest:.1f} s"
+    else:
+        no = "The step did not settle" if steps == 1 else f"Not each of the {steps} steps settled"
+        settled = f"{no} within its time"
     worst = f"{number(followed.worst_steady_error, 2)}{_SIGN[demo.mode.quantity]}"
     steady = f", and the largest error in steady state was {worst}"
     return f"{settled}{steady if math.isfinite(followed.worst_steady_error) else ''}."
