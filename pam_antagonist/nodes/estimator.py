@@ -18,12 +18,8 @@ from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
-    FRAME,
-    JOINT,
-    JOINT_NAME,
-    LOCK_ANGLE,
     PRESSURE_SENSORS,
-    RIG,
+    SIMULATED_JOINT,
     Parameter,
     check_pressure_sensors,
 )
@@ -50,11 +46,7 @@ services:    ~/reset (std_srvs/Trigger), ~/set_state (pam_antagonist_msgs/SetSta
 """
 
 PARAMETERS = (
-    RIG,
-    JOINT,
-    LOCK_ANGLE,
-    JOINT_NAME,
-    FRAME,
+    *SIMULATED_JOINT,
     Parameter("tuning", "default", read_only=False).about(
         "name of one of the rig's filter tunings; a change starts the filter anew"
     ),

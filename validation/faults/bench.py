@@ -78,11 +78,12 @@ class Bench:
             self.start(name)
         arguments = ["--rig", self.rig, "--link", str(self._port), "--log", str(self.folder / "voltages.csv")]
         self.processes.start("device_emulator", [*arguments, "--seed", "3", "--orders", str(self._pipe)])
-        end = time.monotonic() + _START
-        while self.watcher.listeners() == 0 or len({s.part.partition(":")[0] for s in self.watcher.statuses}) < len(
-            names
-        ):
-            self._wait(0.05, end, "a start")
+
+        def all_there() -> bool:
+            heard = {status.part.partition(":")[0] for status in self.watcher.statuses}
+            return self.watcher.listeners() > 0 and len(heard) >= len(names)
+
+        self.until(all_there, _START, "a start")
         self.ready(_START)
 
     def _environment(self) -> dict[str, str]:
@@ -118,12 +119,6 @@ class Bench:
         popen.wait()
         return now
 
-    def stop(self, name: str) -> int:
-        """Ctrl-C for a node; the time right before [ns since 1970]."""
-        now = time.time_ns()
-        self.processes.stop(name)
-        return now
-
     def stall(self, name: str, seconds: float) -> tuple[int, int]:
         """Let a process stand still; begin and end [ns since 1970]."""
         popen = self.processes.running[name].popen
@@ -138,15 +133,16 @@ class Bench:
 
     def order(self, text: str) -> int:
         """Give the device an order; when it carried it out [ns since 1970]."""
-        before = len(self.rows())
+        before, event = len(self.rows()), text.partition("=")[0]
         _write(self._pipe, text)
-        event = text.partition("=")[0]
-        end = time.monotonic() + 5.0
-        while True:
-            for row in self.rows()[before:]:
-                if row.event == event:
-                    return row.time_ns
-            self._wait(0.005, end, f"the device's {text}")
+        done: list[int] = []
+
+        def carried_out() -> bool:
+            done.extend(row.time_ns for row in self.rows()[before:] if row.event == event)
+            return bool(done)
+
+        self.until(carried_out, 5.0, f"the device's {text}", 0.005)
+        return done[0]
 
     def relay(self, text: str) -> int:
         """Give the relay an order; when [ns since 1970]."""
@@ -175,26 +171,21 @@ class Bench:
             self.watcher.collect()
             time.sleep(min(0.02, max(0.0, end - time.monotonic())))
 
-    def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
-        """Wait for something."""
+    def until(self, condition: Callable[[], bool], seconds: float, what: str, pause: float = 0.02) -> None:
+        """Wait for something; what the nodes complain about is said where it does not come about in time."""
         end = time.monotonic() + seconds
         while not condition():
-            self._wait(0.02, end, what)
-
-    def _wait(self, seconds: float, end: float, what: str) -> None:
-        self.processes.check()
-        self.watcher.collect()
-        if time.monotonic() > end:
-            raise ProcessFailed(f"{what} did not come about in time{self._trouble()}")
-        time.sleep(seconds)
-
-    def _trouble(self) -> str:
-        """What the nodes complain about now, in words."""
-        newest = {status.part: status for status in self.watcher.statuses}
-        return "".join(f"; {status.part}: {status.message}" for status in newest.values() if status.level > 0)
+            self.processes.check()
+            self.watcher.collect()
+            if time.monotonic() > end:
+                newest = {status.part: status for status in self.watcher.statuses}
+                trouble = "".join(f"; {one.part}: {one.message}" for one in newest.values() if one.level > 0)
+                raise ProcessFailed(f"{what} did not come about in time{trouble}")
+            time.sleep(pause)
 
     def controlled(self) -> bool:
-        """Whether the controller has had the valves for a while, with voltages that the reference asks for."""
+        """Whether the controller has had the valves for a while, by the reference, which is sent again."""
+        self.watcher.refer(REFERENCE)
         rows = self.rows()
         now = time.time_ns()
         if not rows or now - rows[-1].time_ns > 0.2e9:  # the last rows wait for their flush
@@ -210,23 +201,22 @@ class Bench:
 
     def ready(self, seconds: float = _READY) -> None:
         """Wait for control, clearing whatever an earlier fault has left."""
-        end = time.monotonic() + seconds
         cleared = time.monotonic()
-        while not self.controlled():
-            self.watcher.refer(REFERENCE)
+
+        def controlled() -> bool:
+            nonlocal cleared
             if time.monotonic() - cleared > 2.0:
                 for node in ("bridge", "controller"):
                     self.watcher.clear(node)
                 cleared = time.monotonic()
-            self._wait(0.02, end, "control")
+            return self.controlled()
+
+        self.until(controlled, seconds, "control")
         self.wait(0.15)  # diagnostics of it
 
     def back(self, seconds: float) -> None:
-        """Wait for control without clearing anything; the reference goes on being published."""
-        end = time.monotonic() + seconds
-        while not self.controlled():
-            self.watcher.refer(REFERENCE)
-            self._wait(0.02, end, "control")
+        """Wait for control without clearing anything."""
+        self.until(self.controlled, seconds, "control")
 
     def run_beside(self) -> Bench:
         """Another pipeline beside this one, at 250 Hz, in another namespace of the same domain; entering starts it."""

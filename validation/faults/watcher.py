@@ -30,7 +30,6 @@ class Watcher:
 
     Attributes:
         statuses: every status on ``/diagnostics`` of a node in the namespace so far, without the namespace.
-        valves: voltages in ``valve_state`` so far, where it listens to that (:meth:`watch_valves`).
     """
 
     def __init__(self, namespace: str, domain: int) -> None:
@@ -61,7 +60,7 @@ class Watcher:
 
     def collect(self) -> None:
         """Take what has come."""
-        for message, received_ns in _taken(self._diagnostics, raw=False):
+        for message, received_ns in _taken(self._diagnostics):
             for status in message.status:
                 if status.name.startswith(self._prefix):
                     part = status.name.removeprefix(self._prefix)
@@ -103,11 +102,11 @@ class Watcher:
         self._node.destroy_publisher(publisher)
 
 
-def _taken(subscription: Any, raw: bool) -> list[tuple[Any, int]]:
+def _taken(subscription: Any) -> list[tuple[Any, int]]:
     """Messages with the time of their reception [ns since 1970], oldest first."""
     messages = []
     with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, raw)) is not None:
+        while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
             messages.append((taken[0], taken[1]["received_timestamp"]))
     return messages
 

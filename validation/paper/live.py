@@ -14,10 +14,11 @@ import numpy as np
 
 from pam_antagonist.control.command import PI_MODES, Mode
 from pam_antagonist.control.tracking import held, tracking
+from pam_antagonist.design.exploration import Planned
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
-from pam_antagonist.replays.accounting import account
+from pam_antagonist.replays.accounting import STAGES
 from pam_antagonist.replays.live import compare_with_live
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import write_rig
@@ -76,7 +77,7 @@ def _read(folder: Path) -> Recording:
 
 def estimation(rig: VirtualRig, folder: Path, joint: str, seconds: float) -> Recording:
     """The profile on the live plant, with the estimator beside it."""
-    from pam_antagonist.nodes.client import DriveClient, planned
+    from pam_antagonist.nodes.client import DriveClient
 
     period = rig.declared.sample_period
     voltage = rig.voltage[: round(seconds / period)]
@@ -91,8 +92,8 @@ def estimation(rig: VirtualRig, folder: Path, joint: str, seconds: float) -> Rec
             return drive.missing()
 
         processes.wait(missing)
-        plan, unlimited = planned(voltage, period), lambda _pressures, _angle: ""
-        drive.follow(plan, len(voltage) * period, voltage[0], unlimited, processes.check, lambda elapsed: None)
+        plan, unlimited = Planned(voltage, period), lambda _pressures, _angle: ""
+        drive.follow(plan.command, plan.seconds, voltage[0], unlimited, processes.check, lambda elapsed: None)
     return _read(folder)
 
 
@@ -125,8 +126,7 @@ def online(rig: VirtualRig, folder: Path, short: bool) -> dict[str, float]:
 def judge(recording: Recording, rig: Rig, quantity: str, joint: str) -> dict[str, float]:
     """Errors of a live run, and what became of its samples."""
     estimate = recording.estimate
-    found = account(recording, rig.sample_period)
-    assert estimate is not None and found is not None
+    assert estimate is not None
     # A filter that was started later than the recording began cannot be repeated from its beginning.
     part = recording.slice(float(int(estimate.started_ns[-1]) - recording.stamp_ns[0]) * 1e-9, math.inf)
     run = Estimator(rig, TUNING["estimation"], joint).run(part.stamp_ns, part.pressure, part.voltage)
@@ -141,7 +141,7 @@ def judge(recording: Recording, rig: Rig, quantity: str, joint: str) -> dict[str
     step = step_times(rig, complete, joint)
     out = {"samples": float(len(complete)),
            "estimates that a replay repeats bit by bit": compared.equal / compared.compared,
-           "samples lost": float(sum(count for stage, count in found.lost.items() if stage != "valve_command")),
+           "samples lost": float(_lost(recording)),
            "time of a filter's step, mean": float(step.mean()),
            "time of a filter's step, 99 %": float(np.quantile(step, 0.99)),
            "time of a filter's step, largest": float(step.max())}  # fmt: skip
@@ -151,6 +151,14 @@ def judge(recording: Recording, rig: Rig, quantity: str, joint: str) -> dict[str
     for name, track in tracks.items():
         out |= {f"{name}, {key}": value for key, value in judged(track, complete, rig, quantity).items()}
     return out
+
+
+def _lost(recording: Recording) -> int:
+    """Messages that are missing where all stages have begun and none has ended; nobody commands every sample here."""
+    stamps = [recording.received_ns[stage].stamp_ns for stage in STAGES if stage != "valve_command"]
+    low, high = max(stamp[0] for stamp in stamps), min(stamp[-1] for stamp in stamps)
+    expected = round((high - low) * 1e-9 / recording.sample_period_s) + 1
+    return sum(expected - int(np.count_nonzero((stamp >= low) & (stamp <= high))) for stamp in stamps)
 
 
 def step_times(rig: Rig, recording: Recording, joint: str) -> Floats:

@@ -30,21 +30,20 @@ def _scale(unit: str) -> tuple[float, str]:
 
 
 def _ours(row: Any) -> str:
-    scale, unit = _scale(row.unit)
-    middle, *ends = (number(scale * value) for value in (row.median, row.min, row.max))
-    return middle + (f" ({' … '.join(ends)})" if row.count > 1 else "") + unit
+    scale, unit = _scale(row["unit"])
+    middle, *ends = (number(scale * row[key]) for key in ("median", "min", "max"))
+    return middle + (f" ({' … '.join(ends)})" if row["count"] > 1 else "") + unit
 
 
 def _theirs(row: Any) -> str:
-    scale, unit = _scale(row.unit)
-    return MISSING if pd.isna(row.paper) else f"{scale * row.paper:.6g}{unit}"
+    scale, unit = _scale(row["unit"])
+    return MISSING if pd.isna(row["paper"]) else f"{scale * row['paper']:.6g}{unit}"
 
 
 def beside(done: Done, name: str) -> Table:
     """Numbers beside the paper's; 𝕀, 𝕄 and ℚ of one quantity share a row."""
     rows: list[tuple[str, ...]] = []
-    for what, values in done.beside(name).iterrows():
-        row = pd.Series(values, dtype=object)
+    for what, row in done.beside(name).astype(object).iterrows():
         before = rows[-1][0].partition(", 𝕀")[0] if rows else ""
         if str(what)[-1] in "𝕄ℚ" and rows and before == str(what)[:-3]:
             first, *cells, why = rows[-1]
@@ -52,7 +51,7 @@ def beside(done: Done, name: str) -> Table:
             joined = (f"{a}, {b}" if b != MISSING else a for a, b in zip(cells, more, strict=True))
             rows[-1] = (f"{first}, {str(what)[-1]}", *joined, why)
         else:
-            rows.append((str(what), _ours(row), _theirs(row), row.why))
+            rows.append((str(what), _ours(row), _theirs(row), row["why"]))
     return Table(_HEADER, tuple(rows))
 
 
@@ -62,7 +61,7 @@ def overview(done: Done) -> Table:
         (EXPERIMENTS[name].title, str(what), _ours(row), _theirs(row))
         for name in done.values
         for what, row in done.beside(name).astype(object).iterrows()
-        if not pd.isna(row.paper) and row.unit in ("%", "ms")
+        if not pd.isna(row["paper"]) and row["unit"] in ("%", "ms")
     )
     return Table(("Experiment", *_HEADER[:3]), rows)
 
