@@ -234,18 +234,6 @@ def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
     return f"next:\n{typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
 
 
-def add_new_json(parser: Parser, what: str) -> None:
-    """``--json``, of a command that writes nothing else and overwrites nothing."""
-    text = f"write {what} to FILE as well, a new file; - for standard output, and the tables on standard error"
-    parser.option("--json", text, _new_file, metavar="FILE")
-
-
-def _new_file(text: str) -> str:
-    if text != "-" and Path(text).exists():
-        raise argparse.ArgumentTypeError(f"{text}: exists; expected a new file, nothing is overwritten")
-    return text
-
-
 def json_alone(where: str | None) -> contextlib.AbstractContextManager[object]:
     """Standard output for JSON alone, where ``--json`` is -: what is printed meanwhile goes to standard error."""
     return contextlib.redirect_stdout(sys.stderr) if where == "-" else contextlib.nullcontext()
@@ -257,17 +245,6 @@ def give_json(where: str, text: str) -> None:
         sys.stdout.write(text)
     else:
         write_text(Path(where), text)
-
-
-def show(text: str, content: object, where: str | None) -> None:
-    """Print the result of a command, if there is a text, and give it as JSON where ``--json`` says."""
-    if text:
-        with json_alone(where):
-            print(text)
-    if where is not None:
-        from pam_antagonist.strict_json import dumps
-
-        give_json(where, dumps(content) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -171,7 +171,7 @@ def drive(owner: Owner, plan: Plan, out: Path, rig: Rig, program: Program | None
     from pam_antagonist.design.exploration import Planned
     from pam_antagonist.recording.notes import write_notes
 
-    program = Planned(plan) if program is None else program
+    program = Planned(plan.voltage, plan.period) if program is None else program
     if owner.source == "rehearsal":
         from pam_antagonist.cli.rehearsal import rehearse
         from pam_antagonist.rig import load_rig

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.design.optimal import Limits, Plan
+from pam_antagonist.design.optimal import Limits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -80,12 +80,12 @@ class Program(ABC):
 
 
 class Planned(Program):
-    """The voltages of a plan, one after the other."""
+    """The voltages of a plan (N, 2) [V], one row for each `period` [s]."""
 
     confined = True
 
-    def __init__(self, plan: Plan) -> None:
-        self._voltage, self._period, self.seconds = plan.voltage, plan.period, plan.duration
+    def __init__(self, voltage: Floats, period: float) -> None:
+        self._voltage, self._period, self.seconds = voltage, period, len(voltage) * period
 
     @override
     def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:

@@ -137,6 +137,11 @@ class _Part(Experiment):
         size = 1.0 if self.place == AIR else np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
         return np.hypot(self.noise, np.array([_LAW[name] for name in self._sensors]) * size)
 
+    @override
+    def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
+        """In mean squares: measured inputs keep a model near what is measured, and its law errs everywhere."""
+        return in_mean_squares(before, after, self.noise)
+
     @property
     @override
     def noise_memory(self) -> float:
@@ -221,10 +226,6 @@ class AirByMotion(_Part):
     """Chambers and valves, or regulators: commands and the measured motion drive them, anew from each second on."""
 
     place = AIR
-
-    @override
-    def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
-        return in_mean_squares(before, after, self.noise)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ _ROUNDS, _LAST_ROUNDS = 4, 8
 """Steps of Gauss and Newton of a base without a law, and of the best law."""
 _AS_GOOD = 0.1
 """A law without memory may leave so much more, on the logarithmic scale."""
+_RATES = {"length": "length_rate", "angle": "velocity"}
 _TIE = 0.03
 """Laws that remove so nearly as much cannot be told apart."""
 
@@ -156,12 +157,14 @@ def _chosen(ranked: _Ranked) -> list[Group]:
 
 
 def _simplest(simulation: Simulation, done: list[Simulated], ranked: _Ranked) -> list[Simulated]:
-    """The same, and the best law without its memory where that simulates as well."""
+    """The same, and the best law without its memory where that simulates as well; what fades at once is a rate."""
     best = done[0]
     assert best.regression is not None and best.regression.group is not None and best.law is not None
     if best.law.operator == "none" or best.law.argument == "draw":
         return done
     bare = replace(best.regression.group, operator="none", amount=0.0)
+    if best.law.operator == "high_pass" and bare.argument in _RATES:
+        bare = replace(bare, argument=_RATES[bare.argument])
     laws = [best.law] if best.law.operator in ("lag", "play") else []
     laws += [one.law for _, one in ranked if one.group == bare and one.law is not None]
     plain = [

@@ -168,12 +168,15 @@ def with_laws(
 def leaves_excess(found: Diagnosis) -> bool:
     """Whether what a diagnosis found leaves so much that a law could be a further effect.
 
-    What begins, ends or comes and goes is no law, nor is friction that is judged along the motion of a joint that
-    sticks.
+    What begins or ends is no law, nor is friction that is judged along the motion of a joint that sticks, nor a torque
+    that comes and goes beside effects. Such a torque alone may be a law that acts in a part of the range.
     """
-    events = any(one.name == DISTURBANCE or one.onset_s is not None or one.end_s is not None for one in found.effects)
+    events = any(one.onset_s is not None or one.end_s is not None for one in found.effects)
+    events = events or (len(found.effects) > 1 and any(one.name == DISTURBANCE for one in found.effects))
     if found.verdict == "none" or events or any(isinstance(one, MeasuredMotion) for one in found.experiments):
         return False
+    if _is_a_torque_alone(found):
+        return True
     left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
     return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
 
@@ -191,17 +194,30 @@ def may_be_better(before: Diagnosis, learned: Learned) -> bool:
     alone = recalibrated(with_it(before.recalibrated).experiments, before.recalibrated)
     if is_better(before, alone):
         return True
-    return bool(before.effects) and is_better(before, with_it(before.extended).map(lambda experiment, fitted: refit(
+    beside = bool(before.effects) and not _is_a_torque_alone(before)
+    return beside and is_better(before, with_it(before.extended).map(lambda experiment, fitted: refit(
         experiment, fitted.point, fitted.free
     )))  # fmt: skip
 
 
 def is_better(before: Diagnosis, model: Model) -> bool:
-    """Whether a model with a law does better where nothing was fitted, by the rules of a further effect."""
+    """Whether a model with a law does better where nothing was fitted, by the rules of a further effect.
+
+    A law that predicts held-out data comes before a torque of any course, if the law is the explanation.
+    """
+    if _is_a_torque_alone(before):
+        before = replace(before, extended=before.recalibrated)
+        if share_of_all(before.recalibrated, model) < thresholds.EXPLAINED:
+            return False
     pairs = zip(before.extended.pairs, model.pairs, strict=True)
     gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
     share = further_share(before.recalibrated, before.extended, model)
     return gain >= thresholds.STRONG and share >= thresholds.FURTHER_SHARE
+
+
+def _is_a_torque_alone(found: Diagnosis) -> bool:
+    """Whether what was found is a torque from outside and nothing else."""
+    return [one.name for one in found.effects] == [DISTURBANCE]
 
 
 def place_in_words(found: LawSearch) -> str:

@@ -137,7 +137,7 @@ class Emulator:
         faults: FaultPlan,
         log: VoltageLog,
         open_port: Callable[[], Port],
-        clock: DeviceClock | None = None,
+        clock: DeviceClock,
     ) -> None:
         self._joint = Miswired(plant, faults)
         self._converter = converter
@@ -145,7 +145,7 @@ class Emulator:
         self._faults = faults
         self._log = log
         self._open_port = open_port
-        self._clock = clock or DeviceClock()
+        self._clock = clock
         self._port: Port | None = open_port()
         self._frozen: dict[int, float] = {}
         self._first_command_s: float | None = None

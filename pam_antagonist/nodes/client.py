@@ -239,16 +239,6 @@ class DriveClient(PipelineClient):
             time.sleep(TICK)
 
 
-def planned(voltage: Floats, period: float) -> Command:
-    """The command of a plan. `voltage`: (N, 2) [V], one row for each `period` [s]."""
-
-    def row(elapsed: float, _pressures: Floats, _angle: float) -> tuple[float, float]:
-        first, second = voltage[min(int(elapsed / period), len(voltage) - 1)]
-        return first, second
-
-    return row
-
-
 STATUS = "step"
 """Name of the only part that a command reports."""
 _PERIOD = 0.5

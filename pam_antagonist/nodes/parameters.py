@@ -46,11 +46,16 @@ class Parameter:
         return replace(self, description=description)
 
     @property
+    def _item(self) -> type:
+        """Type of a value, or of each item of a list."""
+        return type(self.default[0]) if isinstance(self.default, list) else type(self.default)
+
+    @property
     def expected(self) -> str:
         """The allowed values, in words."""
         text = _TYPES[type(self.default)]
         if isinstance(self.default, list):
-            text = "a list of texts" if self._texts else f"a list of {self.length} numbers"
+            text = "a list of texts" if self._item is str else f"a list of {self.length} numbers"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.solid:
@@ -63,35 +68,24 @@ class Parameter:
 
     def check(self, value: Any) -> Value:
         """The value in this parameter's type."""
-        kind = type(self.default)
-        if kind is float and type(value) is int:
+        kind, item = type(self.default), self._item
+        if kind is list and hasattr(value, "__len__") and not isinstance(value, (str, bytes)):
+            value = [float(one) if item is float and isinstance(one, (int, float)) else one for one in value]
+        elif kind is list and item is str and isinstance(value, str):
+            value = [value]
+        elif kind is float and type(value) is int:
             value = float(value)
-        if self._texts:
-            return self._check_texts(value)
-        if kind is list and not isinstance(value, (str, bytes)) and hasattr(value, "__len__"):
-            value = [float(item) if isinstance(item, (int, float)) else item for item in value]
-        good = type(value) is kind and (not self.choices or value in self.choices)
-        if good and isinstance(value, list):
-            good = len(value) == self.length and all(isinstance(item, float) and self._within(item) for item in value)
-        elif good and isinstance(value, (int, float)) and not isinstance(value, bool):
-            good = self._within(value)
-        elif good and isinstance(value, str) and self.solid:
-            good = bool(value) and value.isprintable() and " " not in value
-        if not good:
+        items = value if isinstance(value, list) else [value]
+        good = type(value) is kind and all(type(one) is item and self._allows(one) for one in items)
+        if not good or (kind is list and item is float and len(items) != self.length):
             raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
         return value  # type: ignore[no-any-return]
 
-    @property
-    def _texts(self) -> bool:
-        return isinstance(self.default, list) and (not self.default or isinstance(self.default[0], str))
-
-    def _check_texts(self, value: Any) -> list[str]:
-        texts = [value] if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
-        if not all(isinstance(item, str) and item for item in texts):
-            raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
-        return texts
-
-    def _within(self, value: float) -> bool:
+    def _allows(self, value: Any) -> bool:
+        if isinstance(value, str):
+            solid = bool(value) and value.isprintable() and " " not in value
+            named = bool(value) or not isinstance(self.default, list)
+            return named and (not self.choices or value in self.choices) and (solid or not self.solid)
         low = -float("inf") if self.low is None else self.low
         high = float("inf") if self.high is None else self.high
         return low <= value <= high or value == self.left  # False for NaN
@@ -102,6 +96,8 @@ JOINT = Parameter("joint", "free", choices=("free", "locked")).about("whether th
 LOCK_ANGLE = Parameter("lock_angle", 0.0, -1.6, 1.6).about("angle at which a locked joint is held [rad]")
 JOINT_NAME = Parameter("joint_name", "joint", solid=True).about("name of the joint in messages and diagnostics")
 FRAME = Parameter("frame_id", "joint").about("frame of the joint in the messages")
+SIMULATED_JOINT = (RIG, JOINT, LOCK_ANGLE, JOINT_NAME, FRAME)
+"""Parameters of a node that knows the equations of the joint."""
 SAFE_VOLTAGE = Parameter("safe_voltage", [-1.0, -1.0], 0.0, 10.0, left=-1.0).about(
     "voltages of both valves while no valid command comes [V]; -1: at which they keep the pressure at rest, by the rig "
     "file"

@@ -15,12 +15,8 @@ from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judg
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
-    FRAME,
-    JOINT,
-    JOINT_NAME,
-    LOCK_ANGLE,
     PRESSURE_SENSORS,
-    RIG,
+    SIMULATED_JOINT,
     VALVE_OWNER,
     Parameter,
     check_pressure_sensors,
@@ -49,11 +45,7 @@ services:    ~/stop, ~/clear_stop (std_srvs/Trigger), and those of a lifecycle n
 """
 
 PARAMETERS = (
-    RIG,
-    JOINT,
-    LOCK_ANGLE,
-    JOINT_NAME,
-    FRAME,
+    *SIMULATED_JOINT,
     *VALVE_OWNER,
     Parameter("seed", 0, 0, 2**31 - 1).about("seed of the parameters' mismatch and of the sensor noise [-]"),
     Parameter("mismatch", 0.0, 0.0, 0.29).about("relative standard deviation of the parameters from the rig's [-]"),

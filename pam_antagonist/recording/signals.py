@@ -53,10 +53,7 @@ class FurtherSignal(NamedTuple):
 def blocks(
     recording: Recording, header: Mapping[str, Any], stamp: Mapping[str, Any], frame_id: str
 ) -> dict[Topic, tuple[Stamps, NDArray[np.uint8]]]:
-    """Messages of the further signals and of the episodes' beginnings.
-
-    Returns topic -> stamps (K,) and messages (K, L).
-    """
+    """Topic -> stamps (K,) and messages (K, L) of the further signals and of the episodes' beginnings."""
     out: dict[Topic, tuple[Stamps, NDArray[np.uint8]]] = {}
     size = len(recording)
     for name, (values, unit) in recording.signals.items():
@@ -83,14 +80,9 @@ def joint_fields(
 
 
 def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[str] = ()) -> dict[str, FurtherSignal]:
-    """Further signals of a bag at the samples.
+    """Further signals of a bag at the samples (N,), by the part after ``also/``, or the entry of ``wanted``.
 
-    Args:
-        samples: stamps (N,) [ns].
-        wanted: names of further topics in the bag, in addition to those below ``also/``.
-
-    Returns:
-        Name -> signal; the name is the part after ``also/``, or the entry of ``wanted``.
+    `wanted`: names of further topics in the bag, in addition to those below ``also/``.
     """
     prefix = f"{namespace}/{ALSO}"
     topics = {topic[len(prefix) :]: topic for topic in sorted(bag.topics) if topic.startswith(prefix)}
@@ -179,10 +171,7 @@ _ARRAYS = ("state", "covariance", "cross", "voltage", "distances", "angle_sensor
 
 
 def read_checkpoints(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[Checkpoint, ...]:
-    """Checkpoints of the live filter, unchecked: a filter that is given one checks it.
-
-    `keep`: numbers of the messages to take, in the order of the result (K,).
-    """
+    """Checkpoints of the live filter in some messages, unchecked: a filter that is given one checks it."""
     if len(keep) == 0:
         return ()
     stamps, started = decoded.stamp_ns("header.stamp").tolist(), decoded.stamp_ns("started").tolist()

@@ -54,12 +54,9 @@ class _Files:
 
 
 def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> RawBag:
-    """Read the messages of the given types from a bag.
+    """Read the messages of the given types from a bag; other topics are listed and counted.
 
-    Args:
-        path: Bag folder, or one .mcap or .db3 file, plain or packed with zstd.
-        types: Message types whose payloads are wanted; other topics are listed and counted.
-        recover: Read what is left of a damaged or cut off bag instead of refusing it.
+    `recover`: Read what is left of a damaged or cut off bag instead of refusing it.
     """
     try:
         files = _locate(path)

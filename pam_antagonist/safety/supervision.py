@@ -23,6 +23,7 @@ _SLOWEST = 30.0  # assumed low-pass of a sensor's amplifier, a sixth of what doc
 _GAP = 20  # consecutive missing samples, after which the valves have become safe for lack of commands
 _SETTLING = 2 * PATIENCE  # samples until the filter accepts the pressures after a gap
 _NEVER = 3e9  # a century [s]
+_LEAST_FROZEN = 0.02  # some converters repeat each result several times [s]
 _LONGEST_FROZEN = 1.0  # a sensor that may stay constant for longer by chance cannot be checked [s]
 
 
@@ -44,17 +45,16 @@ def frozen_samples(noise: float, step: float, correlation: float = 0.0) -> float
     return 2.0 if chance <= 0.0 else 1.0 + math.ceil(math.log(_CHANCE) / math.log(chance))
 
 
-def frozen_time(noise: float, step: float, period: float, least: float = 0.02) -> float | None:
+def frozen_time(noise: float, step: float, period: float) -> float | None:
     """Time of equal readings after which a sensor counts as frozen [s]; None: the sensor cannot be checked.
 
     Filtering in an amplifier makes equal readings more likely. The noise is assumed to have passed a first-order
     low-pass of 30 Hz.
 
-    `noise`, `step`: as for :func:`frozen_samples`. `period`: between two readings [s]. `least`: lower bound, because
-    some converters repeat each result several times [s].
+    `noise`, `step`: as for :func:`frozen_samples`. `period`: between two readings [s].
     """
     correlation = math.exp(-2.0 * math.pi * _SLOWEST * period)
-    time = max(least, frozen_samples(noise, step, correlation) * period)
+    time = max(_LEAST_FROZEN, frozen_samples(noise, step, correlation) * period)
     return time if time <= _LONGEST_FROZEN else None
 
 

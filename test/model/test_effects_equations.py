@@ -188,7 +188,7 @@ def test_trajectory(rig, case, locked, base, u, duration):
     p = vector(rig, CASES[case], "locked" if locked else "free")
     u = tuple(_asked(case, value) for value in u)
     if case.startswith("regulator"):
-        duration = min(duration, 0.1)  # a regulator is quicker than a valve
+        duration = min(duration, 0.03)  # a regulator is quicker than a valve
     inputs = np.array([*u, 0.05])
     before = np.array([_asked(case, 5.5)] * 2)
     x = equilibrium.initial_state(base[0], base[2], base[3], before, p)

@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from pam_antagonist import replay
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.hardware.calibration import Converter, load_calibration
 from pam_antagonist.nodes.processes import Processes, ros_arguments
-from pam_antagonist.paths import config_dir
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.replays.accounting import account
 from pam_antagonist.rig import load_rig
@@ -135,26 +133,22 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
 
 @pytest.fixture(scope="module")
 def regulated(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
-    """A joint with pressure regulators and without pressure sensors is held at an angle, then the bridge is killed."""
+    """A joint with pressure regulators is held at an angle, then the bridge is killed."""
     from probe import Probe
 
     folder = tmp_path_factory.mktemp("regulators")
     Estimator(RIG)  # compiles, or loads; the processes then find it
-    content = yaml.safe_load((config_dir() / "hardware" / "example_regulators.yaml").read_text(encoding="utf-8"))
-    content |= {"pressure_sensors": "none"}
-    del content["pressure_1"], content["pressure_2"]
-    calibration = folder / "hardware.yaml"
-    calibration.write_text(yaml.safe_dump(content), encoding="utf-8")
     rig = {"rig": "shin2022_regulators"}
-    owner = {**rig, "hardware": str(calibration), "safe_pressure": list(SAFE_PRESSURE)}
+    hardware = "example_regulators"
+    owner = {**rig, "hardware": hardware, "safe_pressure": list(SAFE_PRESSURE)}
     patient = {"command_timeout": 0.3, "max_command_age": 2.0, "missing_time": 0.5}
-    device = ["--rig", rig["rig"], "--hardware", str(calibration), "--mismatch", "0.01"]
+    device = ["--rig", rig["rig"], "--hardware", hardware, "--mismatch", "0.01"]
     with Processes(folder) as processes, Probe("diagnostics") as probe:
         line = Line(folder, processes, probe, device)
-        line.start({**rig, "pressure_sensors": "none", "max_age": 0.5}, {"law": "model"}, {**owner, **patient})
+        line.start({**rig, "max_age": 0.5}, {"law": "model"}, {**owner, **patient})
         probe.refer(0, GOAL)
         probe.wait(2.5)
-        return line.end(Converter(load_calibration(calibration)).output(SAFE_PRESSURE))
+        return line.end(Converter(load_calibration(hardware)).output(SAFE_PRESSURE))
 
 
 def test_log_has_the_faults_in_order(run: Run) -> None:
@@ -272,7 +266,6 @@ def test_a_joint_with_regulators_is_held_over_the_serial_line_and_nothing_is_wro
     assert np.nanmean(held) == pytest.approx(GOAL, abs=math.radians(1.5))
     low, high = RIG.command_limits
     assert np.all((recording.voltage > low - 1.0) & (recording.voltage < high + 1.0)), "pressures, not volts"
-    assert not np.isfinite(recording.pressure).any() and "pressure_1" not in recording.topics
     assert not [status.message for status in regulated.said("safety", 0, 2**63) if status.level > b"\0"]
     live = replay(regulated.bag, RIG).report.live_equal
     assert live is not None and live.equal == live.compared > 1500

@@ -80,6 +80,7 @@ def test_what_is_set_before_a_node_is_configured_counts_then(made: Callable[...,
         (Parameter("x", 1, 0, 2), [0, 2], [1.0, 3, True, "1"]),
         (Parameter("x", True), [False], [1, "true"]),
         (Parameter("x", "a", choices=("a", "b")), ["b"], ["c", 1]),
+        (Parameter("x", ["a"]), [["b", "c"], ("b",)], [[""], [1], 1, ["b", None]]),
         (Parameter("x", "a", solid=True), ["left_elbow", "ü"], ["", "a b", "a\n", 1]),
         (
             Parameter("x", [1.0, 1.0], 0.0, 2.0),

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
 from sent import MS, asked, command, stamp_of
 
 from pam_antagonist.hardware.device import DeviceInfo, RawSample
 from pam_antagonist.hardware.link import Sample
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.hardware.transport import DeviceLost
+from pam_antagonist.paths import config_dir
+from pam_antagonist.rig import load_rig
 from pam_antagonist.safety import SafeAction
 
 pytestmark = pytest.mark.ros
@@ -55,7 +59,8 @@ class Owner:
         self.port.listen()
 
     def keep(self, output: Any) -> None:
-        self.node.keep(p1=output.pressures[0], p2=output.pressures[1], valves=output.valves, joint=output.joint)
+        pressures = {f"p{number}": one for number, one in enumerate(output.pressures, 1)}
+        self.node.keep(**pressures, valves=output.valves, joint=output.joint)
         self.sent = self.node.sent
 
     def command(self, first: float, second: float) -> None:
@@ -64,6 +69,8 @@ class Owner:
 
 class Simulated(Owner):
     """The plant."""
+
+    REGULATORS: Mapping[str, Any] = {}
 
     def __init__(self, new_node: Callable[..., Any], _: Any, **parameters: Any) -> None:
         from pam_antagonist.nodes.plant import PlantNode
@@ -84,11 +91,14 @@ class Simulated(Owner):
         self.pressure = second
         self.now += MS
         self.node._tick()
-        return tuple(self.sent["valves"][-1].voltage)
+        newest = self.sent["valves"][-1]
+        return tuple(newest.voltage if hasattr(newest, "voltage") else newest.pressure)
 
 
 class Real(Owner):
     """The bridge."""
+
+    REGULATORS: Mapping[str, Any] = {"hardware": "example_regulators"}
 
     def __init__(self, new_node: Callable[..., Any], patch: pytest.MonkeyPatch, **parameters: Any) -> None:
         from pam_antagonist.nodes import bridge
@@ -104,12 +114,16 @@ class Real(Owner):
         fields = {"voltage": (6.0, 5.0), "angle": 0.1, "torque": -0.5, "status": Status(0), **changes}
         self.node._attend()
         self.node._deliver(Sample(self.now, pressure, **fields))
-        return self.node._device.commands[-1]
+        return self.node._converter.asked(self.node._device.commands[-1])
 
 
 @pytest.fixture(params=[Simulated, Real], ids=["plant", "bridge"])
 def make(request: pytest.FixtureRequest, new_node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Any:
-    return lambda **parameters: request.param(new_node, monkeypatch, **parameters)
+    def owner(regulators: bool = False, **parameters: Any) -> Owner:
+        rig = {"rig": "shin2022_regulators", **request.param.REGULATORS} if regulators else {}
+        return request.param(new_node, monkeypatch, **rig, **parameters)
+
+    return owner
 
 
 @pytest.fixture
@@ -181,7 +195,41 @@ def test_a_sick_pressure_stops_the_valves_until_it_is_well_and_cleared(
     assert owner.node.health(2)["safety"].level == 0
 
 
+def test_regulators_are_asked_for_what_is_safe_without_commands_and_stopped(make: Callable[..., Any]) -> None:
+    safe, (_, high) = (311.3e3, 356.3e3), load_rig("shin2022_regulators", regulators=True).command_limits
+    owner = make(regulators=True, safe_pressure=list(safe))
+    assert owner.sample() == pytest.approx(safe)
+
+    def commanded(first: float, count: int) -> tuple[float, float]:
+        for _ in range(count):
+            owner.command(first, safe[1])
+            asked_for = owner.sample()
+        return asked_for
+
+    assert commanded(9e5, 1)[0] == pytest.approx(safe[0] + 20e3, abs=1.0), "slewed"
+    assert commanded(9e5, 60) == pytest.approx((high, safe[1]))
+    for _ in range(25):
+        silent = owner.sample()
+    assert silent == pytest.approx(safe)
+    assert asked(owner.port._stop)[0] and commanded(6e5, 20) == pytest.approx(safe)
+
+
 # ------------------------------------------------------------------------------------------------ the bridge alone
+
+
+def test_without_pressure_sensors_none_is_published_or_missed(
+    new_node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    content = yaml.safe_load((config_dir() / "hardware" / "example_regulators.yaml").read_text(encoding="utf-8"))
+    content["pressure_sensors"] = "none"
+    del content["pressure_1"], content["pressure_2"]
+    hardware = tmp_path / "hardware.yaml"
+    hardware.write_text(yaml.safe_dump(content), encoding="utf-8")
+    bridge = Real(new_node, monkeypatch, rig="shin2022_regulators", hardware=str(hardware))
+    assert set(bridge.sent) == {"valves", "joint"}
+    for _ in range(100):
+        bridge.sample(lambda p: math.nan)
+    assert not bridge.port.guard.stopped and len(bridge.sent["valves"]) == 100
 
 
 @pytest.mark.parametrize(

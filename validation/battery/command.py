@@ -19,6 +19,7 @@ from pam_antagonist.report import terminal
 from pam_antagonist.report.table import markdown
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import write_json
+from validation import json_option
 from validation.battery import outcomes
 from validation.battery.draw import LARGE, LEVELS, cases
 from validation.battery.outcomes import Outcome
@@ -72,7 +73,7 @@ def parser() -> common.Parser:
         "tcp://10.0.0.5:8786 (needs pam_antagonist[dask])"
     )  # fmt: skip
     out.option("--docs", "write the table of figures as Markdown; FILE is replaced", Path, metavar="FILE")
-    common.add_new_json(out, "summary.json")
+    json_option.add_new_json(out, "summary.json")
     return out
 
 
@@ -148,7 +149,7 @@ def _report(done: Sequence[Outcome], count: int, asked: dict[str, Any], argument
     write_json(arguments.out / "summary.json", summary)
     about = f"{len(done)} of {count} cases are finished"
     shown = "\n\n".join([about, *(terminal.table(table, indent="") for table in tables)])
-    common.show(f"{shown}\n", summary, arguments.json)
+    json_option.show(f"{shown}\n", summary, arguments.json)
     if arguments.docs is not None:
         seconds = sorted(one.seconds for one in done)
         took = f"a diagnosis took {seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s at most"

@@ -21,6 +21,7 @@ from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import load_rig
 from pam_antagonist.software import versions
+from validation import json_option
 
 _DESCRIPTION = """\
 Measure what the package costs on this machine.
@@ -45,7 +46,7 @@ def parser() -> common.Parser:
     out.option("--rig", "a YAML file, or a rig's name (default: shin2022)", default="shin2022", metavar="RIG")
     out.option("--bag", "recording for the replay (default: 60 s are simulated)", Path, metavar="BAG")
     out.option("--duration", "length of the pipeline's run [s] (default: 60)", float, 60.0, "S")
-    common.add_new_json(out, "the figures")
+    json_option.add_new_json(out, "the figures")
     return out
 
 
@@ -71,7 +72,7 @@ def _main(arguments: argparse.Namespace) -> int:
     table = Table(("figure", "measured"), tuple((name, number(value)) for name, value in figures.items()))
     machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
     content = {"figures": figures, "machine": machine, "software": versions()}
-    common.show(terminal.table(table, indent=""), content, arguments.json)
+    json_option.show(terminal.table(table, indent=""), content, arguments.json)
     return common.DONE
 
 

@@ -11,6 +11,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
+from validation import json_option
 
 if TYPE_CHECKING:
     from validation.faults.fault import Fault, Outcome
@@ -39,7 +40,7 @@ def parser() -> common.Parser:
                      help="make this fault alone; may be given several times (see --list)")  # fmt: skip
     out.flag("--list", "list the faults and make none")
     out.option("--rig", "a YAML file, or a rig's name (default: shin2022)", default="shin2022", metavar="RIG")
-    common.add_new_json(out, "the table")
+    json_option.add_new_json(out, "the table")
     out.option("--docs", "write the table as Markdown; replaces FILE", Path, metavar="FILE")
     return out
 
@@ -66,7 +67,7 @@ def _main(arguments: argparse.Namespace) -> int:
             advance(1)
 
         outcomes = run_faults(faults, rig, done)
-    common.show(f"\n{table.summary(outcomes)}", table.content(outcomes), arguments.json)
+    json_option.show(f"\n{table.summary(outcomes)}", table.content(outcomes), arguments.json)
     if arguments.docs is not None:
         common.write_text(arguments.docs, "\n".join([f"{table.summary(outcomes)}.", "", *table.matrix(outcomes), ""]))
     return common.DONE if all(outcome.held for outcome in outcomes) else common.FAILED

@@ -14,6 +14,7 @@ import numpy as np
 
 from pam_antagonist.control.command import PI_MODES, Mode
 from pam_antagonist.control.tracking import held, tracking
+from pam_antagonist.design.exploration import Planned
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
@@ -76,7 +77,7 @@ def _read(folder: Path) -> Recording:
 
 def estimation(rig: VirtualRig, folder: Path, joint: str, seconds: float) -> Recording:
     """The profile on the live plant, with the estimator beside it."""
-    from pam_antagonist.nodes.client import DriveClient, planned
+    from pam_antagonist.nodes.client import DriveClient
 
     period = rig.declared.sample_period
     voltage = rig.voltage[: round(seconds / period)]
@@ -91,8 +92,8 @@ def estimation(rig: VirtualRig, folder: Path, joint: str, seconds: float) -> Rec
             return drive.missing()
 
         processes.wait(missing)
-        plan, unlimited = planned(voltage, period), lambda _pressures, _angle: ""
-        drive.follow(plan, len(voltage) * period, voltage[0], unlimited, processes.check, lambda elapsed: None)
+        plan, unlimited = Planned(voltage, period), lambda _pressures, _angle: ""
+        drive.follow(plan.command, plan.seconds, voltage[0], unlimited, processes.check, lambda elapsed: None)
     return _read(folder)
 
 
