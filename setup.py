@@ -50,6 +50,7 @@ setup(
         (f"share/{NAME}", ["package.xml", "LICENSE"]),
         *tree("config", (".json", ".rviz", ".xacro", ".xml", ".yaml")),
         *tree("launch", (".py",)),
+        *tree("pam_antagonist_msgs", (".msg",)),
         *tree("urdf", (".xacro",)),
     ],
     install_requires=[

@@ -35,7 +35,13 @@ NAVIGATION = {
         "how-to/ros2_control",
         "how-to/several_joints",
     ],
-    "How-to: watch and keep it safe": ["how-to/safety", "how-to/watch", "how-to/tools", "how-to/security"],
+    "How-to: watch and keep it safe": [
+        "how-to/safety",
+        "how-to/watch",
+        "how-to/history",
+        "how-to/tools",
+        "how-to/security",
+    ],
     "How-to: machines and problems": ["how-to/machines", "how-to/troubleshooting", "release"],
     "Reference": [
         "reference/commands",
@@ -53,6 +59,7 @@ NAVIGATION = {
         "explanation/control",
         "explanation/identification",
         "explanation/close_loop",
+        "explanation/look_alike",
         "architecture",
     ],
     "Evidence": [
@@ -60,7 +67,6 @@ NAVIGATION = {
         "pamy",
         "evidence/close_loop",
         "battery",
-        "rehearsals",
         "evidence/identification",
         "evidence/other_rigs",
         "evidence/peers",

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pam_antagonist.api.check import CheckResult, check
     from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
     from pam_antagonist.api.excite import excite
+    from pam_antagonist.api.history import HistoryResult, history
     from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.api.import_csv import import_csv
     from pam_antagonist.api.new_rig import new_rig
@@ -28,35 +29,33 @@ if TYPE_CHECKING:
     from pam_antagonist.rig.load import load_rig
     from pam_antagonist.rig.schema import Rig
 
-_WHERE = {
-    "BadInput": "errors",
-    "CheckResult": "api.check",
-    "DiagnoseResult": "api.diagnose",
-    "Estimator": "estimation.estimator",
-    "IdentifyResult": "api.identify",
-    "Recording": "recording.recording",
-    "ReplayResult": "api.replay",
-    "Rig": "rig.schema",
-    "StaticResult": "api.static",
-    "check": "api.check",
-    "diagnose": "api.diagnose",
-    "excite": "api.excite",
-    "identify": "api.identify",
-    "import_csv": "api.import_csv",
-    "load_rig": "rig.load",
-    "new_rig": "api.new_rig",
-    "read_bag": "recording.reader",
-    "replay": "api.replay",
-    "simulate": "api.simulate",
-    "static": "api.static",
-    "write_bag": "recording.writer",
+_NAMES = {
+    "errors": ("BadInput",),
+    "estimation.estimator": ("Estimator",),
+    "recording.recording": ("Recording",),
+    "recording.reader": ("read_bag",),
+    "recording.writer": ("write_bag",),
+    "rig.schema": ("Rig",),
+    "rig.load": ("load_rig",),
+    "api.check": ("CheckResult", "check"),
+    "api.diagnose": ("DiagnoseResult", "diagnose"),
+    "api.excite": ("excite",),
+    "api.history": ("HistoryResult", "history"),
+    "api.identify": ("IdentifyResult", "identify"),
+    "api.import_csv": ("import_csv",),
+    "api.new_rig": ("new_rig",),
+    "api.replay": ("ReplayResult", "replay"),
+    "api.simulate": ("simulate",),
+    "api.static": ("StaticResult", "static"),
 }
+_WHERE = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = [
     "BadInput",
     "CheckResult",
     "DiagnoseResult",
     "Estimator",
+    "HistoryResult",
     "IdentifyResult",
     "Recording",
     "ReplayResult",
@@ -66,6 +65,7 @@ __all__ = [
     "check",
     "diagnose",
     "excite",
+    "history",
     "identify",
     "import_csv",
     "load_rig",

@@ -29,6 +29,7 @@ _COMMANDS = {
     "simulate": "make a recording of a simulated joint",
     "import_csv": "convert a CSV, MATLAB, numpy or Parquet file to a recording",
     "reachable": "compute which angles and torques a joint can reach, and with which stiffness",
+    "history": "tell what has changed in a rig over weeks, from its log book",
     "static": "fit volume and force map of a muscle to tables of measurements",
     "device_emulator": "emulate a rig's microcontroller, with a simulated joint",
 }

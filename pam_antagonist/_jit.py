@@ -40,10 +40,9 @@ _IMPORT = re.compile(r"^\s*(?:from|import) (pam_antagonist[\w.]*)(?: import (\([
 def _source_hash() -> str:
     """Hash of all code that is compiled: of this package, and of effects from other packages.
 
-    numba only checks the file of a cached function, not the files of the functions that it calls. So after an update of
-    the package, an unchanged estimator would use the old physics. A separate cache folder for each state of the code
-    prevents this. Comments, docstrings, sentences about effects and files without kernels do not count, because they do
-    not change machine code.
+    numba only checks the file of a cached function, not those of the functions that it calls: after an update of the
+    package, an unchanged estimator would use the old physics. So each state of the code has a cache folder of its own.
+    Comments, docstrings, sentences about effects and files without kernels change no machine code, and do not count.
     """
     raw = hashlib.sha256(numba.__version__.encode())
     sources = [(path.relative_to(_PACKAGE).as_posix(), path.read_bytes()) for path in _kernel_sources()]
@@ -109,10 +108,7 @@ def _kernel_sources() -> tuple[Path, ...]:
 
 
 def _added_effects() -> Iterator[tuple[str, list[Path]]]:
-    """Modules of effects from other packages, with the sources that may have their kernels.
-
-    Nothing is imported here, because these modules need the hash during their own import.
-    """
+    """Modules of effects from other packages, with the sources that may have their kernels, without importing them."""
     for point in sorted(entry_points(group=EFFECTS_GROUP), key=lambda point: point.name):
         spec = find_spec(point.module.split(".")[0])
         folders = [] if spec is None else list(spec.submodule_search_locations or ())
@@ -193,9 +189,7 @@ def _content_hash(file: str) -> str:
 
 
 class Compiling(event.Listener):  # type: ignore[misc]
-    """Counts compilations, which happen once for each state of the code and each machine.
-
-    Compiling takes about a minute; a terminal shows its progress.
+    """Counts compilations, which happen once for each state of the code and each machine, and shows them on a terminal.
 
     `seconds`: time that this process has spent compiling, to be excluded when speed is measured [s]. `tell`: called
     with one sentence at the first compilation; None: not called.

@@ -1,4 +1,4 @@
-"""Location of the package's data files: rigs, scenarios, node parameters."""
+"""Location of the package's data files: rigs, maps, node parameters."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ _PACKAGE = Path(__file__).resolve().parent
 def config_dir() -> Path:
     """Folder ``config`` of the package.
 
-    In a checkout the folder is next to the package (also with an editable installation and with
-    ``colcon build --symlink-install``). Installations by pip or colcon have it as ``share/pam_antagonist/config`` in
-    the same prefix, so the nearest folder above the package that contains it is used.
+    In a checkout, or built by ``colcon build --symlink-install``, it is next to the package. Installed by pip or colcon
+    it is ``share/pam_antagonist/config`` in the same prefix: the nearest folder above the package that contains it.
     """
     checkout = _PACKAGE.parent / "config"
     if (_PACKAGE.parent / "package.xml").is_file() and checkout.is_dir():

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import html
+import math
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 from typing_extensions import override
 
+T = TypeVar("T")
 _LONGEST = 500
 _VALUE = 40
+MISSING = "–"
+"""Text for a missing value."""
 
 
 class Shown:
@@ -32,6 +36,11 @@ class Shown:
         return f"<pre>{html.escape(repr(self) if summary is None else summary())}</pre>"
 
 
+def widened(kind: type[T], base: Any, **more: Any) -> T:
+    """An instance of a subclass: the fields of an instance of its base, and further ones."""
+    return kind(**{item.name: getattr(base, item.name) for item in fields(base)}, **more)
+
+
 def _short(value: Any) -> str:
     shape = getattr(value, "shape", ())
     if shape:
@@ -41,6 +50,25 @@ def _short(value: Any) -> str:
     if isinstance(value, (Sequence, Mapping)):
         return f"[{len(value)}]"
     return type(value).__name__
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` significant digits, without an exponent if possible; a dash for a missing number."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0.0:
+        return "0"
+    magnitude = math.floor(math.log10(abs(value)))
+    if not -5 <= magnitude < 9:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(digits - 1 - magnitude, 0)}f}"
+
+
+def percent(value: float | None) -> str:
+    """A share as a percentage; a dash for a missing value."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return f"{100.0 * value:.1f} %"
 
 
 def unlike(value: float, limit: float, decimals: int) -> str:

@@ -33,6 +33,11 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
+def picked(of: Any, *names: str) -> dict[str, Any]:
+    """Attributes by their names, as ``report.json`` has them."""
+    return {name: getattr(of, name) for name in names}
+
+
 def dumps(value: Any, indent: int | None = 2) -> str:
     """Strict JSON text of a value."""
     return json.dumps(plain(value), indent=indent, allow_nan=False, ensure_ascii=False)

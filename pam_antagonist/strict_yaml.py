@@ -56,36 +56,25 @@ class Strict(BaseModel):
         return self.copy(update=fields) if _OLD else self.model_copy(update=fields)
 
     def replaced(self, **fields: Any) -> Self:
-        """A copy with some fields replaced, checked as :func:`replaced` says."""
-        return replaced(self, fields)
+        """A copy with some fields replaced, each checked by its own bounds."""
+        kind = type(self)
+        where, known = f"{kind.__name__}.replaced", fields_of(kind)
+        for name in fields:
+            if name not in known:
+                hint = unknown(name, [*known, *names(self.plain())])
+                hint += "; Rig.with_value changes a value by its dotted name" if "." in hint else ""
+                raise BadInput(f"{where}: {hint}; expected one of {', '.join(known)}")
+        try:
+            return kind(**{**{name: getattr(self, name) for name in known}, **fields})
+        except ValidationError as error:
+            raise BadInput(f"{where}: {_first_complaint(error, kind)}") from None
 
-    def plain(self) -> dict[str, Any]:
-        """The content as plain values, as a file has it."""
-        return self.dict() if _OLD else self.model_dump()
+    def plain(self, **how: Any) -> dict[str, Any]:
+        """The content as plain values, as a file has it. `how`: as of pydantic's ``model_dump``."""
+        return self.dict(**how) if _OLD else self.model_dump(**how)
 
 
 Schema = TypeVar("Schema", bound=BaseModel)
-Checked = TypeVar("Checked", bound=Strict)
-
-
-def replaced(part: Checked, fields: Mapping[str, Any]) -> Checked:
-    """A copy of a part of a file with some fields replaced, each checked by its own bounds."""
-    kind = type(part)
-    known = field_names(kind)
-    for name in fields:
-        if name not in known:
-            hint = unknown(name, [*known, *names(part.plain())])
-            hint += "; Rig.with_value changes a value by its dotted name" if "." in hint else ""
-            raise BadInput(f"{kind.__name__}.replaced: {hint}; expected one of {', '.join(known)}")
-    try:
-        return kind(**{**{name: getattr(part, name) for name in known}, **fields})
-    except ValidationError as error:
-        raise BadInput(f"{kind.__name__}.replaced: {_first_complaint(error, kind)}") from None
-
-
-def field_names(schema: type[BaseModel]) -> tuple[str, ...]:
-    """Names of a schema's fields."""
-    return tuple(fields_of(schema))
 
 
 def fields_of(schema: Any) -> Mapping[str, Any]:

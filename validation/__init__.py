@@ -1,1 +1,1 @@
-"""What measures the product: the paper, the battery, speed and faults. Nothing in the product imports it."""
+"""What measures the product: the paper, the battery, peers, speed and faults. Nothing in the product imports it."""

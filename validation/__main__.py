@@ -12,24 +12,9 @@ COMMANDS: dict[str, Command] = {
     "battery": Command("validation.battery.command:main", "measure how often close_loop is right, on simulated joints"),
     "oracle": Command("validation.oracle:main", "run close_loop on cases whose answer is frozen, say what got worse"),
     "peers": Command("validation.peers.command:main", "compare ours with soft sensors, other filters and fitted laws"),
-    "control_laws": Command("validation.control.command:main", "compare the laws of control, on simulated joints"),
-    "external_torque": Command(
-        "validation.pushes.command:main",
-        "measure how well a torque from outside is estimated, on simulated joints",
-    ),
-    "excitation": Command(
-        "validation.excitation.command:main",
-        "compare designed experiments with random steps, on simulated joints",
-    ),
-    "tell_apart": Command(
-        "validation.excitation.pairs:main",
-        "test whether designed experiments distinguish similar effects",
-    ),
-    "rehearse": Command(
-        "validation.excitation.rehearse:main", "run commission on simulated joints with a known effect"
-    ),
+    "ambiguity": Command("validation.ambiguity:main", "show which missing effects look alike, on simulated joints"),
     "rehearse_new_rigs": Command(
-        "validation.excitation.new_rigs:main",
+        "validation.rigs.rehearsed:main",
         "run commission on twelve rigs of new_rig and joints drawn from their priors",
     ),
     "rigs": Command("validation.rigs.judge:main", "identify fresh virtual rigs and judge the result"),

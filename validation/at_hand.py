@@ -24,22 +24,14 @@ ARM_SIGNALS = ("joint1_p1", "joint1_p2")
 
 @dataclass(frozen=True)
 class Joint:
-    """Recordings of one joint.
+    """Recordings of one joint."""
 
-    Attributes:
-        name: of the case.
-        rig: name or file of the rig as its laboratory describes it.
-        recordings: bags that may be fitted.
-        held_out: bags that are kept to judge by; none where the end of each recording is.
-        also: further signals that may be causes.
-        truth: verdict and effects that the recordings' authors expect; None where nobody knows.
-    """
-
-    name: str
-    rig: str
-    recordings: tuple[Path, ...]
-    held_out: tuple[Path, ...] = ()
-    also: tuple[str, ...] = ()
+    name: str  # of the case
+    rig: str  # name or file of the rig as its laboratory describes it
+    recordings: tuple[Path, ...]  # bags that may be fitted
+    held_out: tuple[Path, ...] = ()  # bags that are kept to judge by; none where the end of each recording is
+    also: tuple[str, ...] = ()  # further signals that may be causes
+    # verdict and effects that the recordings' authors expect; None where nobody knows
     truth: tuple[str, ...] | None = None
 
 
@@ -67,11 +59,7 @@ NAMES = (*_RIG_A, *(f"strangers/{name}" for name in STRANGERS), "measured/sealed
 
 
 def joint(name: str, folder: Path, scratch: Path) -> Joint:
-    """A joint of ``NAMES``, its files imported into a scratch folder.
-
-    Raises:
-        BadInput: its recordings are not in the folder.
-    """
+    """A joint of ``NAMES``, its files imported into a scratch folder."""
     if not (folder / name).is_dir():
         raise BadInput(f"{folder / name}: not found; expected the folder of the recordings at hand before /{name}")
     if name in _RIG_A:

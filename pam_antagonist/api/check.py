@@ -11,9 +11,10 @@ from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.report.assumption import assumption
 from pam_antagonist.report.result import frame_of
 from pam_antagonist.rig import as_rig
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.shown import widened
 from pam_antagonist.strict_json import write_json
 
 if TYPE_CHECKING:
@@ -102,4 +103,4 @@ def check(
     if not isinstance(recording, Recording):
         recording = read_bag(recording, corrections=Corrections(align_clocks=given.align_clocks), judge=False)
     found = check_recording(recording, configured, joint, lock_angle, given)
-    return CheckResult(found.findings, found.corrections, found.joint, assumption(configured))
+    return widened(CheckResult, found, assumption=assumption(configured))

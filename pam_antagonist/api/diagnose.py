@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from functools import partial
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
-from pam_antagonist.diagnosis import Diagnosis
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.diagnosis.learned_law import with_laws
+from pam_antagonist.diagnosis.preparation import Settings
 from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import is_for
@@ -22,6 +21,7 @@ from pam_antagonist.report.close_loop import DiagnoseResult
 from pam_antagonist.report.close_loop_from_pressures import PressuresDiagnoseResult
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.rig import Rig, as_rig
+from pam_antagonist.shown import widened
 
 __all__ = [
     "DiagnoseResult",
@@ -94,7 +94,8 @@ def diagnose(
     hashes = tuple(recording_hash(one) for one in every)
     if are_trials(every, chosen):
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
-        found = _from_pressures(given, chosen, holdout, seed, jobs, progress, len(kept))
+        settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or _silent, False, False, Checkpoint())
+        found = _from_pressures(given, chosen, settings, len(kept))
         return PressuresDiagnoseResult(chosen, found, hashes)
     if are_episodes(every, chosen):
         if len(fitted) > 1 or len(kept) > 1:
@@ -112,8 +113,9 @@ def diagnose(
         profiles=profiles, estimator=estimator, store=store,
     )  # fmt: skip
     diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or _silent)
-    return DiagnoseResult(
-        **{item.name: getattr(diagnosis, item.name) for item in fields(Diagnosis)},
+    return widened(
+        DiagnoseResult,
+        diagnosis,
         start=chosen,
         hashes=hashes,
         seed=seed,

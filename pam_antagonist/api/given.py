@@ -12,12 +12,11 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, bag_name, plausible, read_bag
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition, joint_condition, with_stops
-from pam_antagonist.recording.recording import Recording as _Recording
 from pam_antagonist.rig import Rig
 
 RigGiven: TypeAlias = Rig | str | Path
 """A rig, the name of a rig of the package, or the path of a rig file."""
-Bag: TypeAlias = _Recording | str | Path
+Bag: TypeAlias = Recording | str | Path
 """A recording, or the path of a rosbag2."""
 
 
@@ -28,7 +27,7 @@ def calibration(rig: Rig) -> Corrections:
 
 def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
     """The recording itself; a bag is read with the calibration of its rig."""
-    if isinstance(bag, _Recording):
+    if isinstance(bag, Recording):
         return bag
     if isinstance(bag, (str, Path)):
         return read_bag(bag, corrections=calibration(rig), also=also)
@@ -55,7 +54,7 @@ def named(
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:
     """Corrections with which bags are read here; none for recordings that the caller has read."""
-    return Corrections() if any(isinstance(bag, _Recording) for bag in _several(bags)) else calibration(rig)
+    return Corrections() if any(isinstance(bag, Recording) for bag in _several(bags)) else calibration(rig)
 
 
 def _several(bags: Bag | Sequence[Bag]) -> Sequence[Bag]:
@@ -64,14 +63,11 @@ def _several(bags: Bag | Sequence[Bag]) -> Sequence[Bag]:
 
 def _judge(recording: Recording) -> None:
     """Refuse values in other units; a bag's were judged while it was read."""
-    where, issues = str(recording.path), list[str]()
-    judges = (
-        ("pressure", plausible.check_pressure, recording.pressure),
-        ("commands", plausible.check_voltage if recording.drive == "valve" else plausible.check_pressure,
-         recording.voltage),
-        ("angle", plausible.check_angle, recording.angle),
-        ("torque", plausible.check_torque, recording.torque),
+    commands = ("voltage", "V") if recording.drive == "valve" else ("pressure", "Pa")
+    channels = (
+        ("pressure", recording.pressure, "pressure", "Pa"), ("commands", recording.voltage, *commands),
+        ("angle", recording.angle, "angle", "rad"), ("torque", recording.torque, "torque", "N m"),
     )  # fmt: skip
-    for name, judge, values in judges:
+    for name, values, quantity, unit in channels:
         if values is not None and np.isfinite(values).any():
-            judge(where, name, values, issues)
+            plausible.judge(str(recording.path), plausible.Signal(name, quantity, values, unit), [])

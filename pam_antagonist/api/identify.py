@@ -19,7 +19,6 @@ from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.report.identify_episodes import EpisodesIdentifyResult
-from pam_antagonist.report.identify_sealed import SealedIdentifyResult
 from pam_antagonist.rig import Rig, as_rig
 
 __all__ = ["EpisodesIdentifyResult", "IdentifyResult", "identify"]
@@ -109,7 +108,7 @@ def _sealed(
     found = identify_sealed([(recording, name) for recording, _, name in read], rig, holdout, progress)
     rigs = {"as_configured": found.start, "identified": found.rig}
     held = tuple(held_of(one, one, end, rigs, None) for one, end in zip(read, found.held_from, strict=True))
-    return SealedIdentifyResult(found.rig, (), found, held, tuple(read), seed)
+    return IdentifyResult(found.rig, (), found, held, tuple(read), seed)
 
 
 def _episodes(

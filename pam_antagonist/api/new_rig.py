@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from pam_antagonist.api.rig_questions import OWN, QUESTIONS, Question
+from pam_antagonist.api.rig_questions import OWN, QUESTIONS, Answers
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.new import Facts, starting_point
@@ -44,69 +44,32 @@ def new_rig(**answers: str) -> Rig:
         >>> rig.geometry.radius
         0.0365
     """
-    values: dict[str, Any] = {}
     unknown = sorted(answers.keys() - {question.name for question in QUESTIONS})
     if unknown:
         expected = ", ".join(question.name for question in QUESTIONS)
         raise BadInput(f"{unknown[0]}: no such answer; expected one of {expected}")
-    for question in QUESTIONS:
-        text = answers.get(question.name)
-        if not question.wanted(values):
-            if text is not None:
-                raise BadInput(f"{question.name}: only with {question.condition.words.removeprefix('--')}")
-            continue
-        if text is None and question.default is None:
-            raise BadInput(f"{question.name}: missing; expected {question.text[0].lower()}{question.text[1:]}")
-        try:
-            values[question.name] = question.read(str(question.default if text is None else text))
-        except BadInput as error:
-            raise BadInput(f"{question.name} {error}") from None
-    return starting_point(facts_of(values))
+    given = Answers(answers)
+    given.read()
+    return starting_point(facts_of(given.values))
+
+
+_AS_ANSWERED = (
+    "name", "kind", "radius", "length", "nominal_length", "supply", "shaft_radius", "mass", "inertia", "stop"
+)  # fmt: skip
 
 
 def facts_of(values: Mapping[str, Any]) -> Facts:
     """What the answers say."""
-    if values["muscle"] == OWN:
-        muscle = MusclePart(
-            diameter=values["muscle_diameter"],
-            force=values["muscle_force"],
-            pressure=values["muscle_pressure"],
-            contraction=values["muscle_contraction"] / 100.0,
-            source="measured or by its data sheet",
-        )
-    else:
-        muscle = named("muscle", values["muscle"], muscle_parts())
     low, high = values.get("voltage", (0.0, 10.0))
     regulator = _regulator(values) if values["drive"] == "regulator" else None
-    if regulator is not None:
-        valve = valve_parts()["shin2022"].replaced(source=regulator.source)  # its numbers play no part
-    elif values["valve"] == OWN:
-        curve = Curve(voltage=(low, high), open_rate=(0.0, 1.0))
-        valve = ValvePart(
-            flow=values["valve_flow"],
-            curve=curve,
-            closed_centre=values["valve_centre"] == "closed",
-            source="its data sheet; the curve is a guess",
-        )
-    else:
-        valve = named("valve", values["valve"], valve_parts())
     mass = values["limb_mass"]
     return Facts(
-        name=values["name"],
-        kind=values["kind"],
-        radius=values["radius"],
-        length=values["length"],
-        nominal_length=values["nominal_length"],
-        muscle=muscle,
+        **{name: values[name] for name in _AS_ANSWERED},
+        muscle=_muscle(values),
         muscle_name=f"muscle {values['muscle']}",
-        supply=values["supply"],
-        valve=valve,
+        valve=_valve(values, regulator),
         valve_name=f"valve {values['valve']}" if regulator is None else f"pressure regulators {values['regulator']}",
         voltage=(low, high),
-        shaft_radius=values["shaft_radius"],
-        mass=values["mass"],
-        inertia=values["inertia"],
-        stop=values["stop"],
         pressure_range=values["sensor_range"],
         pressure_bits=round(values["sensor_bits"]),
         period=1.0 / values["rate"],
@@ -116,6 +79,24 @@ def facts_of(values: Mapping[str, Any]) -> Facts:
     )
 
 
+def _muscle(values: Mapping[str, Any]) -> MusclePart:
+    if values["muscle"] != OWN:
+        return named("muscle", values["muscle"], muscle_parts())
+    sheet = {name: values[f"muscle_{name}"] for name in ("diameter", "force", "pressure")}
+    share = values["muscle_contraction"] / 100.0
+    return MusclePart(**sheet, contraction=share, source="measured or by its data sheet")
+
+
+def _valve(values: Mapping[str, Any], regulator: RegulatorPart | None) -> ValvePart:
+    if regulator is not None:
+        return valve_parts()["shin2022"].replaced(source=regulator.source)  # its numbers play no part
+    if values["valve"] != OWN:
+        return named("valve", values["valve"], valve_parts())
+    curve, closed = Curve(voltage=values["voltage"], open_rate=(0.0, 1.0)), values["valve_centre"] == "closed"
+    source = "its data sheet; the curve is a guess"
+    return ValvePart(flow=values["valve_flow"], curve=curve, closed_centre=closed, source=source)
+
+
 def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
     if values["regulator"] != OWN:
         return named("regulator", values["regulator"], regulator_parts())
@@ -123,8 +104,8 @@ def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
     return RegulatorPart(lowest=low, highest=high, hysteresis=0.0, source="your answer")
 
 
-def remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
-    """The head of the file: which numbers come from where."""
+def remarks(facts: Facts, assumed: Collection[str]) -> list[str]:
+    """The head of the file: which numbers come from where. `assumed`: names of the questions with the default."""
     lines = [
         "A starting point by new_rig: identify finds the values of your joint.",
         "Measured: geometry, supply, joint.mass, joint.inertia, sensors.pressure_step.",
@@ -134,7 +115,8 @@ def remarks(facts: Facts, assumed: Sequence[Question]) -> list[str]:
         "Those of valve_offset say by how much the guessed curves may be shifted.",
     ]
     if assumed:
-        lines.append(f"Default answers were taken for: {', '.join(question.option for question in assumed)}.")
+        options = ", ".join(question.option for question in QUESTIONS if question.name in assumed)
+        lines.append(f"Default answers were taken for: {options}.")
     if facts.regulator is not None:
         told = "hysteresis by the same source" if facts.regulator.hysteresis else "hysteresis unknown and taken as none"
         lines.append(f"Of the regulators: range by {facts.regulator.source}.")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recording
-from pam_antagonist.replays import Replay
 from pam_antagonist.replays import replay as _replay
 from pam_antagonist.report.replay import ReplayResult
 from pam_antagonist.rig import as_rig
+from pam_antagonist.shown import widened
 
 __all__ = ["ReplayResult", "replay"]
 
@@ -59,4 +58,4 @@ def replay(
     chosen = as_rig(rig, regulators=True)
     given = as_recording(recording, chosen)
     done = _replay(given, chosen, tuning, joint, lock_angle, read_seconds, progress, begin_s, angle_sensor)
-    return ReplayResult(**{item.name: getattr(done, item.name) for item in fields(Replay)})
+    return widened(ReplayResult, done)

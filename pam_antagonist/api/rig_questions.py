@@ -101,27 +101,6 @@ def _gauge_range(text: str) -> tuple[float, float]:
     return values
 
 
-Values = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Condition:
-    """With which other answer a question is asked: its words, and the values that it needs."""
-
-    words: str
-    holds: Callable[[Values], bool]
-
-
-_VALVES = Condition("--drive valve", lambda values: values.get("drive", "valve") == "valve")
-_REGULATORS = Condition("--drive regulator", lambda values: values.get("drive", "valve") == "regulator")
-_LIMB = Condition("--limb-mass", lambda values: values.get("limb_mass") is not None)
-_OWN = {
-    name: Condition(f"--{name} {OWN}", lambda values, name=name: values.get(name) == OWN)  # type: ignore[misc]
-    for name in ("muscle", "valve", "regulator")
-}
-_ALWAYS = Condition("", lambda values: True)
-
-
 @dataclass(frozen=True)
 class Question:
     """Something that a person is asked."""
@@ -131,20 +110,66 @@ class Question:
     how: str
     read: Callable[[str], Any]
     default: str | None = None  # answer that is taken where none is given; None: there is none
-    condition: Condition = _ALWAYS
+    only_with: tuple[str, str] = ("", "")  # option and answer with which it is asked; no answer: with any but none
 
     @property
     def name(self) -> str:
         """Of its value."""
         return self.option.replace("-", "_")
 
-    def wanted(self, values: Values) -> bool:
+    def wanted(self, values: Mapping[str, Any]) -> bool:
         """Whether it is asked beside these answers."""
-        return self.condition.holds(values)
+        option, answer = self.only_with
+        given = values.get(option.replace("-", "_"), "valve" if option == "drive" else None)
+        return not option or (given == answer if answer else given is not None)
+
+
+class Answers:
+    """Answers to the questions, by name: `values` as they are read, `texts` as they were given.
+
+    `assumed`: names of the questions for which the default was taken. `before`: of an answer's name in messages.
+    """
+
+    def __init__(self, given: Mapping[str, str | None], before: str = "") -> None:
+        self._given, self._before = given, before
+        self.values: dict[str, Any] = {}
+        self.texts: dict[str, str] = {}
+        self.assumed: set[str] = set()
+
+    def read(self) -> None:
+        """Read what was given, in the order of the questions."""
+        for question in QUESTIONS:
+            text, label = self._given.get(question.name), self._label(question.option)
+            if not question.wanted(self.values):
+                if text is not None:
+                    option, answer = question.only_with
+                    raise BadInput(f"{label}: only with {self._label(option)} {answer}".rstrip())
+            elif text is None:
+                self.unanswered(question)
+            else:
+                try:
+                    self.take(question, str(text))
+                except BadInput as error:
+                    raise BadInput(f"{label} {error}") from None
+
+    def _label(self, option: str) -> str:
+        return f"{self._before}{option}" if self._before else option.replace("-", "_")
+
+    def take(self, question: Question, text: str) -> None:
+        """Take an answer."""
+        self.values[question.name], self.texts[question.name] = question.read(text), text
+
+    def unanswered(self, question: Question) -> None:
+        """Take the default where there is no answer."""
+        if question.default is None:
+            raise BadInput(f"{question.name}: missing; expected {question.text[0].lower()}{question.text[1:]}")
+        self.take(question, question.default)
+        self.assumed.add(question.name)
 
 
 _SHEET = "its data sheet"
-_NO_MUSCLE = _OWN["muscle"]
+_VALVES, _REGULATORS, _LIMB = ("drive", "valve"), ("drive", "regulator"), ("limb-mass", "")
+_NO_MUSCLE = ("muscle", OWN)
 _metres = partial(_quantity, "length")
 _pascals = partial(_quantity, "pressure")
 _FIELDS = (
@@ -172,15 +197,15 @@ _FIELDS = (
      "valve"),
     ("regulator", "Pressure regulator", _list(regulator_parts), _part("regulator", regulator_parts), OWN, _REGULATORS),
     ("regulator-range", "Least and largest gauge pressure of a regulator", _SHEET, _gauge_range, "0bar:6bar",
-     _OWN["regulator"]),
+     ("regulator", OWN)),
     ("regulator-time", "Time of a regulator from 10 to 90 % of a small step, with the muscle on it [s]",
      "a recorded step, or its data sheet", _number(0.002, 1.0, "s"), "0.03", _REGULATORS),
     ("valve", "Valve", _list(valve_parts), _part("valve", valve_parts), None, _VALVES),
     ("valve-flow", "Standard nominal flow of the valve [l/min]", _SHEET, _number(0.1, 5e3, "l/min"), None,
-     _OWN["valve"]),
+     ("valve", OWN)),
     ("valve-centre", "Middle position of the valve: closed or open",
      "its data sheet: closed if no air passes in the middle, as in a 5/3 valve with closed centre",
-     _one_of("closed", "open"), "closed", _OWN["valve"]),
+     _one_of("closed", "open"), "closed", ("valve", OWN)),
     ("voltage", "Least and largest voltage of a valve [V]", "what your driver can put out", _volts, "0:10", _VALVES),
     ("inertia", "Inertia of the parts that turn with the joint [kg m²]",
      "roughly the mass times the squared distance of its centre from the axis", _number(2e-7, 5.0, "kg m²")),

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 
 from pam_antagonist.api.given import RigGiven
 from pam_antagonist.errors import BadInput, number
-from pam_antagonist.identification.static import StaticFits, work_out
+from pam_antagonist.identification.static import work_out
 from pam_antagonist.identification.static_table import Choice, read_force_map, read_volumes
 from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
 from pam_antagonist.report.static import StaticResult
 from pam_antagonist.rig import as_rig
+from pam_antagonist.shown import widened
 
 __all__ = ["StaticResult", "static"]
 
@@ -71,4 +71,4 @@ def static(
     volumes = None if volume is None else read_volumes(Path(volume), chosen)
     forces = None if force_map is None else read_force_map(Path(force_map), air, chosen, pressure, slack_below)
     found = work_out(given, volumes, forces, muscles, form, length or 0.0, report_only)
-    return StaticResult(**{item.name: getattr(found, item.name) for item in fields(StaticFits)})
+    return widened(StaticResult, found)

@@ -163,7 +163,8 @@ def _by_values(recording: Recording, typed: Corrections) -> tuple[Corrections, l
     """Units that are evident from the values alone: no muscle has such a pressure, no joint such an angle."""
     now, out = typed, []
     given = replace(_NONE, pressure_unit=typed.pressure_unit, gauge=typed.gauge).options()
-    if given and not _possible(typed.pressure(recording.pressure)) and _possible(recording.pressure):
+    possible = [plausible.possible("pressure", p) for p in (typed.pressure(recording.pressure), recording.pressure)]
+    if given and possible == [False, True]:
         low, high = (np.nanquantile(recording.pressure, q) / 1e3 for q in (0.01, 0.99))
         text = f"the recorded pressures are {low:.4g} to {high:.4g} kPa absolute as they are (sure)"
         out.append(Finding("wrong", text, (), tuple(given)))
@@ -182,15 +183,6 @@ def _by_values(recording: Recording, typed: Corrections) -> tuple[Corrections, l
             out.append(Finding("wrong", f"{text}degrees, not {typed.angle_unit} (sure)", ("--angle-unit deg",)))
         now = replace(now, angle_unit=unit)
     return now, out
-
-
-def _possible(pressure: Floats) -> bool:
-    """Whether these are absolute pressures of muscles in Pa."""
-    try:
-        plausible.check_pressure("", "", pressure.ravel(), [])
-    except BadInput:
-        return False
-    return True
 
 
 def _joint(
@@ -287,7 +279,7 @@ def _driven(
         tolerance = wiring.unit_tolerance(rig, direction.channel)
         units, unit = wiring.unit_of(direction, now, by_values, tolerance)
         findings += units
-        now = numbers.changed(now, {f"{direction.channel}_unit": unit})
+        now = now.replaced(**{f"{direction.channel}_unit": unit})
     wired, now = wiring.which_is_exchanged(found, directions, now, typed)
     findings += wired
     zeros, now = numbers.without_zeros(timed, model, rig, joint, now)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,7 +40,7 @@ def without_delays(
         channel = _CHANNEL.get(name)
         if not value or (channel is not None and getattr(recording, channel) is None):
             continue
-        other = changed(now, {name: 0.0})
+        other = now.replaced(**{name: 0.0})
         for by_steps in (False, True):
             given, left = (
                 _agreement(each, recording, rig, joint, lock_angle, channel, by_steps) for each in (now, other)
@@ -68,7 +66,7 @@ def without_zeros(
         recorded, expected = getattr(recording, channel), getattr(model, channel)
         if value == neutral or recorded is None or (channel == "angle" and joint == "locked"):
             continue
-        other = changed(now, {name: neutral})
+        other = now.replaced(**{name: neutral})
         given, left = (getattr(each, channel)(recorded[model.rows]) for each in (now, other))
         if not np.isfinite(given - expected).any():
             continue
@@ -99,26 +97,19 @@ def finding(name: str, now: Corrections, rig: Rig, text: str) -> Finding:
     value = getattr(now, name)
     if value == dict(rig.calibration).get(name):
         return Finding("doubtful", f"{text}: it is calibration.{name} of the rig file")
-    return Finding("doubtful", text, (), tuple(changed(Corrections(), {name: value}).options()))
-
-
-def changed(now: Corrections, values: Mapping[str, Any]) -> Corrections:
-    """Corrections with other values, by name."""
-    return replace(now, **values)
+    return Finding("doubtful", text, (), tuple(Corrections().replaced(**{name: value}).options()))
 
 
 def delays_of(now: Corrections) -> Corrections:
     """Only the delays of corrections."""
-    kept = {name: value for name, value in now.calibration().items() if name.startswith("delay_")}
-    return changed(Corrections(), kept)
+    delays = {name: value for name, value in now.calibration().items() if name.startswith("delay_")}
+    return Corrections().replaced(**delays)
 
 
 def without_calibration(now: Corrections, rig: Rig) -> Corrections:
     """Corrections without those that the rig file has anyway, for the command line."""
-    known = dict(rig.calibration)
-    default = {item.name: item.default for item in fields(Corrections)}
-    own = {name: default[name] for name in known if getattr(now, name) == known[name]}
-    return changed(now, own)
+    known, default = dict(rig.calibration), Corrections()
+    return now.replaced(**{name: getattr(default, name) for name in known if getattr(now, name) == known[name]})
 
 
 def _agreement(

@@ -94,15 +94,8 @@ def in_steps(
     """Changes of the pressures over short steps, each of which begins at the measured pressures.
 
     Over a whole recording, a valve that is closed in its middle integrates each error of the model. Over a step it
-    does not.
-
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: of a locked joint [rad].
-        crossed: whether each pressure belongs to the other muscle's valve.
-
-    Returns:
-        Measured and simulated changes (K, 2) each [Pa], in the order of the valves.
+    does not. `crossed`: each pressure belongs to the other muscle's valve. Returns measured and simulated changes (K,
+    2) each [Pa], in the order of the valves.
     """
     pressure = recording.pressure[:, ::-1] if crossed else recording.pressure
     known = np.asarray(np.isfinite(np.column_stack([recording.voltage, pressure])).all(axis=1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.plausible import MIN_PRESSURE
 from pam_antagonist.recording.rows import said, slow
+from pam_antagonist.recording.stamps import CLOCKS_APART, shortest_hole
 from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import Rig
 
@@ -20,16 +20,12 @@ Floats = NDArray[np.float64]
 
 SHORTEST = 5.0
 """[s] A shorter recording, or piece of one, shows too little for the tests against the model."""
-_HOLE_S, _HOLE_PERIODS = 0.1, 5.0
-"""A hole is longer than both: the model cannot know what the valves did meanwhile. The reader has the same bounds."""
 _MISSING = 0.005
 """Larger shares of samples that are missing outside of holes, or miss a value, are doubtful."""
 _LISTED = 3
 """Holes, and stretches of held rows, that are listed one by one: the longest."""
 _HELD_S, _HELD_ROWS = 0.1, 10
 """All measured values repeat over a stretch of at least both: nothing was measured there."""
-_CLOCKS_APART = 0.1
-"""[s] Topics whose delays against the recorder's clock differ by more are stamped by different clocks."""
 _OTHER_RATE = 1.05
 """Sample periods that differ by more than this factor are reported."""
 _UNEVEN = 1.5
@@ -55,7 +51,7 @@ def holes(recording: Recording) -> list[tuple[int, int]]:
     apart = np.diff(recording.stamp_ns[whole]) * 1e-9
     if not len(apart):
         return []
-    at = np.flatnonzero(apart > max(_HOLE_S, _HOLE_PERIODS * float(np.median(apart))))
+    at = np.flatnonzero(apart > shortest_hole(float(np.median(apart))))
     pairs = [(int(whole[k]), int(whole[k + 1])) for k in at]
     begins = {one.start for one in recording.episodes}
     return [(before, after) for before, after in pairs if not begins & set(range(before + 1, after + 1))]
@@ -74,13 +70,9 @@ def in_pieces(recording: Recording) -> Recording | None:
     rows = [(a, b) for a, b in rows if b > a]
     if not rows:
         return None
-    kept = np.concatenate([np.arange(a, b) for a, b in rows])
-    arrays: dict[str, Any] = {
-        name: None if getattr(recording, name) is None else getattr(recording, name)[kept]
-        for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque", "angle_sensor")
-    }
+    kept = recording.take(np.concatenate([np.arange(a, b) for a, b in rows]))
     begins = recording.stamp_ns[[a for a, _ in rows]]
-    return replace(recording, **arrays, signals={}, estimate=None, reference=None, episode_ns=begins)
+    return replace(kept, signals={}, estimate=None, reference=None, episode_ns=begins)
 
 
 def _missing(recording: Recording, drive: str) -> list[Finding]:
@@ -107,7 +99,7 @@ def _missing(recording: Recording, drive: str) -> list[Finding]:
         )
     apart = np.diff(recording.stamp_ns) * 1e-9
     period = recording.sample_period_s
-    single = apart[(apart > _UNEVEN * period) & (apart <= max(_HOLE_S, _HOLE_PERIODS * period))]
+    single = apart[(apart > _UNEVEN * period) & (apart <= shortest_hole(period))]
     missing = int(np.rint(single / period - 1.0).sum())
     lacking = ~np.asarray(np.isfinite(np.column_stack([recording.voltage, recording.pressure])).all(axis=1))
     for before, after in cuts:
@@ -121,8 +113,7 @@ def _missing(recording: Recording, drive: str) -> list[Finding]:
         out.append(Finding("doubtful", f"{text}, expected {100.0 * _MISSING:g} % at most"))
     elif not cuts:
         text = "no sample is missing" if share == 0.0 else text
-        shortest = 1e3 * max(_HOLE_S, _HOLE_PERIODS * period)
-        text += f" ({100.0 * _MISSING:g} % at most), and no hole is longer than {shortest:.3g} ms"
+        text += f" ({100.0 * _MISSING:g} % at most), and no hole is longer than {1e3 * shortest_hole(period):.3g} ms"
         out.append(Finding("good", text))
     return out
 
@@ -158,14 +149,11 @@ def _clocks(recording: Recording, drive: str) -> list[Finding]:
         return [Finding("untested", "clocks: the bag does not tell when its messages were received")]
     first, last = min(delays, key=lambda name: delays[name]), max(delays, key=lambda name: delays[name])
     apart = delays[last] - delays[first]
-    if apart <= _CLOCKS_APART:
-        text = f"all topics are stamped by one clock (within {1e3 * apart:.0f} ms, {1e3 * _CLOCKS_APART:.0f} at most)"
+    if apart <= CLOCKS_APART:
+        text = f"all topics are stamped by one clock (within {1e3 * apart:.0f} ms, {1e3 * CLOCKS_APART:.0f} at most)"
         return [Finding("good", text)]
-    text = (
-        f"{last} is stamped {apart:.3g} s earlier than {first} for messages that came at the same time: the two are "
-        "stamped by different clocks"
-    )
-    return [Finding("doubtful", text)]
+    text = f"{last} is stamped {apart:.3g} s earlier than {first} for messages that came at the same time"
+    return [Finding("doubtful", f"{text}: the two are stamped by different clocks")]
 
 
 def _rate(recording: Recording, rig: Rig) -> list[Finding]:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.recording.corrections import Corrections, add_options, from_options
 from pam_antagonist.strict_json import dumps
 
@@ -35,14 +36,11 @@ _MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("check", __doc__)
-    common.add_bags(out)
-    common.add_rig(out)
-    common.add_joint(out, of_recording=True)
-    common.add_topics(out)
-    out.option("--namespace", "namespace of the rig, where a bag holds several", metavar="/NS")
-    out.option("--joint-name", "joint in measured/joint_states (default: the first)", metavar="NAME")
-    common.add_recover(out)
+    out.shared("bags", "--rig", "--joint of a recording", "--lock-angle", "--topic", "--namespace")
+    out.shared("--joint-name", help="joint in measured/joint_states (default: the first)")
+    out.shared("--recover")
     out.option("--json", "write the findings there as well; - for standard output alone", metavar="FILE")
+    out.shared("--no-log")
     add_options(out)
     return out
 
@@ -51,7 +49,7 @@ def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.check import check
     from pam_antagonist.recording import read_bag
     from pam_antagonist.report import terminal
-    from pam_antagonist.report.assumption import in_first_lines
+    from pam_antagonist.report.document import in_first_lines
     from pam_antagonist.rig import load_rig
 
     rig = load_rig(arguments.rig, regulators=True)
@@ -64,7 +62,8 @@ def _main(arguments: argparse.Namespace) -> int:
             recover=arguments.recover, corrections=Corrections(align_clocks=given.align_clocks), judge=False,
         )  # fmt: skip
         measured = measured or recording.angle is not None
-        results[str(bag)] = check(recording, rig, arguments.joint, lock_angle, given)
+        results[str(bag)] = checked = check(recording, rig, arguments.joint, lock_angle, given)
+        note_down(arguments, "check", [recording], rig, checked)
         if arguments.json != "-":
             print(_text(bag, recording, rig, results[str(bag)]))
     if arguments.json != "-" and (rests_on := next(iter(results.values())).assumption) is not None:

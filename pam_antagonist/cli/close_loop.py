@@ -63,11 +63,11 @@ def parser() -> common.Parser:
         "--also", "another recorded signal on which the joint may depend: a name below also/, or a topic; may be given "
         "several times; for rigs with drive: regulator", "SIGNAL",
     )  # fmt: skip
-    common.add_jobs(out)
-    cluster.add_dask(out)
-    common.add_seed(out, "the random starts of fits")
+    out.shared("--jobs", "--dask")
+    out.shared("--seed", help="seed of the random starts of fits (default: 0)")
     out.flag("--resume", "continue an interrupted run, which left its results in DIR.part")
     given.add_names_and_report(out)
+    out.shared("--no-log")
     return out
 
 
@@ -82,23 +82,12 @@ def _held_out(text: str) -> float | Path:
     return real(0.1, 0.5, "a share")(text)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    words = sys.argv[1:] if argv is None else argv
-    return common.run(parser, lambda arguments: _run(arguments, words), words)
-
-
-def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.diagnose import are_episodes, are_trials
-    from pam_antagonist.cli.first_start import FITS, compile_first
+    from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.inference.pressure_driven import PressureDriven
-    from pam_antagonist.rig import load_rig
 
-    common.check_output(arguments.out)
-    common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig, regulators=True)
-    compile_first(FITS, rig)
-    common.lock_angle(arguments)
+    rig = given.begun(arguments, FITS)
     share, bags = _split(arguments.holdout)
     if arguments.also and rig.drive == "valve":
         raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
@@ -113,7 +102,7 @@ def _run(arguments: argparse.Namespace, words: Sequence[str]) -> int:
         raise BadInput(
             "--also: expected a recording of many episodes (import_csv: episode), whose pressures were measured"
         )
-    return _resumable(arguments, rig, share, recordings, words)
+    return _resumable(arguments, rig, share, recordings)
 
 
 def _in_one_go(
@@ -125,14 +114,13 @@ def _in_one_go(
         raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
     found = _diagnosed(arguments, rig, recordings, share)
     given.announce(arguments, found, found.next_rig)
+    _note_down(arguments, recordings, rig, found)
     if whole and found.next_rig is not None:
         print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / found.next_rig} --out DIR"))
     return common.DONE
 
 
-def _resumable(
-    arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording], words: Sequence[str]
-) -> int:
+def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> int:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
     from pam_antagonist.diagnosis.checkpoint import Checkpoint
     from pam_antagonist.recording import bag_hash, bag_name
@@ -156,7 +144,7 @@ def _resumable(
         with cluster.connected(arguments.dask):
             found = _diagnosed(arguments, rig, recordings, share, store)
     except KeyboardInterrupt:
-        again = [*words, *([] if "--resume" in words else ["--resume"])]
+        again = [*(word for word in arguments.words if word != "--resume"), "--resume"]
         print(
             f"interrupted: {store.finished()} finished refits are kept in {store.folder}; to go on with them:\n"
             f"  {typed('close_loop')} {shlex.join(again)}",
@@ -171,11 +159,17 @@ def _resumable(
     corrected = corrections.from_options(arguments, dict(rig.calibration))
     found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
     given.announce(arguments, found, found.next_rig)
+    _note_down(arguments, recordings, rig, found)
     shutil.rmtree(kept, ignore_errors=True)
     if (proposed := found.choice.proposed) is not None:
         own = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
         print(common.next_command("replay", own, f"--rig {arguments.out / proposed.name} --out DIR"))
     return common.DONE
+
+
+def _note_down(arguments: argparse.Namespace, recordings: Sequence[Recording], rig: Rig, found: Any) -> None:
+    written = None if found.next_rig is None else arguments.out / found.next_rig
+    given.note_down(arguments, "close_loop", recordings, rig, found, written)
 
 
 def _diagnosed(
@@ -200,3 +194,6 @@ def _split(holdout: Sequence[float | Path]) -> tuple[float, list[Path]]:
     if len(shares) > 1 or (shares and bags):
         raise BadInput("--holdout: expected one share, or recordings, not several shares or both")
     return (shares[0] if shares else _SHARE), bags
+
+
+main = common.command(parser, _run)

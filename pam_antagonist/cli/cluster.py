@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,14 +11,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
 
 _TIMEOUT = 10.0
-
-
-def add_dask(parser: argparse.ArgumentParser, work: str = "fit") -> None:
-    """``--dask``."""
-    parser.add_argument(
-        "--dask", metavar="ADDRESS",
-        help=f"{work} on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786 (needs pam_antagonist[dask])",
-    )  # fmt: skip
 
 
 def refuse_for_episodes(address: str | None) -> None:

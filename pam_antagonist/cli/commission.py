@@ -1,18 +1,6 @@
-"""``commission``: from a rig file to a controlled joint, step by step, with a person at the rig."""
+"""Lead from a rig file to a controlled joint, with a person at the rig.
 
-from __future__ import annotations
-
-import argparse
-import sys
-
-from pam_antagonist.cli import common
-from pam_antagonist.cli.driving import SIMULATED, add_limits, add_source
-from pam_antagonist.errors import BadInput
-from pam_antagonist.optional import needs_ros
-from pam_antagonist.rig import load_rig
-
-_DESCRIPTION = """\
-Lead from a rig file to a controlled joint, with a person at the rig. The steps are:
+The steps are:
 
   wiring      a little air at low pressure, to test the valves, signs, zeros, supply and leaks
   free        a designed experiment with the joint free
@@ -31,21 +19,32 @@ A step that is done is not repeated: after a fault, an interruption or a break, 
 that found a fault says what to check. DIR holds a folder for each step, rig.yaml, parameters.yaml and report.html.
 
 Status: 0 done, 1 a step found a fault or failed, 2 bad input (one line says what and where), 130 interrupted.
-"""
-_EXAMPLES = """\
+
 examples:
   {run} commission --rig my_rig.yaml --out commissioned --source bridge --port /dev/ttyACM0
   {run} commission --rig shin2022 --out commissioned --unattended
 """
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from pam_antagonist.cli import common
+from pam_antagonist.cli.driving import SIMULATED, add_limits, add_source
+from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs_ros
+from pam_antagonist.rig import load_rig
+
 _FREE_S = 30.0
 """[s] Shortest experiment with the joint free: close_loop wants 20 s and more in which the valves move."""
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("commission", _DESCRIPTION, _EXAMPLES)
-    common.add_rig(out)
-    common.add_out(out, "folder of the results; if commission has begun in it, the command continues there")
+    out = common.Parser("commission", __doc__)
+    out.shared("--rig")
+    out.shared("--out", help="folder of the results; if commission has begun in it, the command continues there")
     out.option("--duration", "length of the free experiment [s] (default: 40)", float, 40.0, "S")
     out.flag("--no-lock", "the joint cannot be locked: leave that step out")
     out.flag("--unattended", "do not wait for a person; for a simulated joint only")
@@ -53,15 +52,11 @@ def parser() -> common.Parser:
         "--plant", "rig file of the simulated joint (default: that of --rig; for a rig that was never identified, a "
         "joint drawn from the priors of its file)", metavar="RIG",
     )  # fmt: skip
-    common.add_seed(out, "the searches and of the simulated joint", "N")
+    out.shared("--seed", help="seed of the searches and of the simulated joint (default: 0)", metavar="N")
+    out.shared("--no-log")
     add_limits(out)
     add_source(out)
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -99,3 +94,6 @@ def _main(arguments: argparse.Namespace) -> int:
     print(f"report: {arguments.out / 'report.html'} and report.json")
     print(f"next:\n{work.next_line()}")
     return common.DONE
+
+
+main = common.command(parser, _main)

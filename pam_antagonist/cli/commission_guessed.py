@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -13,9 +12,10 @@ from typing_extensions import override
 
 from pam_antagonist.checks.wiring import guessed
 from pam_antagonist.cli.commission_steps import Commission, StepFailed
-from pam_antagonist.cli.driving import SIMULATED, explored
+from pam_antagonist.cli.driving import SIMULATED
 from pam_antagonist.cli.tried_gains import tried_gains
 from pam_antagonist.control.model_law import voltage_towards
+from pam_antagonist.design import Plan
 from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
 from pam_antagonist.design.first_fill import pulse_faults
 from pam_antagonist.errors import BadInput
@@ -24,6 +24,7 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.limits import vented
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.write import write_rig
 
@@ -93,23 +94,17 @@ class GuessedCommission(Commission):
             self._owner = replace(self._owner, rig=str(joint.resolve()), mismatch=0.0)
 
     def _explored(self, name: str, program: Program) -> dict[str, Any]:
-        """Drive the joint by a program."""
-        folder = self._record.attempt(name)
-        limits = self._limits
-        document = {
-            "rig": self._rig.name,
-            "joint": "free",
-            "limits": {"pressure_pa": list(limits.pressure), "angle_rad": limits.angle, "rate_rad_s": limits.rate},
-        }
-        (folder / "plan.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        self._at(name, "driving the joint", program.seconds)
-        if ended := explored(self._owner, self._rig, program, limits, folder):
+        """Drive the joint by a program, from muscles without air on."""
+        least, command = vented(self._rig)
+        plan = Plan(np.empty((0, 2)), self._rig.sample_period, "free", 0.0, self._limits, least, command)
+        bag, _, ended = self._driven(name, plan, program)
+        if ended:
             raise StepFailed(
                 f"{name}: the experiment ended early, {ended}; let the air out, and give wider limits if the rig "
                 "allows it (--max-angle, --max-pressure)"
             )
-        seconds = read_bag(folder / "bag", judge=False).duration_s
-        return {"bag": str((folder / "bag").relative_to(self._out)), "rig_s": seconds}
+        seconds = read_bag(bag, judge=False).duration_s
+        return {"bag": str(bag.relative_to(self._out)), "rig_s": seconds}
 
     def _towards(self) -> Towards:
         p, (low, high) = self._rig.parameters(), self._rig.command_limits
@@ -147,7 +142,7 @@ class GuessedCommission(Commission):
 
     def _quick(self) -> dict[str, Any]:
         self._ask("quick", "Joint free; it will turn quickly:")
-        slow = read_bag(self._out / self._record.steps["slow"]["bag"], judge=False)
+        slow = read_bag(self._out / self.steps["slow"]["bag"], judge=False)
         seconds, seed = self._arguments.duration, self._arguments.seed
         program = Quick(self._rig, self._limits, self._towards(), slow, seconds, seed)
         driven = self._explored("quick", program)
@@ -158,9 +153,10 @@ class GuessedCommission(Commission):
         from pam_antagonist.api.identify import IdentifyResult, identify
         from pam_antagonist.identification.from_pressures import FromPressures
 
-        result = identify(self._record.bags(), self._rig, seed=self._arguments.seed)
+        result = identify(self._bags(), self._rig, seed=self._arguments.seed)
         assert isinstance(result, IdentifyResult), "a rig of new_rig"
-        result.save(self._record.result("identified"), figures=True)
+        result.save(self._result("identified"), figures=True)
+        self._note_down(result)
         if result.rejected:
             raise StepFailed(f"identify: do not use this rig: {result.rejected}")
         found = result.found

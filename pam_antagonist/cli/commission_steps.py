@@ -10,17 +10,20 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from pam_antagonist.cli.driving import Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
+from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.design import Plan, designed
 from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
+from pam_antagonist.design.exploration import Program
 from pam_antagonist.design.first_fill import dead_sensors, faults, first_fill, turns_visibly
 from pam_antagonist.design.loop_gains import loop_gains
 from pam_antagonist.errors import BadInput
@@ -32,6 +35,9 @@ from pam_antagonist.report.commission import CommissionResult, Step
 from pam_antagonist.report.commission import Driven as DrivenStep
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import steady_voltage
+
+if TYPE_CHECKING:
+    from pam_antagonist.api.identify import IdentifyResult
 
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
@@ -55,57 +61,28 @@ class StepFailed(Exception):
     """A step found a fault, or ended early. The message is what to do, in a sentence or more."""
 
 
-class Record:
-    """The steps of a commissioning that were tried, and the folders of their results.
-
-    `steps`: of each step by its name: whether it is ``done``, what it ``said``, and what else it found.
-    """
-
-    def __init__(self, out: Path, rig: str) -> None:
-        self._out, self._rig = out, rig
-        self.steps: dict[str, dict[str, Any]] = {}
-        state = out / "state.json"
-        if out.exists() and not state.exists():
+def _begun(out: Path, rig: str) -> dict[str, dict[str, Any]]:
+    """The steps that an earlier start noted in ``state.json``; a folder of something else is refused."""
+    state = out / "state.json"
+    if not state.exists():
+        if out.exists():
             raise BadInput(f"{out}: exists, but commission did not write it; expected the name of a new folder")
-        if state.exists():
-            try:
-                content = json.loads(state.read_text(encoding="utf-8"))
-                begun_for, self.steps = content.get("rig"), dict(content["steps"])
-            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-                raise BadInput(f"{state}: cannot be read: {error}; expected what commission wrote") from None
-            if begun_for != rig:
-                raise BadInput(f"{out}: was begun with --rig {begun_for}, not {rig}; give that rig, or another --out")
-        out.mkdir(parents=True, exist_ok=True)
-        self.keep()
-
-    def keep(self) -> None:
-        """Write it. In one go: an interruption must not cost the steps that are done."""
-        new = self._out / "state.json.new"
-        new.write_text(json.dumps({"rig": self._rig, "steps": self.steps}, indent=1) + "\n", encoding="utf-8")
-        new.replace(self._out / "state.json")
-
-    def attempt(self, name: str) -> Path:
-        """A new folder for an attempt of a step."""
-        number = 1
-        while (folder := self._out / f"{name}_{number}").exists():
-            number += 1
-        folder.mkdir()
-        return folder
-
-    def result(self, name: str) -> Path:
-        """A result's folder, which is not there: what an attempt left that was interrupted is removed."""
-        folder = self._out / name
-        if folder.exists():
-            shutil.rmtree(folder)
-        return folder
-
-    def bags(self) -> list[Path]:
-        """The recordings of the steps."""
-        return [self._out / step["bag"] for step in self.steps.values() if "bag" in step]
+        return {}
+    try:
+        content = json.loads(state.read_text(encoding="utf-8"))
+        begun_for, steps = content.get("rig"), dict(content["steps"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadInput(f"{state}: cannot be read: {error}; expected what commission wrote") from None
+    if begun_for != rig:
+        raise BadInput(f"{out}: was begun with --rig {begun_for}, not {rig}; give that rig, or another --out")
+    return steps
 
 
 class Commission:
-    """A commissioning, and what of it is done."""
+    """A commissioning, and what of it is done.
+
+    `steps`: of each step that was tried, by its name: whether it is ``done``, what it ``said``, and what else it found.
+    """
 
     STEPS: tuple[str, ...] = STEPS
 
@@ -116,7 +93,25 @@ class Commission:
         self._limits = limits_of(arguments, self._rig)
         self._say: Callable[[str, float | None], None] = lambda text, seconds: None
         self._owner = Owner.of(arguments, arguments.plant or arguments.rig)
-        self._record = Record(self._out, self._rig.name)
+        self.steps = _begun(self._out, self._rig.name)
+        self._out.mkdir(parents=True, exist_ok=True)
+        self._note()
+
+    def _note(self, name: str = "", **result: Any) -> None:
+        """Note what came of a step. In one go: an interruption must not cost the steps that are done."""
+        if name:
+            self.steps[name] = result
+        new = self._out / "state.json.new"
+        new.write_text(json.dumps({"rig": self._rig.name, "steps": self.steps}, indent=1) + "\n", encoding="utf-8")
+        new.replace(self._out / "state.json")
+
+    def _bags(self) -> list[Path]:
+        return [self._out / step["bag"] for step in self.steps.values() if "bag" in step]
+
+    def _result(self, name: str) -> Path:
+        """A result's folder, which is not there: what an attempt left that was interrupted is removed."""
+        shutil.rmtree(self._out / name, ignore_errors=True)
+        return self._out / name
 
     @contextmanager
     def announced(self) -> Iterator[None]:
@@ -135,7 +130,7 @@ class Commission:
 
     def step(self, name: str) -> None:
         """Do a step, unless it is done. `name`: one of ``STEPS``."""
-        before = self._record.steps.get(name, {})
+        before = self.steps.get(name, {})
         if before.get("done"):
             print(f"{name}: done before. {before['said']}")
             return
@@ -146,11 +141,9 @@ class Commission:
             result = getattr(self, f"_{name}")()
         except (Exception, KeyboardInterrupt) as fault:
             said = "interrupted" if isinstance(fault, KeyboardInterrupt) else str(fault) or type(fault).__name__
-            self._record.steps[name] = {"done": False, "said": said, "seconds": time.monotonic() - begin}
-            self._record.keep()
+            self._note(name, done=False, said=said, seconds=time.monotonic() - begin)
             raise
-        self._record.steps[name] = {"done": True, "seconds": time.monotonic() - begin, **result}
-        self._record.keep()
+        self._note(name, done=True, seconds=time.monotonic() - begin, **result)
         print(f"{name}: {result['said']}", flush=True)
 
     def _at(self, name: str, what: str, seconds: float | None = None) -> None:
@@ -167,15 +160,18 @@ class Commission:
                     "(simulated joint only)"
                 ) from None
 
-    def _drive(self, name: str, plan: Plan) -> Driven:
-        folder = self._record.attempt(name)
+    def _driven(self, name: str, plan: Plan, program: Program | None = None) -> Driven:
+        """Drive the joint and record it, into a new folder."""
+        number = next(k for k in count(1) if not (self._out / f"{name}_{k}").exists())
+        folder = self._out / f"{name}_{number}"
+        folder.mkdir()
         write_plan(folder, plan, self._rig)
-        self._at(name, "driving the joint", plan.duration)
-        return drive(self._owner, plan, folder)
+        self._at(name, "driving the joint", plan.duration if program is None else program.seconds)
+        return drive(self._owner, plan, folder, self._rig, program)
 
     def _recorded(self, name: str, plan: Plan) -> dict[str, Any]:
         """Drive a plan, to its end."""
-        driven = self._drive(name, plan)
+        driven = self._driven(name, plan)
         if driven.ended:
             raise StepFailed(f"{name}: the experiment ended early, {driven.ended}. {_BEYOND}")
         return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
@@ -183,7 +179,7 @@ class Commission:
     def _wiring(self) -> dict[str, Any]:
         self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
         plan = first_fill(self._rig, self._limits.pressure[1])
-        driven = self._drive("wiring", plan)
+        driven = self._driven("wiring", plan)
         recording = read_bag(driven.bag, judge=False)
         if driven.ended:
             # A sensor that always shows a high pressure ends the plan as well.
@@ -202,7 +198,7 @@ class Commission:
             raise StepFailed("\n".join(fault.sentence for fault in found))
         said = "each valve fills its muscle, signs and zeros are right, no leak"
         if angle is not None and not turns_visibly(self._rig, plan):
-            said = "each valve fills its muscle, zeros are right, no leak"
+            said = said.replace("signs and zeros", "zeros")
             said += "; the encoder's sign was not tested: below --max-pressure the joint hardly turns"
         elif angle is not None:
             low, high = (math.degrees(float(bound(angle))) for bound in (np.nanmin, np.nanmax))
@@ -211,48 +207,51 @@ class Commission:
 
     def _free(self) -> dict[str, Any]:
         self._ask("free", "Joint free:")
-        self._at("free", "designing the experiment")
-        with counted(self._arguments.duration, "design") as advance:
-            seconds, seed = self._arguments.duration, self._arguments.seed
-            plan = designed(self._rig, self._limits, seconds, seed=seed, progress=advance)
-        return {"said": f"recorded {plan.duration:.0f} s", **self._recorded("free", plan)}
+        return self._excited("free", self._arguments.duration)
 
     def _locked(self) -> dict[str, Any]:
         self._ask("locked", "Lock the joint at 0 degrees:")
-        seconds = max(_LOCKED_S, 0.5 * self._arguments.duration)
-        self._at("locked", "designing the experiment")
-        with counted(seconds, "design") as advance:
-            plan = designed(
-                self._rig, self._limits, seconds, "locked", 0.0, seed=self._arguments.seed, progress=advance
-            )
-        result = self._recorded("locked", plan)
+        result = self._excited("locked", max(_LOCKED_S, 0.5 * self._arguments.duration))
         self._ask("locked", "Take the lock away:")
-        return {"said": f"recorded {plan.duration:.0f} s", **result}
+        return result
+
+    def _excited(self, joint: str, seconds: float) -> dict[str, Any]:
+        """Drive a free or locked joint by an experiment that is designed for it."""
+        self._at(joint, "designing the experiment")
+        with counted(seconds, "design") as advance:
+            seed = self._arguments.seed
+            plan = designed(self._rig, self._limits, seconds, joint, 0.0, seed=seed, progress=advance)
+        return {"said": f"recorded {plan.duration:.0f} s", **self._recorded(joint, plan)}
 
     def _identify(self) -> dict[str, Any]:
         from pam_antagonist.api.identify import EpisodesIdentifyResult, identify
 
         try:
-            result = identify(self._record.bags(), self._rig, seed=self._arguments.seed)
+            result = identify(self._bags(), self._rig, seed=self._arguments.seed)
             assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
             return {"said": f"not identified, since the model does not fit ({error}); close_loop looks for the reason"}
-        result.save(self._record.result("identified"), figures=False)
+        result.save(self._result("identified"), figures=False)
+        self._note_down(result)
+        warnings = list(result.warnings)
         if result.rejected:
-            return {"said": f"the identified rig is not used: {result.rejected}", "warnings": list(result.warnings)}
-        return {
-            "said": f"{len(result.rig.directions)} uncertain directions are left",
-            "warnings": list(result.warnings),
-            "folder": "identified",
-        }
+            return {"said": f"the identified rig is not used: {result.rejected}", "warnings": warnings}
+        left = f"{len(result.rig.directions)} uncertain directions are left"
+        return {"said": left, "warnings": warnings, "folder": "identified"}
+
+    def _note_down(self, found: IdentifyResult) -> None:
+        """Write what was identified into the rig's log book; a simulated joint is not in it."""
+        if self._arguments.source not in SIMULATED:
+            recordings = [recording for recording, _, _ in found.recordings]
+            note_down(self._arguments, "commission", recordings, self._rig, found, self._out / "rig.yaml")
 
     def _diagnosed(self, name: str) -> dict[str, Any]:
         from pam_antagonist.api.diagnose import EpisodesDiagnoseResult, diagnose
 
-        result = diagnose(self._record.bags(), self._rig, seed=self._arguments.seed)
+        result = diagnose(self._bags(), self._rig, seed=self._arguments.seed)
         assert not isinstance(result, EpisodesDiagnoseResult), "recorded in one piece"
-        result.save(self._record.result(name), figures=False)
+        result.save(self._result(name), figures=False)
         return {
             "said": result.sentence,
             "verdict": result.verdict,
@@ -266,7 +265,7 @@ class Commission:
         return self._diagnosed("found")
 
     def _apart(self) -> dict[str, Any]:
-        before = self._record.steps["close_loop"]
+        before = self.steps["close_loop"]
         if not (before["effects"] and before["rivals"]):
             return {"said": "not needed, since no two effects explain the data equally well"}
         found = self._out / "found" / "rig_extended.yaml"
@@ -289,18 +288,18 @@ class Commission:
         )
         self._ask("apart", "Joint free:")
         recorded = self._recorded("apart", verdict.plan)
-        self._record.steps["apart"] = {"done": False, "said": "", **recorded}
+        self.steps["apart"] = {"done": False, "said": "", **recorded}
         return {**self._diagnosed("found_again"), **recorded, "chance": verdict.chance}
 
     def _measured(self) -> list[int]:
         """What is measured while the joint is free, as indices of ``CHANNELS``."""
-        recording = read_bag(self._out / self._record.steps["free"]["bag"], judge=False)
+        recording = read_bag(self._out / self.steps["free"]["bag"], judge=False)
         missing = [k for k, values in ((ANGLE, recording.angle), (TORQUE, recording.torque)) if values is None]
         return [k for k in range(len(CHANNELS)) if k not in missing]
 
     def found(self) -> Rig:
         """The rig that the steps found: with its effects, or identified where there are none."""
-        steps = self._record.steps
+        steps = self.steps
         last = steps["apart"] if "folder" in steps["apart"] else steps["close_loop"]
         extended = self._out / last["folder"] / (last.get("rig") or "rig_extended.yaml")
         chosen = (
@@ -315,9 +314,7 @@ class Commission:
 
     def _taken(self, chosen: Path) -> Rig:
         """The rig file of a step, as the one of the commissioning."""
-        rig = self._out / "rig.yaml"
-        rig.write_text(chosen.read_text(encoding="utf-8"), encoding="utf-8")
-        return load_rig(str(rig), regulators=True)
+        return load_rig(shutil.copyfile(chosen, self._out / "rig.yaml"), regulators=True)
 
     def _write_parameters(self, of_controller: dict[str, Any]) -> None:
         content = {
@@ -340,15 +337,13 @@ class Commission:
     def report(self) -> None:
         """Write ``report.html`` and ``report.json`` on what was done so far."""
         steps, driven = [], []
-        for name, one in self._record.steps.items():
-            folder = one.get("folder", "")
-            steps.append(
-                Step(name, bool(one["done"]), one["said"], one.get("seconds", 0.0), one.get("rig_s", 0.0), folder)
-            )
+        for name, one in self.steps.items():
+            took = one.get("seconds", 0.0), one.get("rig_s", 0.0)
+            steps.append(Step(name, bool(one["done"]), one["said"], *took, one.get("folder", "")))
             if "bag" in one:
                 recording = read_bag(self._out / one["bag"], judge=False)
                 driven.append(DrivenStep(name, recording, self._limits.pressure, self._limits.angle))
-        left = tuple(name for name in self.STEPS if name not in self._record.steps and not self.left_out(name))
+        left = tuple(name for name in self.STEPS if name not in self.steps and not self.left_out(name))
         command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
         result = CommissionResult(self._rig.name, tuple(steps), command, left, tuple(driven), self.next_line())
         result.write(self._out)

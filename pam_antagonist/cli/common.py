@@ -16,7 +16,6 @@ import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn
 
 from typing_extensions import override
@@ -68,23 +67,86 @@ class Parser(argparse.ArgumentParser):
         """An option without a value."""
         self.add_argument(name, action="store_true", help=text)
 
+    def shared(self, *names: str, **changes: Any) -> None:
+        """Options that several commands have, from :data:`_SHARED`. `changes`: of what stands there."""
+        for name in names:
+            self.add_argument(name.split()[0], **{**_SHARED[name], **changes})
+        if "--json" in names:
+            self.set_defaults(writes_report_json=True)
+
     @override
     def error(self, message: str) -> NoReturn:
         raise BadInput(f"{message} (see {self.prog} --help)")
 
 
+def _topic(text: str) -> tuple[str, str]:
+    name, equals, other = text.partition("=")
+    if not (name and equals and other.startswith("/")):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected NAME=/OTHER, such as pressure_1=/arm/p1")
+    return name, other
+
+
+_FLAG = {"action": "store_true"}
+_SHARED: dict[str, dict[str, Any]] = {
+    "bags": {"help": "rosbag2: its folder, or an .mcap or .db3 file", "type": Path, "metavar": "BAG", "nargs": "+"},
+    "--rig": {"help": "a YAML file, or the name of a rig of the package", "metavar": "RIG", "required": True},
+    "--out": {"help": "folder for the result; a new one", "type": Path, "metavar": "DIR", "required": True},
+    "--seed": {"help": "seed of all random numbers (default: 0)", "type": SEED, "default": 0},
+    "--jobs": {"help": "threads (default: 2)", "type": JOBS, "default": 2, "metavar": "N"},
+    "--joint": {"help": "may the joint move? (default: free)", "default": "free", "choices": ("free", "locked")},
+    "--joint of a recording": {
+        "help": "could the joint move? (default: auto, from the measured angle)", "default": "auto",
+        "choices": ("auto", "free", "locked"),
+    },
+    "--lock-angle": {"help": "angle at which a locked joint is held [deg]", "type": degrees, "metavar": "DEG"},
+    "--mismatch": {
+        "help": "relative deviation of the simulated joint's parameters from the rig file (default: 0.01)",
+        "type": float, "default": 0.01, "metavar": "X",
+    },
+    "--no-noise": {"help": "exact sensors", **_FLAG},
+    "--topic": {
+        "help": "the topic NAME (pressure_1, valve_state, ...) is /OTHER in the bag; may be given several times",
+        "type": _topic, "metavar": "NAME=/OTHER", "action": "append", "default": [],
+    },
+    "--namespace": {"help": "namespace of the rig, where a bag holds several", "metavar": "/NS"},
+    "--joint-name": {"help": "joint in measured/joint_states, where it holds several", "metavar": "NAME"},
+    "--recover": {"help": "if the bag is damaged, read what is left of it", **_FLAG},
+    "--no-check": {"help": "use a recording although the check says that it is wrong", **_FLAG},
+    "--json": {
+        "help": "write the content of report.json to this file as well; with -, it goes to standard output and the "
+        "tables go to standard error", "metavar": "FILE",
+    },
+    "--no-log": {"help": "write nothing into the log book of the rig (see history)", **_FLAG},
+    "--no-figures": {"help": "leave the figures out of report.html (2 MB less)", **_FLAG},
+    "--open": {"help": "show report.html in the browser afterwards", **_FLAG},
+    "--dask": {
+        "help": "fit on the workers of this Dask scheduler, such as tcp://10.0.0.5:8786 (needs pam_antagonist[dask])",
+        "metavar": "ADDRESS",
+    },
+}  # fmt: skip
+"""Options that several commands have, as ``add_argument`` takes them."""
+
+
 def run(
     parser: Callable[[], Parser], command: Callable[[argparse.Namespace], int], argv: Sequence[str] | None = None
 ) -> int:
-    """Read a command's arguments, do its work, and give what ``--json`` of :func:`add_json` asks for.
+    """Read a command's arguments, do its work, and give what ``--json`` asks for.
 
-    `argv`: arguments without the program's name; default: those of the process.
+    `argv`: arguments without the program's name; default: those of the process. The work finds them as ``words``.
     """
 
     def work() -> int:
-        arguments = parser().parse_args(argv)
-        with _json_beside(arguments) if "writes_report_json" in arguments else contextlib.nullcontext():
+        words = sys.argv[1:] if argv is None else list(argv)
+        arguments = parser().parse_args(words, argparse.Namespace(words=words))
+        if "writes_report_json" not in arguments:
             return command(arguments)
+        with json_alone(arguments.json):
+            status = command(arguments)
+        report: Path = arguments.out / "report.json"
+        # A command that failed or was interrupted wrote none.
+        if arguments.json is not None and report.is_file():
+            give_json(arguments.json, report.read_text(encoding="utf-8"))
+        return status
 
     return ended(work)
 
@@ -130,12 +192,8 @@ def _interrupted() -> int:
 @contextmanager
 def _terminable() -> Iterator[None]:
     """Let SIGTERM end a command as Ctrl-C does, so that it cleans up."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
     try:
-        previous = signal.signal(signal.SIGTERM, interrupt)
+        previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
     except ValueError:  # not in the main thread: whoever runs us there handles signals
         yield
         return
@@ -143,47 +201,6 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, previous)
-
-
-def add_bags(parser: Parser) -> None:
-    """Recordings, at least one."""
-    parser.option("bags", "rosbag2: its folder, or an .mcap or .db3 file", Path, metavar="BAG", nargs="+")
-
-
-def add_rig(parser: Parser) -> None:
-    """``--rig``."""
-    parser.option("--rig", "a YAML file, or the name of a rig of the package", metavar="RIG", required=True)
-
-
-def add_out(parser: Parser, text: str = "folder for the result; a new one") -> None:
-    """``--out``."""
-    parser.option("--out", text, Path, metavar="DIR", required=True)
-
-
-def add_seed(parser: Parser, text: str, metavar: str | None = None) -> None:
-    """``--seed``."""
-    parser.option("--seed", f"seed of {text} (default: 0)", SEED, 0, metavar)
-
-
-def add_jobs(parser: Parser) -> None:
-    """``--jobs``."""
-    parser.option("--jobs", "threads (default: 2)", JOBS, 2, "N")
-
-
-def add_page(parser: Parser) -> None:
-    """``--no-figures`` and ``--open``."""
-    parser.flag("--no-figures", "leave the figures out of report.html (2 MB less)")
-    add_open(parser)
-
-
-def add_joint(parser: Parser, of_recording: bool = False) -> None:
-    """``--joint`` and ``--lock-angle``; of a recording, whether the joint could move is found out by default."""
-    choices: tuple[str, ...] = ("free", "locked")
-    text = "may the joint move? (default: free)"
-    if of_recording:
-        choices, text = ("auto", *choices), "could the joint move? (default: auto, from the measured angle)"
-    parser.option("--joint", text, default=choices[0], choices=choices)
-    parser.option("--lock-angle", "angle at which a locked joint is held [deg]", degrees, metavar="DEG")
 
 
 def lock_angle(arguments: argparse.Namespace) -> float | None:
@@ -194,24 +211,6 @@ def lock_angle(arguments: argparse.Namespace) -> float | None:
     return value
 
 
-def add_topics(parser: Parser) -> None:
-    """``--topic``, given as often as needed."""
-    text = "the topic NAME (pressure_1, valve_state, ...) is /OTHER in the bag; may be given several times"
-    parser.repeated("--topic", text, "NAME=/OTHER", _topic)
-
-
-def _topic(text: str) -> tuple[str, str]:
-    name, equals, other = text.partition("=")
-    if not (name and equals and other.startswith("/")):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected NAME=/OTHER, such as pressure_1=/arm/p1")
-    return name, other
-
-
-def add_recover(parser: Parser) -> None:
-    """``--recover``."""
-    parser.flag("--recover", "if the bag is damaged, read what is left of it")
-
-
 def topics(arguments: argparse.Namespace) -> dict[str, str]:
     """The topics that were given other names."""
     chosen: dict[str, str] = {}
@@ -220,11 +219,6 @@ def topics(arguments: argparse.Namespace) -> dict[str, str]:
             raise BadInput(f"--topic {name}: given twice, as {chosen[name]} and {other}")
         chosen[name] = other
     return chosen
-
-
-def add_open(parser: Parser) -> None:
-    """``--open``."""
-    parser.flag("--open", "show report.html in the browser afterwards")
 
 
 def announce_report(arguments: argparse.Namespace, folder: Path) -> None:
@@ -240,38 +234,6 @@ def next_command(words: str, bags: Sequence[Path] = (), rest: str = "") -> str:
     return f"next:\n{typed(' '.join(part for part in (words, shlex.join(map(str, bags)), rest) if part))}"
 
 
-def add_json(parser: Parser) -> None:
-    """``--json``, of a command that writes ``report.json``."""
-    parser.set_defaults(writes_report_json=True)
-    parser.option(
-        "--json", "write the content of report.json to this file as well; with -, it goes to standard output and the "
-        "tables go to standard error", metavar="FILE",
-    )  # fmt: skip
-
-
-@contextmanager
-def _json_beside(arguments: argparse.Namespace) -> Iterator[None]:
-    """Around the work of a command with ``--json`` and ``--out``: what the first asks for is given at its end."""
-    with json_alone(arguments.json):
-        yield
-    report: Path = arguments.out / "report.json"
-    # A command that failed or was interrupted wrote none.
-    if arguments.json is not None and report.is_file():
-        give_json(arguments.json, report.read_text(encoding="utf-8"))
-
-
-def add_new_json(parser: Parser, what: str) -> None:
-    """``--json``, of a command that writes nothing else and overwrites nothing."""
-    text = f"write {what} to FILE as well, a new file; - for standard output, and the tables on standard error"
-    parser.option("--json", text, _new_file, metavar="FILE")
-
-
-def _new_file(text: str) -> str:
-    if text != "-" and Path(text).exists():
-        raise argparse.ArgumentTypeError(f"{text}: exists; expected a new file, nothing is overwritten")
-    return text
-
-
 def json_alone(where: str | None) -> contextlib.AbstractContextManager[object]:
     """Standard output for JSON alone, where ``--json`` is -: what is printed meanwhile goes to standard error."""
     return contextlib.redirect_stdout(sys.stderr) if where == "-" else contextlib.nullcontext()
@@ -283,17 +245,6 @@ def give_json(where: str, text: str) -> None:
         sys.stdout.write(text)
     else:
         write_text(Path(where), text)
-
-
-def show(text: str, content: object, where: str | None) -> None:
-    """Print the result of a command, if there is a text, and give it as JSON where ``--json`` says."""
-    if text:
-        with json_alone(where):
-            print(text)
-    if where is not None:
-        from pam_antagonist.strict_json import dumps
-
-        give_json(where, dumps(content) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -40,7 +40,7 @@ from pam_antagonist.cli.demo_steps import FOUND, GAINS, MODEL, Task, found_gains
 from pam_antagonist.cli.driving import how_to_watch, stay_apart
 from pam_antagonist.cli.numbers import real
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
@@ -85,12 +85,12 @@ def parser() -> common.Parser:
         "to hold; for a rig with drive: regulator",
     )  # fmt: skip
     out.option("--tuning", "filter tuning of the rig (default: default)", None, "default", "NAME")
-    common.add_seed(out, "the joint's mismatch and sensor noise", "N")
+    out.shared("--seed", help="seed of the joint's mismatch and sensor noise (default: 0)", metavar="N")
     mismatch = "relative standard deviation of the joint's parameters from the rig's (default: 0.01)"
-    out.option("--mismatch", mismatch, real(0.0, 0.29), 0.01, "X")
+    out.shared("--mismatch", help=mismatch, type=real(0.0, 0.29))
     out.option("--out", "folder for bag, logs and report; a new one (default: demo-DATE-TIME)", Path, metavar="DIR")
-    out.flag("--no-figures", "leave the figures out of report.html")
-    common.add_open(out)
+    out.shared("--no-figures", help="leave the figures out of report.html")
+    out.shared("--open")
     return out
 
 
@@ -122,18 +122,16 @@ def _main(arguments: argparse.Namespace) -> int:
         (out / "logs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
+    left = f"what was recorded until now is in {out / 'bag'}"
     try:
         stopped = _experiment(arguments, rig, mode, {**_gains(law, mode, rig), **found}, asked, out)
+        left = f"the recording is in {out / 'bag'}, there is no report"
+        _judge(out, rig, mode, law, stopped, arguments)
     except ProcessFailed as error:
         print(f"error: {error} (logs: {out / 'logs'})", file=sys.stderr)
         return common.FAILED
     except KeyboardInterrupt:
-        print(f"\ninterrupted: what was recorded until now is in {out / 'bag'}", file=sys.stderr)
-        return common.INTERRUPTED
-    try:
-        _judge(out, rig, mode, law, stopped, arguments)
-    except KeyboardInterrupt:
-        print(f"\ninterrupted: the recording is in {out / 'bag'}, there is no report", file=sys.stderr)
+        print(f"\ninterrupted: {left}", file=sys.stderr)
         return common.INTERRUPTED
     return common.FAILED if stopped else common.DONE
 
@@ -168,16 +166,13 @@ def _experiment(
     shared: dict[str, object] = {"rig": name}
     if arguments.no_pressures:
         shared["pressure_sensors"] = "none"
-    joint: dict[str, object] = (
-        {"joint": "free"} if mode.quantity is Mode.ANGLE else {"joint": "locked", "lock_angle": 0.0}
-    )
+    joint = {"joint": "free" if mode.quantity is Mode.ANGLE else "locked"}
     with Processes(out / "logs") as processes:
         processes.start("estimator", ros_arguments({**shared, **joint, "tuning": arguments.tuning}, {}))
         processes.start("controller", ros_arguments({**shared, **gains}, {}))
-        simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, "wait_for_subscribers": 2}
-        if arguments.no_pressures:
-            # The controller listens to what is left as well.
-            simulated["wait_for_subscribers"] = 3
+        # Without pressures, the controller listens to what is left as well.
+        waits = {"wait_for_subscribers": 3 if arguments.no_pressures else 2}
+        simulated = {"seed": arguments.seed, "mismatch": arguments.mismatch, **waits}
         processes.start("plant", ros_arguments({**shared, **joint, **simulated}, {}))
         try:
             return _steps(processes, mode, asked, arguments.duration, out / "bag", rig.drive)
@@ -190,15 +185,13 @@ def _experiment(
 
 def _gains(law: str, mode: Mode, rig: Rig) -> dict[str, object]:
     """Parameters of the controller."""
-    if law == MODEL and mode is Mode.IMPEDANCE:
-        return {"law": "model"}
-    if law == MODEL:
-        # A new rig's estimate is very uncertain: with a margin for that, its joint would hardly move.
-        return {"law": "model", "governor_level": 0.5, "max_angle_rate": angle_range(rig) / _SWEEP}
-    if law == FOUND:
-        return {}
-    gains, of = GAINS[law][mode], mode.name.lower()
-    return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
+    if law in GAINS:
+        gains, of = GAINS[law][mode], mode.name.lower()
+        return {f"{of}_proportional": gains.proportional, f"{of}_integral": gains.integral}
+    if law == FOUND or mode is Mode.IMPEDANCE:
+        return {} if law == FOUND else {"law": "model"}
+    # A new rig's estimate is very uncertain: with a margin for that, its joint would hardly move.
+    return {"law": "model", "governor_level": 0.5, "max_angle_rate": angle_range(rig) / _SWEEP}
 
 
 def _steps(processes: Processes, mode: Mode, asked: Task, duration: float, bag: Path, drive: str) -> str:

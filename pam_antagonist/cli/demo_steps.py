@@ -8,7 +8,10 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from pam_antagonist.control import FAST_GAINS, PUBLISHED_GAINS, Box, Mode, Reachable
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.pi import FAST_GAINS, PUBLISHED_GAINS
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, RigIdentity, differences, load_rig
 from pam_antagonist.rig.limits import angle_range, largest_torque

@@ -21,13 +21,10 @@ import signal
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
-
-if TYPE_CHECKING:
-    from pam_antagonist.hardware.line_faults import LineFault
 
 
 def parser() -> common.Parser:
@@ -36,14 +33,13 @@ def parser() -> common.Parser:
 
     kinds = "\n".join(f"  {kind.ljust(12)} {meaning}" for kind, meaning in KINDS.items())
     out = common.Parser("device_emulator", __doc__, kinds)
-    common.add_rig(out)
-    common.add_joint(out)
+    out.shared("--rig", "--joint", "--lock-angle")
     out.option("--hardware", "calibration of its sensors (default: example)", None, "example", "FILE")
     out.option("--link", "link to the port, so that its name stays the same", Path, metavar="PATH")
-    common.add_seed(out, "all random numbers")
+    out.shared("--seed")
     mismatch = "relative deviation of the joint's parameters from the rig file (default: 0)"
-    out.option("--mismatch", mismatch, float, 0.0, "X")
-    out.flag("--no-noise", "exact sensors")
+    out.shared("--mismatch", help=mismatch, default=0.0)
+    out.shared("--no-noise")
     out.option("--drift", "error of its clock [ppm] (default: 0)", float, 0.0, "PPM")
     out.option("--first-us", "its 32-bit counter at power-on [us] (default: 0)", int, 0, "US")
     out.option("--log", "CSV file of the voltages on the valves, row by change", Path, metavar="FILE")
@@ -52,10 +48,13 @@ def parser() -> common.Parser:
         "--orders", "make this named pipe and read orders from it while running: lines +KIND[=VALUE] (begin a fault) "
         "and -KIND (end it)", Path, metavar="PIPE",
     )  # fmt: skip
-    out.option("--flip", "the same as --fault flip=SHARE", float, metavar="SHARE")
-    out.option("--drop", "the same as --fault drop=SHARE", float, metavar="SHARE")
-    out.option("--silent-after", "the same as --fault silent@S", float, metavar="S")
-    out.option("--freeze-sensor", "the same as --fault freeze=MUSCLE@S, such as 1@2.5", metavar="MUSCLE@S")
+    for name, form, metavar, example in (
+        ("--flip", "flip=", "SHARE", ""),
+        ("--drop", "drop=", "SHARE", ""),
+        ("--silent-after", "silent@", "S", ""),
+        ("--freeze-sensor", "freeze=", "MUSCLE@S", ", such as 1@2.5"),
+    ):
+        out.repeated(name, f"the same as --fault {form}{metavar}{example}", metavar, form.__add__, dest="fault")
     return out
 
 
@@ -63,29 +62,26 @@ def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.hardware.calibration import Converter, load_calibration
     from pam_antagonist.hardware.emulator import DeviceClock, Emulator, Port, VoltageLog
     from pam_antagonist.hardware.firmware import Firmware, Settings
-    from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan
+    from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan, parse_fault
     from pam_antagonist.hardware.protocol import Feature
     from pam_antagonist.nodes.spin import hurry
     from pam_antagonist.rig import load_rig
     from pam_antagonist.rig.limits import rest_voltage
     from pam_antagonist.simulation.plant import Plant
 
-    faults = _faults(arguments)
+    faults = [parse_fault(text) for text in arguments.fault]
     if not abs(arguments.drift) <= 500.0:
         raise BadInput(f"--drift {arguments.drift:g}: expected ppm within ±500; a crystal has 10 to 100")
     if not 0 <= arguments.first_us < 1 << 32:
         raise BadInput(f"--first-us {arguments.first_us}: expected 0 to {(1 << 32) - 1}")
     rig = load_rig(arguments.rig, regulators=True)
     calibration = load_calibration(arguments.hardware)
-    converter, regulated = Converter(calibration), rig.drive == "regulator"
-    converter.suits(rig.drive)
+    converter = Converter(calibration)
+    converter.adapt(rig.drive)
     low, high = rig.command_limits
-    if regulated:
-        before = (0.5 * (low + high), 0.5 * (low + high))
-        power_on = converter.output(before)
-        low, high = min(converter.output((low, low))), max(converter.output((high, high)))
-    else:
-        before = power_on = rest_voltage(rig)
+    before = (0.5 * (low + high), 0.5 * (low + high)) if rig.drive == "regulator" else rest_voltage(rig)
+    power_on = converter.output(before)
+    low, high = min(converter.output((low, low))), max(converter.output((high, high)))
     angle = common.lock_angle(arguments) or 0.0
     plant = Plant(
         rig, arguments.joint, angle, arguments.seed, mismatch=arguments.mismatch, noise=not arguments.no_noise
@@ -93,12 +89,9 @@ def _main(arguments: argparse.Namespace) -> int:
     # Compiles, or loads, what a step needs, in a plant of its own: the real one starts at rest.
     Plant(rig, arguments.joint, angle).step(before)
     features = Feature(0)
-    for there, feature in (
-        (calibration.encoder, Feature.ENCODER),
-        (calibration.torque, Feature.TORQUE),
-        (calibration.unit == "V" or None, Feature.VOLTS),
-    ):
-        features |= feature if there is not None else Feature(0)
+    features |= Feature(0) if calibration.encoder is None else Feature.ENCODER
+    features |= Feature(0) if calibration.torque is None else Feature.TORQUE
+    features |= Feature.VOLTS if calibration.unit == "V" else Feature(0)
     settings = Settings(
         name="emulator", features=features, period_us=round(rig.sample_period * 1e6), voltage_min=low, voltage_max=high,
         safe_voltage=power_on,
@@ -114,7 +107,7 @@ def _main(arguments: argparse.Namespace) -> int:
         clock = DeviceClock(arguments.drift * 1e-6, arguments.first_us)
         plan = FaultPlan(faults, arguments.seed, orders)
         emulator = Emulator(
-            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock, regulated
+            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock
         )
         stack.callback(emulator.close)
         print(f"{arguments.link or emulator.path}", flush=True)
@@ -151,17 +144,6 @@ def _log(path: Path) -> TextIO:
         return path.open("x", encoding="utf-8")
     except OSError as error:
         raise BadInput(f"--log {path}: cannot be made: {error.strerror}; expected the name of a new file") from None
-
-
-def _faults(arguments: argparse.Namespace) -> list[LineFault]:
-    from pam_antagonist.hardware.line_faults import parse_fault
-
-    texts = list(arguments.fault)
-    texts += [f"flip={arguments.flip!r}"] if arguments.flip is not None else []
-    texts += [f"drop={arguments.drop!r}"] if arguments.drop is not None else []
-    texts += [f"silent@{arguments.silent_after!r}"] if arguments.silent_after is not None else []
-    texts += [f"freeze={arguments.freeze_sensor}"] if arguments.freeze_sensor is not None else []
-    return [parse_fault(text) for text in texts]
 
 
 main = common.command(parser, _main)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +18,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from pam_antagonist.design import Limits, Plan
     from pam_antagonist.design.exploration import Program
     from pam_antagonist.rig import Rig
@@ -50,7 +47,6 @@ class Owner:
     port: str | None = None
     hardware: str | None = None
     parameters: Path | None = None
-    drive: str = "valve"
 
     @classmethod
     def of(cls, arguments: argparse.Namespace, rig: str) -> Owner:
@@ -64,15 +60,15 @@ class Owner:
             arguments.parameters,
         )  # fmt: skip
 
-    def command_line(self, plan: Plan) -> list[str]:
-        """Arguments of the node."""
+    def command_line(self, plan: Plan, drive: str) -> list[str]:
+        """Arguments of the node. `drive`: of the rig."""
         from pam_antagonist.nodes.processes import ros_arguments
 
         low, high = plan.limits.pressure
         given: dict[str, object] = {
             "rig": self.rig,
             "command_timeout": _COMMAND_TIMEOUT,
-            {"valve": "safe_voltage", "regulator": "safe_pressure"}[self.drive]: list(plan.rest),
+            {"valve": "safe_voltage", "regulator": "safe_pressure"}[drive]: list(plan.rest),
             "max_pressure": [high + _STOP_BEYOND * (high - low)] * 2,
         }
         if self.source == "plant":
@@ -85,13 +81,12 @@ class Owner:
         return [*ros_arguments(given, {}), *files]
 
 
-@dataclass(frozen=True)
-class Driven:
-    """What came of a plan."""
+class Driven(NamedTuple):
+    """What came of an experiment."""
 
     bag: Path
-    begun_ns: int  # stamp at which the plan began [ns]
-    ended: str
+    begun_ns: int  # stamp at which it began [ns]
+    ended: str  # why it ended early, in words; empty where it did not
 
 
 def add_limits(out: Parser) -> None:
@@ -125,36 +120,32 @@ def add_source(out: Parser) -> None:
     out.option("--port", "serial port of the bridge's device", metavar="PATH")
     out.option("--hardware", "calibration of the bridge's device", metavar="FILE")
     out.option("--parameters", "parameter file of plant or bridge", Path, metavar="FILE")
-    mismatch = "relative deviation of the simulated joint's parameters from the rig file (default: 0.01)"
-    out.option("--mismatch", mismatch, float, 0.01, "X")
+    out.shared("--mismatch")
 
 
 def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
-    """Write ``voltages.csv`` and ``plan.json``."""
+    """Write ``plan.json``, and ``voltages.csv`` where the plan has voltages."""
     from pam_antagonist.design import standard_errors
+    from pam_antagonist.strict_json import plain, write_json
 
-    changes = np.flatnonzero(np.any(np.diff(plan.voltage, axis=0) != 0.0, axis=1)) + 1
-    rows = [0, *changes, len(plan.voltage) - 1]
-    lines = [f"{k * plan.period:.6g},{plan.voltage[k, 0]:.4f},{plan.voltage[k, 1]:.4f}" for k in rows]
-    (out / "voltages.csv").write_text("\n".join(["t_s,u1,u2", *lines]) + "\n", encoding="utf-8")
-    start = (plan.pressure, plan.pressure)
-    errors = standard_errors(rig, plan.voltage, plan.period, plan.joint, plan.lock_angle, start)
-    rate = plan.limits.rate
-    document = {
+    document: dict[str, Any] = {
         "rig": rig.name,
         "joint": plan.joint,
         "lock_angle_rad": plan.lock_angle if plan.joint == "locked" else None,
-        "duration_s": plan.duration,
         "limits": {
-            "pressure_pa": list(plan.limits.pressure),
-            "angle_rad": plan.limits.angle,
-            "rate_rad_s": rate if math.isfinite(rate) else None,
+            "pressure_pa": plan.limits.pressure, "angle_rad": plan.limits.angle, "rate_rad_s": plan.limits.rate,
         },
-        "rest_v": list(plan.rest),
-        "standard_errors": errors,
-    }
-    (out / "plan.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    return document
+    }  # fmt: skip
+    if len(plan.voltage):
+        changes = np.flatnonzero(np.any(np.diff(plan.voltage, axis=0) != 0.0, axis=1)) + 1
+        rows = [0, *changes, len(plan.voltage) - 1]
+        lines = [f"{k * plan.period:.6g},{plan.voltage[k, 0]:.4f},{plan.voltage[k, 1]:.4f}" for k in rows]
+        (out / "voltages.csv").write_text("\n".join(["t_s,u1,u2", *lines]) + "\n", encoding="utf-8")
+        start = (plan.pressure, plan.pressure)
+        errors = standard_errors(rig, plan.voltage, plan.period, plan.joint, plan.lock_angle, start)
+        document |= {"duration_s": plan.duration, "rest_v": plan.rest, "standard_errors": errors}
+    write_json(out / "plan.json", document)
+    return dict(plain(document))
 
 
 def stay_apart() -> None:
@@ -172,44 +163,30 @@ def how_to_watch() -> str:
     return f"to watch it in the browser: ROS_DOMAIN_ID={os.environ.get('ROS_DOMAIN_ID', '0')} {typed('watch')}"
 
 
-def drive(owner: Owner, plan: Plan, out: Path) -> Driven:
-    """Run a plan on the joint and record it into ``out/bag``, with ``out/plan.json`` as a note where there is one."""
+def drive(owner: Owner, plan: Plan, out: Path, rig: Rig, program: Program | None = None) -> Driven:
+    """Drive the joint and record it into ``out/bag``, with ``out/plan.json`` as a note where there is one.
+
+    `program` drives it in place of the plan's voltages; the plan then says where the joint rests, and its limits.
+    """
+    from pam_antagonist.design.exploration import Planned
     from pam_antagonist.recording.notes import write_notes
 
+    program = Planned(plan.voltage, plan.period) if program is None else program
     if owner.source == "rehearsal":
         from pam_antagonist.cli.rehearsal import rehearse
         from pam_antagonist.rig import load_rig
 
-        rig = load_rig(owner.rig)
-        begun_ns, ended = rehearse(rig, plan, owner.seed, owner.mismatch, out / "bag")
+        joint = load_rig(owner.rig, regulators=True)
+        begun_ns, ended = rehearse(joint, plan, program, owner.seed, owner.mismatch, out / "bag")
     else:
-        begun_ns, ended = _through_nodes(owner, plan, out)
+        begun_ns, ended = _through_nodes(owner, plan, program, rig.drive, out)
     if (out / "plan.json").exists():
         write_notes(out / "bag", {PLAN_NOTE: (out / "plan.json").read_text(encoding="utf-8")})
     return Driven(out / "bag", begun_ns, ended)
 
 
-def explored(owner: Owner, rig: Rig, program: Program, limits: Limits, out: Path) -> str:
-    """Drive the joint by what is measured, and record it into ``out/bag``."""
-    if owner.source == "rehearsal":
-        from pam_antagonist.cli.rehearsal import explore
-        from pam_antagonist.rig import load_rig
-
-        joint = load_rig(owner.rig, regulators=True)
-        return explore(joint, program, limits, owner.seed, owner.mismatch, out / "bag")[1]
-    from pam_antagonist.design import Plan
-    from pam_antagonist.rig.limits import vented
-
-    least, command = vented(rig)
-    plan = Plan(np.array([command]), rig.sample_period, "free", 0.0, limits, least, command)
-    return _through_nodes(replace(owner, drive=rig.drive), plan, out, program)[1]
-
-
-def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None = None) -> tuple[int, str]:
-    """Stamp at which the plan began [ns], and in words why it ended early; empty where it did not.
-
-    A program drives the joint in place of the plan's voltages.
-    """
+def _through_nodes(owner: Owner, plan: Plan, program: Program, drive: str, out: Path) -> tuple[int, str]:
+    """Stamp at which the experiment began [ns], and in words why it ended early."""
     from pam_antagonist.nodes.client import DriveClient
     from pam_antagonist.nodes.processes import Processes, ProcessFailed
 
@@ -217,38 +194,33 @@ def _through_nodes(owner: Owner, plan: Plan, out: Path, program: Program | None 
         stay_apart()
     rest, ready = np.array(plan.rest), 0.5 * (plan.pressure + plan.limits.pressure[1])
     (out / "logs").mkdir(exist_ok=True)
-    with Processes(out / "logs") as processes, DriveClient(drive=owner.drive) as client:
+    with Processes(out / "logs") as processes, DriveClient(drive=drive) as client:
         processes.start("record", ["--out", str(out / "bag")])
         if owner.source != "none":
-            processes.start(owner.source, owner.command_line(plan))
+            processes.start(owner.source, owner.command_line(plan, drive))
+
+        def missing() -> str:
+            client.send(rest)
+            return client.missing()
+
+        def check() -> None:
+            processes.check()
+            if reason := processes.stopped():
+                raise ProcessFailed(f"stopped for safety, {reason}")
+
+        def broken(pressures: Any, angle: float) -> str:
+            return plan.limits.broken(pressures, angle if program.confined else math.nan)
+
         try:
-
-            def missing() -> str:
-                client.send(rest)
-                return client.missing()
-
-            def check() -> None:
-                processes.check()
-                if reason := processes.stopped():
-                    raise ProcessFailed(f"stopped for safety, {reason}")
-
             processes.wait(missing)
             client.settle(rest, lambda seen: bool(np.all(seen <= ready)), check, _LONGEST_VENT_S)
-            seconds = plan.duration if program is None else program.seconds
-            with counted(seconds, f"excite, joint {plan.joint}") as advance:
+            with counted(program.seconds, f"excite, joint {plan.joint}") as advance:
                 begun_ns = client.now_ns()
-                if program is None:
-                    ended = client.drive(plan.voltage, plan.period, rest, plan.limits.broken, check, advance)
-                else:
-                    ended = client.explore(program.command, seconds, rest, _watched(program, plan), check, advance)
+                ended = client.follow(program.command, program.seconds, rest, broken, check, advance)
+                client.hold(rest)
         finally:
             if owner.source in processes.running:
                 processes.stop(owner.source)
             time.sleep(_DRAIN_S)
             processes.stop(*processes.running)
     return begun_ns, ended
-
-
-def _watched(program: Program, plan: Plan) -> Callable[[Any, float], str]:
-    """The limits that a measurement breaks; that of the angle counts once the program has taken the joint inside."""
-    return lambda pressures, angle: plan.limits.broken(pressures, angle if program.confined else math.nan)

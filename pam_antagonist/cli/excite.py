@@ -47,13 +47,13 @@ if TYPE_CHECKING:
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("excite", __doc__)
-    common.add_rig(out)
-    common.add_out(out, "folder of plan and bag; a new one")
+    out.shared("--rig")
+    out.shared("--out", help="folder of plan and bag; a new one")
     length = "length of the experiment [s]; with --tell-apart, the longest one (default: 60)"
     out.option("--duration", length, float, 60.0, "S")
-    common.add_joint(out)
+    out.shared("--joint", "--lock-angle")
     driving.add_limits(out)
-    common.add_seed(out, "the search", "N")
+    out.shared("--seed", help="seed of the search (default: 0)", metavar="N")
     out.option(
         "--tell-apart", "folder that close_loop wrote: design an experiment that distinguishes the found effect from "
         "those that explain the data as well", Path, metavar="FOUND",
@@ -95,7 +95,7 @@ def _main(arguments: argparse.Namespace) -> int:
     if arguments.plan_only:
         print(common.next_command("simulate", [], f"--rig {arguments.rig} --profile {out}/voltages.csv --out BAG"))
         return common.DONE
-    return _driven(arguments, owner, plan, out)
+    return _driven(arguments, owner, plan, out, rig)
 
 
 def _between(
@@ -131,16 +131,11 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise BadInput(f"{folder}: expected a folder of close_loop with its report.json: {why}") from None
+    expected = "expected a folder whose report.json lists effects in ambiguous_with"
     if not effects:
-        raise BadInput(
-            f"{folder}: close_loop found no effect there; expected a folder whose report.json lists effects in "
-            "ambiguous_with"
-        )
+        raise BadInput(f"{folder}: close_loop found no effect there; {expected}")
     if not rivals:
-        raise BadInput(
-            f"{folder}: {effects[0]} is decided, so no experiment is needed; expected a folder whose report.json "
-            "lists effects in ambiguous_with"
-        )
+        raise BadInput(f"{folder}: {effects[0]} is decided, so no experiment is needed; {expected}")
     extended = folder / "rig_extended.yaml"
     if not extended.is_file():
         raise BadInput(
@@ -150,14 +145,14 @@ def undecided(folder: Path) -> tuple[Rig, str, list[str]]:
     return load_rig(str(extended)), effects[0], rivals
 
 
-def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path) -> int:
+def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path, rig: Rig) -> int:
     from pam_antagonist.nodes.processes import ProcessFailed
 
     if owner.source in ("plant", "bridge"):
         driving.stay_apart()
         print(driving.how_to_watch(), flush=True)
     try:
-        ended = driving.drive(owner, plan, out).ended
+        ended = driving.drive(owner, plan, out, rig).ended
     except ProcessFailed as error:
         print(f"error: {error} (logs: {out / 'logs'})", file=sys.stderr)
         return common.FAILED

@@ -48,25 +48,20 @@ def parser() -> common.Parser:
     share = "share at the end of each recording that is held out to judge the result (default: a third)"
     out.option("--holdout", share, real(0.05, 0.8, "a share"), 1.0 / 3.0, "SHARE")
     out.option("--starts", "starts of the search (default: 1)", whole(1, 64), 1, "N")
-    common.add_seed(out, "the further starts")
-    common.add_jobs(out)
-    cluster.add_dask(out)
+    out.shared("--seed", help="seed of the further starts (default: 0)")
+    out.shared("--jobs", "--dask")
     given.add_names_and_report(out)
+    out.shared("--no-log")
     return out
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.diagnose import are_episodes
     from pam_antagonist.api.identify import IdentifyResult, identify
-    from pam_antagonist.cli.first_start import FITS, compile_first
+    from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.report import terminal
-    from pam_antagonist.rig import load_rig
 
-    common.check_output(arguments.out)
-    common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig, regulators=True)
-    compile_first(FITS, rig)
-    common.lock_angle(arguments)
+    rig = given.begun(arguments, FITS)
     if rig.valves.sealed:
         _refuse_choice(arguments, "of a sealed joint are fitted")
     recordings = given.read(arguments, rig)
@@ -83,6 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
         )  # fmt: skip
     given.announce(arguments, found, None if found.rejected else "rig.yaml", apart=True)
     identified = arguments.out / "rig.yaml"
+    given.note_down(arguments, "identify", recordings, rig, found, None if found.rejected else identified)
     if found.rejected or (isinstance(found, IdentifyResult) and found.lacks_an_effect):
         # The next command takes the rig that was given.
         print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))

@@ -21,11 +21,11 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pam_antagonist.api.import_csv import import_csv, write_imported
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.cli.recordings import span
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording
@@ -71,24 +71,18 @@ def _check_given(arguments: argparse.Namespace) -> None:
 
 
 def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespace) -> str:
-    def span(values: NDArray[np.float64] | None, scale: float, unit: str) -> str:
-        if values is None:
-            return "not in the file"
-        return f"{np.nanmin(values) * scale:.4g} to {np.nanmax(values) * scale:.4g} {unit}"
-
     pressure, voltage = recording.pressure, recording.voltage
     valves = [
         f"valve {number} {'sealed' if valve.sealed else span(voltage[:, number - 1], 1.0, 'V')}"
         for number, valve in enumerate(mapping.valves, 1)
         if mapping.drive == "valve"
     ]
-    if mapping.drive == "regulator":
-        asked = [
+    if recording.drive == "regulator":
+        valves = [
             f"commanded pressure of regulator {n}: {span(voltage[:, n - 1], 1e-3, 'kPa')} absolute" for n in (1, 2)
         ]
-        valves = (
-            asked if recording.drive == "regulator" else ["pressure regulators: their commands are not in the file"]
-        )
+    elif mapping.drive == "regulator":
+        valves = ["pressure regulators: their commands are not in the file"]
     lines = [
         f"{arguments.out}: {len(recording)} samples, {recording.duration_s:.3f} s, one each "
         f"{recording.sample_period_s * 1e3:.4g} ms",

@@ -21,10 +21,11 @@ import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+
+from typing_extensions import override
 
 from pam_antagonist.api.new_rig import facts_of, remarks
-from pam_antagonist.api.rig_questions import OWN, QUESTIONS, Question
+from pam_antagonist.api.rig_questions import OWN, QUESTIONS, Answers, Question
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
@@ -41,7 +42,7 @@ def parser() -> common.Parser:
     out.option("--out", "the rig file to write (.yaml), a new one", Path, metavar="FILE", required=True)
     for question in QUESTIONS:
         default = "" if question.default is None else f" (default: {question.default})"
-        own = "" if question.wanted({}) else f"; with {question.condition.words}"
+        own = "" if question.wanted({}) else f"; with --{' '.join(question.only_with)}".rstrip()
         text = f"{question.text[0].lower()}{question.text[1:]}: {question.how}{own}{default}"
         out.option(f"--{question.option}", text.replace("%", "%%"), metavar="ANSWER")
     return out
@@ -62,9 +63,8 @@ def _main(arguments: argparse.Namespace) -> int:
         if answers.asked:
             print(f"\nnothing was written; your answers up to now:\n{answers.command(path)}", file=sys.stderr)
         raise
-    assumed = [question for question in QUESTIONS if question.name in answers.taken]
     try:
-        write_rig(rig, path, remarks(facts, assumed))
+        write_rig(rig, path, remarks(facts, answers.assumed))
     except OSError as error:
         raise BadInput(f"--out {path}: cannot be written: {error.strerror}") from None
     print(f"rig: {path}\n")
@@ -77,76 +77,59 @@ def _main(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-class _Answers:
+class _Answers(Answers):
     """Answers of options first, then of the person at the terminal, where there is one."""
 
     def __init__(self, given: Mapping[str, str | None]) -> None:
-        self._given = given
+        super().__init__(given, "--")
         self._person = sys.stdin.isatty()
-        self._values: dict[str, Any] = {}
-        self._texts: dict[str, str] = {}
+        self._missing: list[str] = []
         self.asked = False
-        self.taken: set[str] = set()
 
     def rig(self) -> tuple[Facts, Rig]:
         """What the answers say, and the rig file that they make; answers that contradict each other are asked again."""
-        self._read()
+        self.read()
+        if self._missing:
+            raise BadInput(
+                f"missing: {', '.join(self._missing)}; give them as options, or start the command in a terminal, where "
+                "it asks for them"
+            )
         while True:
-            facts = facts_of(self._values)
+            facts = facts_of(self.values)
             try:
                 return facts, starting_point(facts)
             except Contradiction as error:
                 again = [
                     question
                     for question in QUESTIONS
-                    if question.option in error.answers and self._values.get(question.name, OWN) != OWN
+                    if question.option in error.answers and self.values.get(question.name, OWN) != OWN
                 ]
                 if not (self._person and again):
                     options = ", ".join(f"--{question.option}" for question in again)
                     raise BadInput(f"{options}: {error}" if options else str(error)) from None
                 print(f"\n{error}\nPlease answer again; Enter keeps an answer.")
                 for question in again:
-                    self._ask(question, self._texts[question.name])
+                    self._ask(question, self.texts[question.name])
                 self._complete()
 
     def _complete(self) -> None:
         """Ask what a new answer makes necessary, and forget what it makes needless."""
         for question in QUESTIONS:
-            if not question.wanted(self._values):
-                self._values.pop(question.name, None)
-                self._texts.pop(question.name, None)
-            elif question.name not in self._values:
+            if not question.wanted(self.values):
+                self.values.pop(question.name, None)
+                self.texts.pop(question.name, None)
+            elif question.name not in self.values:
                 self._ask(question, question.default)
 
-    def _read(self) -> None:
-        missing = []
-        for question in QUESTIONS:
-            text = self._given[question.name]
-            if not question.wanted(self._values):
-                if text is not None:
-                    raise BadInput(f"--{question.option}: only with {question.condition.words}")
-            elif text is not None:
-                try:
-                    self._take(question, text)
-                except BadInput as error:
-                    raise BadInput(f"--{question.option} {error}") from None
-            elif self._person:
-                self._ask(question, question.default)
-            elif question.default is not None:
-                self._take(question, question.default)
-                self.taken.add(question.name)
-            else:
-                missing.append(f"--{question.option} ({question.how})")
-                self._values[question.name] = None
-        if missing:
-            raise BadInput(
-                f"missing: {', '.join(missing)}; give them as options, or start the command in a terminal, where it "
-                "asks for them"
-            )
-
-    def _take(self, question: Question, text: str) -> None:
-        self._values[question.name] = question.read(text)
-        self._texts[question.name] = text
+    @override
+    def unanswered(self, question: Question) -> None:
+        if self._person:
+            self._ask(question, question.default)
+        elif question.default is None:
+            self._missing.append(f"--{question.option} ({question.how})")
+            self.values[question.name] = None
+        else:
+            super().unanswered(question)
 
     def _ask(self, question: Question, default: str | None) -> None:
         """Ask until an answer makes sense."""
@@ -158,21 +141,21 @@ class _Answers:
                 raise BadInput(f"{question.text}: the input ended") from None
             self.asked = True
             try:
-                self._take(question, default if not text and default is not None else text)
+                self.take(question, default if not text and default is not None else text)
             except BadInput as error:
                 print(f"  {error}")
                 continue
-            self.taken.discard(question.name)
+            self.assumed.discard(question.name)
             if not text and default == question.default:
-                self.taken.add(question.name)
+                self.assumed.add(question.name)
             return
 
     def command(self, path: Path) -> str:
         """The command line with these answers."""
         words = ["new_rig", "--out", str(path)]
         for question in QUESTIONS:
-            if question.name in self._texts:
-                words += [f"--{question.option}", self._texts[question.name]]
+            if question.name in self.texts:
+                words += [f"--{question.option}", self.texts[question.name]]
         return typed(shlex.join(words))
 
 

@@ -16,8 +16,7 @@ from pathlib import Path
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import real
 from pam_antagonist.cli.recordings import announce
-from pam_antagonist.control import Box
-from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN
+from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.report.reachable import ReachableResult
 from pam_antagonist.rig import load_rig
 
@@ -27,7 +26,7 @@ _NUMBER = real(0.0, 1e8, "a number", ", 0 or more")
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("reachable", __doc__)
-    common.add_rig(out)
+    out.shared("--rig")
     out.option("--out", "folder of report.html and report.json; a new one", Path, metavar="DIR")
     lowest = "least pressure of a muscle, absolute [Pa] (default: a sixth of the supply's gauge pressure)"
     out.option("--lowest-pressure", lowest, _NUMBER, metavar="PA")
@@ -36,7 +35,7 @@ def parser() -> common.Parser:
         ("--least-force", LEAST_FORCE, "N", "least contraction force of a muscle [N]"),
     ):
         out.option(name, f"{text} (default: {default:g})", _NUMBER, default, unit)
-    common.add_page(out)
+    out.shared("--no-figures", "--open")
     return out
 
 

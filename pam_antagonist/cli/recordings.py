@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
@@ -20,27 +23,34 @@ if TYPE_CHECKING:
 
 def add_bags(parser: common.Parser) -> None:
     """Bags, rig, new folder, and whether the joint could move."""
-    common.add_bags(parser)
-    common.add_rig(parser)
-    common.add_out(parser)
-    common.add_joint(parser, of_recording=True)
+    parser.shared("bags", "--rig", "--out", "--joint of a recording", "--lock-angle")
 
 
 def add_names_and_report(parser: common.Parser) -> None:
     """Names of topics and joint, damaged bags, and what the report holds."""
-    common.add_topics(parser)
-    parser.option("--namespace", "namespace of the rig, where a bag holds several", metavar="/NS")
-    parser.option("--joint-name", "joint in measured/joint_states, where it holds several", metavar="NAME")
-    common.add_recover(parser)
-    add_corrections(parser)
-    common.add_json(parser)
-    common.add_page(parser)
-
-
-def add_corrections(parser: common.Parser) -> None:
-    """The options that correct a recording, and ``--no-check``."""
+    parser.shared("--topic", "--namespace", "--joint-name", "--recover")
     corrections.add_options(parser)
-    parser.flag("--no-check", "use a recording although the check says that it is wrong")
+    parser.shared("--no-check", "--json", "--no-figures", "--open")
+
+
+def begun(arguments: argparse.Namespace, parts: Sequence[str]) -> Rig:
+    """The rig, after what can be refused before any work, and after what a first start compiles (``first_start``)."""
+    from pam_antagonist.cli.first_start import compile_first
+    from pam_antagonist.rig import load_rig
+
+    common.check_output(arguments.out)
+    common.only_available_figures(arguments)
+    common.lock_angle(arguments)
+    rig = load_rig(arguments.rig, regulators=True)
+    compile_first(parts, rig)
+    return rig
+
+
+def span(values: Any, scale: float, unit: str) -> str:
+    """Least and largest value, in a unit."""
+    if values is None:
+        return "not in the file"
+    return f"{np.nanmin(values) * scale:.4g} to {np.nanmax(values) * scale:.4g} {unit}"
 
 
 def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:
@@ -101,6 +111,21 @@ def read(arguments: argparse.Namespace, rig: Rig, further: Sequence[Path] = ()) 
 def damage(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> list[str]:
     """With ``--recover``: what there is to say of each recording, since something is missing from it."""
     return [issue for recording in recordings for issue in recording.issues] if arguments.recover else []
+
+
+def note_down(
+    arguments: argparse.Namespace, command: str, recordings: Sequence[Recording], rig: Rig, found: object,
+    written: Path | None = None,
+) -> None:  # fmt: skip
+    """Write a result into the rig's log book; where that fails a line says so, and the result is not lost."""
+    if arguments.no_log:
+        return
+    from pam_antagonist.api.history import log
+
+    try:
+        log(command, arguments.rig, recordings, rig, found, written)
+    except BadInput as error:
+        print(f"warning: {error}", file=sys.stderr)
 
 
 def announce(arguments: argparse.Namespace, found: Result, rig: str | None, apart: bool = False) -> None:

@@ -11,66 +11,39 @@ from pathlib import Path
 
 import numpy as np
 
-from pam_antagonist.design import Limits, Plan
+from pam_antagonist.design import Plan
 from pam_antagonist.design.exploration import Program
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import vented
 from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
-from pam_antagonist.simulation.plant import Plant, PlantSample
+from pam_antagonist.simulation.plant import Plant
 
 _FIRST_STAMP_NS = 1_000_000_000_000_000_000
 
 
-def rehearse(rig: Rig, plan: Plan, seed: int, mismatch: float, bag: Path) -> tuple[int, str]:
-    """Drive a simulated joint by a plan, and write the recording: when it began [ns], and in words why it ended early.
+def rehearse(rig: Rig, plan: Plan, program: Program, seed: int, mismatch: float, bag: Path) -> tuple[int, str]:
+    """Drive a simulated joint by a program, and write the recording.
 
-    ``mismatch`` is the standard deviation of the joint's parameters from the rig's [-].
+    Returns when it began [ns], and in words why it ended early. `plan` says where the joint begins and what its limits
+    are. `mismatch` is the standard deviation of the joint's
+    parameters from the rig's [-].
     """
-    start = (plan.pressure, plan.pressure)
+    start, period = (plan.pressure, plan.pressure), plan.period
     plant = Plant(rig, plan.joint, plan.lock_angle, seed, mismatch=mismatch, initial_pressure=start)
-    lookout, every = Lookout(), max(1, round(TICK / plan.period))
-    samples: list[PlantSample] = []
-    rest, ended, left = np.array(plan.rest), "", len(plan.voltage)
-    while left:
-        k = len(samples)
-        sample = plant.step(rest if ended else plan.voltage[k])
-        samples.append(sample)
-        left -= 1
-        if ended or k % every:
-            continue
-        if reason := lookout.ends(plan.limits.broken(sample.pressure, sample.angle)):
-            ended, left = f"after {k * plan.period:.1f} s {reason}", round(RETREAT / plan.period)
-    _write(rig, samples, plan.period, bag)
-    return _FIRST_STAMP_NS, ended
-
-
-def explore(
-    rig: Rig, program: Program, limits: Limits, seed: int, mismatch: float, bag: Path
-) -> tuple[list[PlantSample], str]:
-    """Drive a simulated joint by what is measured of it, from muscles without air on, and write the recording."""
-    least, command = vented(rig)
-    plant = Plant(rig, seed=seed, mismatch=mismatch, initial_pressure=(least, least))
-    samples: list[PlantSample] = []
-    period, ended = rig.sample_period, ""
-    lookout, every = Lookout(), max(1, round(TICK / period))
-    while len(samples) * period < program.seconds:
+    lookout, every, ended = Lookout(), max(1, round(TICK / period)), ""
+    samples = [plant.step(plan.rest)]
+    while (k := len(samples) - 1) * period < program.seconds:
+        seen = samples[-1]
+        command = program.command(k * period, seen.pressure, seen.angle)
+        if command is None:
+            break
         samples.append(plant.step(command))
-        seen, k = samples[-1], len(samples) - 1
-        given = program.command(k * period, seen.pressure, seen.angle)
-        if given is None:
-            break
-        command = given
         angle = seen.angle if program.confined else math.nan
-        if k % every == 0 and (reason := lookout.ends(limits.broken(seen.pressure, angle))):
+        if k % every == 0 and (reason := lookout.ends(plan.limits.broken(seen.pressure, angle))):
             ended = f"after {k * period:.1f} s {reason}"
+            samples += [plant.step(plan.rest) for _ in range(round(RETREAT / period))]
             break
-    _write(rig, samples, period, bag)
-    return samples, ended
-
-
-def _write(rig: Rig, samples: list[PlantSample], period: float, bag: Path) -> None:
-    stamps = _FIRST_STAMP_NS + np.rint(np.arange(1, len(samples) + 1) * period * 1e9).astype(np.int64)
+    stamps = _FIRST_STAMP_NS + np.rint(np.arange(len(samples)) * period * 1e9).astype(np.int64)
     recording = Recording(
         path=bag,
         stamp_ns=stamps,
@@ -82,3 +55,4 @@ def _write(rig: Rig, samples: list[PlantSample], period: float, bag: Path) -> No
         drive=rig.drive,
     )
     write_bag(bag, recording, pressure_variance=rig.sensors.pressure_std**2)
+    return _FIRST_STAMP_NS, ended

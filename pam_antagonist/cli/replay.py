@@ -27,6 +27,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.corrections import add_options
 
 if TYPE_CHECKING:
     from pam_antagonist.api.replay import ReplayResult
@@ -36,16 +37,15 @@ if TYPE_CHECKING:
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("replay", __doc__)
-    common.add_bags(out)
-    common.add_rig(out)
+    out.shared("bags", "--rig")
     tuning = "the rig's filter tuning: default, published, ... (default: default)"
     out.option("--tuning", tuning, None, "default", "NAME")
-    common.add_out(out, "folder for the report; a new one")
+    out.shared("--out", help="folder for the report; a new one")
     out.option(
         "--save", "write the estimate with its covariance and innovations as well: a new .csv, or .mcap for "
         "PlotJuggler and Foxglove; for one recording only", Path, metavar="FILE",
     )  # fmt: skip
-    common.add_joint(out, of_recording=True)
+    out.shared("--joint of a recording", "--lock-angle")
     out.option(
         "--from", "estimate from this time of the recording on; if the bag has a checkpoint of the live filter, the "
         "filter continues from it, and the estimates equal those of a full replay (default: the whole recording)",
@@ -56,37 +56,30 @@ def parser() -> common.Parser:
         "live filter if the recording shows that, else none (default: auto)",
         default="auto", choices=("auto", "none", "encoder"),
     )  # fmt: skip
-    common.add_topics(out)
-    out.option("--joint-name", "joint in measured/joint_states, where it holds several", metavar="NAME")
-    out.option("--namespace", "namespace of the joint, where the bag holds several", metavar="/NS")
+    out.shared("--topic", "--joint-name")
+    out.shared("--namespace", help="namespace of the joint, where the bag holds several")
     out.option(
         "--restarts", "if the clock was set back while recording: refuse the bag, or read the part after the last time "
         "(default: refuse)", default="refuse", choices=("refuse", "last"),
     )  # fmt: skip
-    common.add_recover(out)
-    given.add_corrections(out)
-    common.add_json(out)
-    common.add_page(out)
+    out.shared("--recover")
+    add_options(out)
+    out.shared("--no-check", "--json", "--no-figures", "--open")
     return out
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.cli.first_start import REPLAY, compile_first
-    from pam_antagonist.replays.result import check_estimate
+    from pam_antagonist.cli.first_start import REPLAY
+    from pam_antagonist.replays.result import check_estimate, numbers
     from pam_antagonist.report import html
-    from pam_antagonist.report.replay import document, numbers
-    from pam_antagonist.rig import load_rig
+    from pam_antagonist.report.replay import document
 
-    common.check_output(arguments.out)
     if arguments.save is not None:
         if len(arguments.bags) > 1:
             raise BadInput(f"--save: expected one recording, got {len(arguments.bags)}")
         check_estimate(arguments.save)
-    common.only_available_figures(arguments)
-    rig = load_rig(arguments.rig, regulators=True)
-    compile_first(REPLAY, rig)
+    rig = given.begun(arguments, REPLAY)
     rig.tuning(arguments.tuning)
-    common.lock_angle(arguments)
     replays = []
     for bag in arguments.bags:
         for done in _replays(bag, rig, arguments):

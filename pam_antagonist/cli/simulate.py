@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pam_antagonist.api.simulate import simulate
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.cli.recordings import span
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
@@ -30,19 +31,18 @@ from pam_antagonist.simulation import excitation
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("simulate", __doc__)
-    common.add_rig(out)
-    common.add_out(out, "folder of the bag; a new one")
+    out.shared("--rig")
+    out.shared("--out", help="folder of the bag; a new one")
     out.option(
         "--profile", f"valve voltages: {', '.join(excitation.PROFILES)} (default: paper), or a CSV file t_s,u1,u2 in s "
         "and V; for a rig with pressure regulators, u1 and u2 are the commanded pressures in Pa",
         None, "paper", "NAME|FILE.csv",
     )  # fmt: skip
     out.option("--duration", "length [s] (default: 130 for paper, 60, or that of the CSV file)", float, metavar="S")
-    common.add_joint(out)
-    common.add_seed(out, "all random numbers")
+    out.shared("--joint", "--lock-angle", "--seed")
     mismatch = "relative deviation of the joint's parameters from the rig file (default: 0)"
-    out.option("--mismatch", mismatch, float, 0.0, "X")
-    out.flag("--no-noise", "exact sensors")
+    out.shared("--mismatch", help=mismatch, default=0.0)
+    out.shared("--no-noise")
     return out
 
 
@@ -82,10 +82,6 @@ def _voltages(arguments: argparse.Namespace, rig: Rig) -> NDArray[np.float64]:
 
 
 def _summary(recording: Recording, rig: Rig, arguments: argparse.Namespace) -> str:
-    def span(values: NDArray[np.float64] | None, scale: float, unit: str) -> str:
-        assert values is not None
-        return f"{values.min() * scale:.4g} to {values.max() * scale:.4g} {unit}"
-
     return (
         f"{arguments.out}: {len(recording.stamp_ns)} samples of rig {rig.name}, joint {arguments.joint}\n"
         f"  pressures {span(recording.pressure[:, 0], 1e-3, 'kPa')} and {span(recording.pressure[:, 1], 1e-3, 'kPa')}\n"

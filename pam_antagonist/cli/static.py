@@ -38,8 +38,8 @@ def parser() -> common.Parser:
     muscle = "muscle that gets the fitted coefficients (default: both get the same)"
     out.option("--muscle", muscle, default="both", choices=("1", "2", "both"))
     rig = "a YAML file, or the name of a rig of the package; may be left out with --report-only"
-    out.option("--rig", rig, metavar="RIG")
-    common.add_out(out, "folder for the results; a new one")
+    out.shared("--rig", help=rig, required=False)
+    out.shared("--out", help="folder for the results; a new one")
     form = "form of the force map in rig.yaml (default: the rig's, and braided for muscles of a data sheet)"
     out.option("--form", form, choices=par.FORCE_FORMS)
     column = f"column of a quantity ({', '.join(QUANTITIES)}, force_std, volume_std) if its name does not give it"
@@ -53,8 +53,7 @@ def parser() -> common.Parser:
         "nominal length, without pressure and load", float, metavar="L_0",
     )  # fmt: skip
     out.flag("--report-only", "write no rig.yaml; then the muscle need not fit the rig")
-    common.add_json(out)
-    common.add_page(out)
+    out.shared("--json", "--no-figures", "--open")
     return out
 
 

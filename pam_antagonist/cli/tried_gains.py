@@ -14,8 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist.cli.demo_steps import MODEL, task
-from pam_antagonist.control import Box, Laws, Mode, ModelController, Reachable, Seen, VoltageLimits, Wanted
-from pam_antagonist.control.model_law import ModelGains
+from pam_antagonist.control.command import Mode, VoltageLimits
+from pam_antagonist.control.laws import Laws, Reachable
+from pam_antagonist.control.model_law import ModelController, ModelGains, Seen
+from pam_antagonist.control.reference import Wanted
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.limits import angle_range, rest_pressure, rest_voltage
@@ -65,12 +68,9 @@ def seen(row: np.void) -> Seen:
 
 
 def held_angles(rig: Rig, plant: Plant, gains: ModelGains, zero: float = 0.0) -> Held:
-    """Steps of the angle, as a demo asks for them, on a simulated joint.
+    """Steps of the angle, as a demo asks for them, on a simulated joint, with filter and law of a rig.
 
-    Args:
-        rig: of filter and law.
-        plant: the joint.
-        zero: the joint's angle at the rig's angle 0 [rad].
+    `zero`: the joint's angle at the rig's angle 0 [rad].
     """
     p, period = rig.parameters(), rig.sample_period
     box = Box.of(p)

@@ -54,12 +54,7 @@ class Status(Enum):
 
 
 class Command(NamedTuple):
-    """Command to the valves.
-
-    Attributes:
-        voltage: of muscle 1 and 2 (2,) [V].
-        status: reason for the command.
-    """
+    """Command to the valves: voltages (2,) [V], or pressures of regulators [Pa], and the reason for it."""
 
     voltage: tuple[float, float]
     status: Status
@@ -67,13 +62,7 @@ class Command(NamedTuple):
 
 @dataclass(frozen=True)
 class VoltageLimits:
-    """Limits of the command to a valve [V], or to a pressure regulator [Pa].
-
-    Attributes:
-        minimum: lowest voltage [V] or pressure [Pa].
-        maximum: highest voltage [V] or pressure [Pa].
-        unit: ``V`` or ``Pa``.
-    """
+    """Limits of the command to a valve [V], or to a pressure regulator [Pa]."""
 
     minimum: float = 0.0
     maximum: float = 10.0
@@ -94,11 +83,7 @@ class VoltageLimits:
         return min(max(voltage, self.minimum), self.maximum)
 
     def check(self, name: str, voltage: tuple[float, float]) -> tuple[float, float]:
-        """Return two voltages [V] unchanged if they are within the limits.
-
-        Raises:
-            BadInput: not two finite voltages within the limits.
-        """
+        """Two voltages [V], which have to be within the limits; `name` is for the message."""
         if len(voltage) != 2 or not all(self.minimum <= u <= self.maximum for u in voltage):
             limits = f"{self.minimum:g} to {self.maximum:g} {self.unit}"
             raise BadInput(f"{name} {list(voltage)}: expected two {self.quantity}s within {limits}")
@@ -108,15 +93,9 @@ class VoltageLimits:
 class Law:
     """Base class of the control laws: the last voltages, safe voltages, and bumpless starts.
 
-    Args:
-        sample_period: T_stp, the time between two estimates [s].
-        limits: of both valves.
-        safe_voltage: command without a usable reference or estimate (2,) [V]; also the voltages at the start.
-        resume_time: longest interruption after which the integral goes on with its old value [s].
-        blend_time: time constant with which the offset of a bumpless start decays [s].
-
-    Raises:
-        BadInput: a value that is out of range.
+    The safe voltages (2,) [V] are commanded without a usable reference or estimate, and at the start. After an
+    interruption longer than `resume_time` [s] the law begins anew; the offset of a bumpless start decays with
+    `blend_time` [s].
     """
 
     def __init__(
@@ -156,11 +135,7 @@ class Law:
         return self._mode is not None
 
     def stop(self, valves: tuple[float, float] | None = None) -> None:
-        """Forget the integral: the next command starts bumplessly.
-
-        Args:
-            valves: present voltages (2,) [V] of the valves; None: the last commanded ones.
-        """
+        """Forget the integral: the next command starts bumplessly, from these voltages (2,) [V] or the last ones."""
         self._mode = None
         if valves is not None:
             self._valves = self._limits.check("valve voltage", valves)

@@ -56,35 +56,21 @@ _LEAST_STIFFNESS = 1e-3
 
 
 class Limits(NamedTuple):
-    """Limits of a joint; infinite: no limit.
+    """Limits of a joint; infinite: no limit."""
 
-    Attributes:
-        lowest_pressure: of either muscle, absolute [Pa].
-        highest_pressure: likewise [Pa].
-        angle: magnitude [rad].
-        velocity: magnitude [rad/s].
-        extension: largest (l − L_0)/L_0 of either muscle [-].
-        contraction: largest (L_0 − l)/L_0 [-].
-        force: least contraction force of either muscle [N].
-    """
-
-    lowest_pressure: float
-    highest_pressure: float
-    angle: float = math.inf
-    velocity: float = math.inf
-    extension: float = math.inf
-    contraction: float = math.inf
-    force: float = 0.0
+    lowest_pressure: float  # of either muscle, absolute [Pa]
+    highest_pressure: float  # likewise [Pa]
+    angle: float = math.inf  # magnitude [rad]
+    velocity: float = math.inf  # magnitude [rad/s]
+    extension: float = math.inf  # largest (l − L_0)/L_0 of either muscle [-]
+    contraction: float = math.inf  # largest (L_0 − l)/L_0 [-]
+    force: float = 0.0  # least contraction force of either muscle [N]
 
     def inner(self, margin: float = SUPPLY_MARGIN, force: float = LEAST_FORCE) -> Box:
-        """The box of a law whose governor keeps these limits. The box keeps a margin to them.
+        """The box of a law whose governor keeps these limits, with a margin of pressures [Pa] and forces [N] to them.
 
-        The law's integral and friction torque change the pressures of an admissible reference. The box bounds them
-        in every case.
-
-        Args:
-            margin: of the pressures [Pa].
-            force: of the forces [N].
+        The law's integral and friction torque change the pressures of an admissible reference. The box bounds them in
+        every case.
         """
         return Box(self.lowest_pressure + margin, self.highest_pressure - margin, self.force + force)
 
@@ -136,18 +122,8 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
     """Excess over the limits in the final state and on the path to it, and which limit is violated most.
 
     The excesses of all steps on the path are summed. The largest one alone may belong to the present state, which no
-    reference changes.
-
-    Args:
-        of_torque: whether the value is a torque [N m]; else it is an angle [rad].
-        stiffness: [N m/rad]; NaN: free.
-        integral: of the law [N m].
-        gains: of the law (3,).
-        push: torque from outside of the margins [N m].
-        held: voltages (2,) on the valves [V].
-        x: state (n,), overwritten.
-        u: input (3,), overwritten.
-        coarse: parameter vector of the prediction: with its step for the friction, and locked for a torque.
+    reference changes. `push`: torque from outside of the margins [N m]. `coarse`: parameter vector of the prediction,
+    with its step for the friction, and locked for a torque. Others are as of :func:`wanted_pressures`.
     """
     bandwidth, _, approach = gains
     wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box, held, x, p)
@@ -175,19 +151,9 @@ def _predict(of_torque, value, stiffness, seen, integral, gains, box, limits, z,
 class Governor:
     """Moves the applied reference towards the wanted one as far as the limits allow.
 
-    Args:
-        p: parameter vector (parameters.SIZE,).
-        box: of the law.
-        limits: to keep.
-        level: probability of keeping a limit, 0.5 to 1.
-        push: torque from outside that the margins include [N m].
-
-    Raises:
-        BadInput: a level or push out of range, or limits that leave no range.
-
-    Attributes:
-        active: name of the limit that held the reference back at the last sample; empty: none.
-        held_back: number of samples at which a limit held the reference back.
+    `level`: probability of keeping a limit, 0.5 to 1. `push`: torque from outside that the margins include [N m].
+    `active`: name of the limit that held the reference back at the last sample; empty: none. `held_back`: number of
+    samples at which one did.
     """
 
     def __init__(self, p: np.ndarray, box: Box, limits: Limits, level: float = 0.999, push: float = 0.3) -> None:
@@ -227,18 +193,7 @@ class Governor:
         return at_end, on_path, which
 
     def step(self, mode: Mode, value: float, stiffness: float, seen: Seen, law: ModelController) -> tuple[float, float]:
-        """The reference to apply at one sample.
-
-        Args:
-            mode: of the reference.
-            value: wanted [rad] or [N m].
-            stiffness: wanted [N m/rad]; NaN: free.
-            seen: estimate.
-            law: that gets the applied reference.
-
-        Returns:
-            Value and stiffness.
-        """
+        """The value and stiffness to apply at one sample, for wanted ones; the law gets them."""
         quantity = mode.quantity
         if self._quantity is not quantity:
             now = seen.torque if quantity is Mode.TORQUE else seen.angle

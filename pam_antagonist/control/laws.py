@@ -31,17 +31,11 @@ _UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
 
 @dataclass(frozen=True)
 class Range:
-    """Stiffness that is possible with an angle or torque.
+    """Stiffness that is possible with an angle or torque."""
 
-    Attributes:
-        softest: [N m/rad].
-        stiffest: [N m/rad].
-        missing: torque [N m] that the muscles lack; positive: they would need more torque.
-    """
-
-    softest: float
-    stiffest: float
-    missing: float
+    softest: float  # [N m/rad]
+    stiffest: float  # [N m/rad]
+    missing: float  # torque [N m] that the muscles lack; positive: they would need more torque
 
     @property
     def reached(self) -> bool:
@@ -50,15 +44,7 @@ class Range:
 
 
 class Reachable:
-    """The reachable set of a joint.
-
-    Args:
-        p: parameter vector (parameters.SIZE,).
-        box: bounds of pressures and forces.
-
-    Attributes:
-        angles: lowest and highest angle (2,) [rad] at which the joint can rest.
-    """
+    """The reachable set of a joint. `angles`: lowest and highest angle (2,) [rad] at which the joint can rest."""
 
     def __init__(self, p: np.ndarray, box: Box) -> None:
         self._p, self._box = p, box
@@ -98,35 +84,21 @@ class Reachable:
         far = 1e6
         return -far - self.at_torque(-far, angle).missing, far - self.at_torque(far, angle).missing
 
-    def pressures(self, angle: float, stiffness: float) -> tuple[float, float]:
-        """Pressures (2,) [Pa] that hold an angle [rad] with a stiffness [N m/rad], or the nearest possible ones."""
-        seen = Seen(angle, 0.0, 0.0, self._box.lowest, self._box.lowest)
-        wanted_pressures(False, angle, stiffness, seen, 0.0, 1.0, self._box, self._held, self._x, self._p)
-        return float(self._x[2]), float(self._x[3])
+    def pressures(self, angle: float, stiffness: float, torque: float | None = None) -> tuple[float, float]:
+        """Pressures (2,) [Pa] that hold an angle [rad] with a stiffness [N m/rad], or the nearest possible ones.
 
-    def torque_pressures(self, torque: float, stiffness: float, angle: float = 0.0) -> tuple[float, float]:
-        """Pressures (2,) [Pa] that give a torque with a stiffness, or the nearest possible ones.
-
-        Args:
-            torque: [N m].
-            stiffness: [N m/rad].
-            angle: at which the joint is held [rad].
+        With a torque [N m]: that give it at an angle at which the joint is held.
         """
-        seen = Seen(angle, 0.0, 0.0, self._box.lowest, self._box.lowest)
-        wanted_pressures(True, torque, stiffness, seen, 0.0, 1.0, self._box, self._held, self._x, self._p)
+        seen, value = Seen(angle, 0.0, 0.0, self._box.lowest, self._box.lowest), angle if torque is None else torque
+        of_torque = torque is not None
+        wanted_pressures(of_torque, value, stiffness, seen, 0.0, 1.0, self._box, self._held, self._x, self._p)
         return float(self._x[2]), float(self._x[3])
 
     def nearest(self, mode: Mode, value: float, stiffness: float, angle: float = 0.0) -> tuple[float, float, str]:
         """The reachable reference nearest to a wanted one: nearest in angle or torque first, then in stiffness.
 
-        Args:
-            mode: of the reference.
-            value: [rad] or [N m].
-            stiffness: [N m/rad]; NaN: free.
-            angle: at which a torque is produced [rad].
-
-        Returns:
-            Value and stiffness within reach, and a sentence on the difference; empty if there is none.
+        `stiffness`: NaN: free. `angle`: at which a torque is produced [rad]. Returns value and stiffness within reach,
+        and a sentence on the difference; empty if there is none.
         """
         if mode.quantity is Mode.TORQUE:
             low, high = self.torques(angle)
@@ -156,18 +128,8 @@ LAWS = ("pi", "model")
 class Laws:
     """Both laws behind one interface. A change between them is bumpless.
 
-    Args:
-        pi: the paper's law; None for a rig with pressure regulators, which has only the law through the model.
-        model: the law through the model; None if the rig has none.
-        reachable: references that the law through the model can reach; None if the rig has none.
-        name: the active law, of ``LAWS``.
-        governor: between reference and the law through the model; None: no governor.
-
-    Raises:
-        BadInput: a law that does not exist.
-
-    Attributes:
-        name: of the active law.
+    A rig with pressure regulators has no PI, one without pressures to choose from no law through the model. `name` is
+    that of the active law, one of ``LAWS``.
     """
 
     def __init__(
@@ -189,12 +151,7 @@ class Laws:
     def choose(self, name: str, mode: Mode | None) -> None:
         """Make a law the active one; it starts from the present voltages of the valves.
 
-        Args:
-            name: of ``LAWS``.
-            mode: of the present reference; None: there is none.
-
-        Raises:
-            BadInput: this joint has no such law, or the law has no such mode.
+        `mode`: of the present reference; None: there is none.
         """
         if name == self.name:
             return
@@ -214,17 +171,7 @@ class Laws:
         self.name = name
 
     def nearest(self, mode: Mode, value: float, stiffness: float, angle: float) -> tuple[float, float, str]:
-        """The reachable reference nearest to a wanted one (:meth:`Reachable.nearest`); unchanged for the PI.
-
-        Args:
-            mode: of the reference.
-            value: [rad] or [N m].
-            stiffness: [N m/rad]; NaN: free.
-            angle: estimated [rad].
-
-        Raises:
-            BadInput: the active law has no such mode.
-        """
+        """The reachable reference nearest to a wanted one (:meth:`Reachable.nearest`); unchanged for the PI."""
         if self.name == "pi":
             if mode not in PI_MODES:
                 raise BadInput(f"reference has mode {mode.name}, which law: pi does not have: set law to model")
@@ -238,11 +185,7 @@ class Laws:
         return self._law.running
 
     def stop(self, valves: tuple[float, float] | None = None) -> None:
-        """:meth:`Law.stop` of the active law.
-
-        Args:
-            valves: present voltages (2,) [V] of the valves; None: the last commanded ones.
-        """
+        """:meth:`Law.stop` of the active law."""
         self._law.stop(valves)
 
     def safe(self, status: Status) -> Command:
@@ -250,13 +193,7 @@ class Laws:
         return self._law.safe(status)
 
     def step(self, wanted: Wanted, seen: Seen, *, late: bool = False) -> Command:
-        """The command for one estimate.
-
-        Args:
-            wanted: reference.
-            seen: estimate.
-            late: whether the estimate is too old to act on.
-        """
+        """The command for one estimate; `late`: it is too old to act on."""
         if self.pi is not None and self._law is self.pi:
             value = seen.torque if wanted.mode is Mode.TORQUE else seen.angle
             return self.pi.step(wanted.mode, wanted.value, value, velocity=wanted.velocity, late=late)

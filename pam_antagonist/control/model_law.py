@@ -64,17 +64,12 @@ _RATE_TIME = 0.010
 
 @dataclass(frozen=True)
 class ModelGains:
-    """Gains of the law, which do not depend on the size of the joint.
+    """Gains of the law, which do not depend on the size of the joint."""
 
-    Attributes:
-        bandwidth: ω, rate at which a pressure's error is corrected [1/s].
-        integral: rate at which I follows an error of the torque, or an error of the angle times the stiffness [1/s].
-        approach: distance from the wanted angle within which the friction term decreases to 0 [rad].
-    """
-
-    bandwidth: float = 25.0
+    bandwidth: float = 25.0  # ω, rate at which a pressure's error is corrected [1/s]
+    # Rate at which I follows an error of the torque, or an error of the angle times the stiffness [1/s].
     integral: float = 3.0
-    approach: float = 0.010
+    approach: float = 0.010  # distance from the wanted angle within which the friction term decreases to 0 [rad]
 
     def __post_init__(self) -> None:
         for name in ("bandwidth", "approach"):
@@ -85,53 +80,30 @@ class ModelGains:
 
 
 class Seen(NamedTuple):
-    """The part of an estimate that the law uses.
+    """The part of an estimate that the law uses."""
 
-    Attributes:
-        angle: ψ [rad].
-        velocity: ψ̇ [rad/s].
-        torque: τ [N m].
-        pressure_1: P_1 [Pa].
-        pressure_2: P_2 [Pa].
-        external_torque: torque from outside [N m]; NaN where it is not estimated.
-        external_variance: of the torque from outside [(N m)²].
-        angle_variance: [rad²].
-        velocity_variance: [rad²/s²].
-        torque_variance: [(N m)²].
-        pressure_variance_1: of P_1 [Pa²], or an upper bound.
-        pressure_variance_2: of P_2 likewise.
-    """
-
-    angle: float
-    velocity: float
-    torque: float
-    pressure_1: float
-    pressure_2: float
-    external_torque: float = math.nan
-    external_variance: float = 0.0
-    angle_variance: float = 0.0
-    velocity_variance: float = 0.0
-    torque_variance: float = 0.0
-    pressure_variance_1: float = 0.0
-    pressure_variance_2: float = 0.0
+    angle: float  # ψ [rad]
+    velocity: float  # ψ̇ [rad/s]
+    torque: float  # τ [N m]
+    pressure_1: float  # [Pa]
+    pressure_2: float  # [Pa]
+    external_torque: float = math.nan  # from outside [N m]; NaN where it is not estimated
+    external_variance: float = 0.0  # [(N m)²]
+    angle_variance: float = 0.0  # [rad²]
+    velocity_variance: float = 0.0  # [rad²/s²]
+    torque_variance: float = 0.0  # [(N m)²]
+    pressure_variance_1: float = 0.0  # [Pa²], or an upper bound
+    pressure_variance_2: float = 0.0  # likewise
 
 
 class Reached(NamedTuple):
-    """Wanted pressures of the law at the last sample.
+    """Wanted pressures of the law at the last sample."""
 
-    Attributes:
-        pressure_1: wanted P_1 [Pa].
-        pressure_2: wanted P_2 [Pa].
-        softest: least stiffness possible with the torque [N m/rad].
-        stiffest: largest stiffness possible with it [N m/rad].
-        missing: part of the torque that is out of reach [N m]; 0 if none is.
-    """
-
-    pressure_1: float
-    pressure_2: float
-    softest: float
-    stiffest: float
-    missing: float
+    pressure_1: float  # wanted P_1 [Pa]
+    pressure_2: float  # wanted P_2 [Pa]
+    softest: float  # least stiffness possible with the torque [N m/rad]
+    stiffest: float  # largest one [N m/rad]
+    missing: float  # part of the torque that is out of reach [N m]; 0 if none is
 
 
 @inlined
@@ -150,18 +122,10 @@ def known_torque(external, variance):
 def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box, held, x, p):
     """Steps 1 and 2: set the pressures of x to the wanted ones.
 
-    Args:
-        of_torque: whether the value is a torque [N m]; else it is an angle [rad].
-        stiffness: [N m/rad]; NaN: free.
-        seen: estimate, a :class:`Seen`.
-        integral: I [N m].
-        approach: as of :class:`ModelGains` [rad].
-        box: a :class:`~pam_antagonist.control.stiffness.Box`.
-        held: voltages (2,) on the valves [V].
-        x: state (n,), overwritten; its angle becomes the one for which the pressures are computed.
-
-    Returns:
-        As :func:`~pam_antagonist.control.stiffness.set_pressures`.
+    The value is a torque [N m] or an angle [rad]; `stiffness` [N m/rad], NaN: free; `seen` a :class:`Seen`; `integral`
+    is I [N m]; `approach` as of :class:`ModelGains` [rad]; `held` the voltages (2,) on the valves [V]. The state x (n,)
+    is overwritten; its angle becomes the one for which the pressures are computed. Returns what
+    :func:`~pam_antagonist.control.stiffness.set_pressures` does.
     """
     angle = seen.angle if of_torque else value
     _make_steady(x, angle, seen.pressure_1, seen.pressure_2, held, p, 0.0, WITH_EFFECTS)
@@ -176,18 +140,10 @@ def wanted_pressures(of_torque, value, stiffness, seen, integral, approach, box,
 
 @inlined
 def voltage_towards(i, pressure, wanted, angle, velocity, bandwidth, p, x=None):
-    """Steps 3 to 5 for one muscle: the voltage [V] that moves its pressure to the wanted one.
+    """Steps 3 to 5 for muscle i, 0 or 1: the voltage [V] that moves its pressure P_i [Pa] to the wanted one [Pa].
 
-    A regulator's command is the wanted pressure itself [Pa].
-
-    Args:
-        i: muscle, 0 or 1.
-        pressure: P_i [Pa].
-        wanted: pressure [Pa].
-        angle: ψ [rad].
-        velocity: ψ̇ [rad/s].
-        bandwidth: ω [1/s].
-        x: state (n,), for learned flows; None: left out.
+    A regulator's command is the wanted pressure itself [Pa]. `bandwidth` is ω [1/s]; the state x (n,) is for learned
+    flows, None leaves them out.
     """
     if p[_REGULATED + i] > 0.0:
         return wanted
@@ -234,23 +190,9 @@ def _step(of_torque, value, stiffness, seen, integral, gains, period, box, leads
 
 
 class ModelController(Law):
-    """Angle or torque with stiffness, one command for each estimate.
+    """Angle or torque with stiffness, one command for each estimate. See :class:`Law` for what it is made with.
 
-    Args:
-        p: parameter vector (parameters.SIZE,) of the rig.
-        box: bounds of pressures and forces.
-        gains: the tuning.
-        sample_period: T_stp, the time between two estimates [s].
-        limits: of both valves.
-        safe_voltage: command without a usable reference or estimate (2,) [V]; also the voltages at the start.
-        resume_time: longest interruption after which the integral goes on with its old value [s].
-        blend_time: time constant with which the offset of a bumpless start decays [s].
-
-    Raises:
-        BadInput: a value that is out of range.
-
-    Attributes:
-        reached: wanted pressures of the last sample; None: nothing yet.
+    `reached`: wanted pressures of the last sample; None: nothing yet.
     """
 
     BLEND_TIME = 0.1
@@ -307,18 +249,10 @@ class ModelController(Law):
         damping: float = 0.0,
         late: bool = False,
     ) -> Command:
-        """The command for one estimate.
+        """The command for one estimate. Without a mode there is no reference yet.
 
-        Args:
-            mode: of the reference; None: there is no reference yet.
-            value: wanted angle [rad] or torque [N m].
-            stiffness: wanted −∂τ/∂ψ [N m/rad]; NaN: free, the middle of the possible range.
-            seen: estimate.
-            damping: of ``Mode.IMPEDANCE`` [N m s/rad].
-            late: whether the estimate is too old to act on.
-
-        Returns:
-            The voltages and the reason for them.
+        `value`: wanted angle [rad] or torque [N m]. `stiffness`: wanted −∂τ/∂ψ [N m/rad]; NaN: free, the middle of the
+        possible range. `damping`: of ``Mode.IMPEDANCE`` [N m s/rad]. `late`: the estimate is too old to act on.
         """
         if mode is None:
             return self.safe(Status.NO_REFERENCE)

@@ -35,19 +35,12 @@ ANTI_WINDUP = ("conditional", "none")
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of one mode, per rad or per N m.
+    """Gains of one mode, per rad or per N m."""
 
-    Attributes:
-        proportional: T_P [V/rad or V/(N m)].
-        integral: T_I [V/(rad s) or V/(N m s)].
-        bias: beta, the voltage of both valves at rest [V].
-        velocity: feed-forward of the reference's velocity [V s/rad]; the paper has none.
-    """
-
-    proportional: float
-    integral: float
-    bias: float = 5.5
-    velocity: float = 0.0
+    proportional: float  # T_P [V/rad or V/(N m)]
+    integral: float  # T_I [V/(rad s) or V/(N m s)]
+    bias: float = 5.5  # beta, the voltage of both valves at rest [V]
+    velocity: float = 0.0  # feed-forward of the reference's velocity [V s/rad]; the paper has none
 
     def __post_init__(self) -> None:
         for name in ("proportional", "integral", "velocity"):
@@ -58,11 +51,7 @@ class Gains:
             raise BadInput(f"bias {self.bias!r} V: expected 0 to 10 V")
 
     def as_printed(self, sample_period: float) -> Gains:
-        """Gains with which c becomes T_I / T_stp, as the paper prints it.
-
-        Args:
-            sample_period: T_stp [s].
-        """
+        """Gains with which c becomes T_I / T_stp, as the paper prints it, by the sample period T_stp [s]."""
         return replace(self, integral=self.integral / sample_period**2)
 
 
@@ -75,20 +64,7 @@ the time. Chosen in simulation, seed 0, from twenty pairs; not tried on a real j
 
 
 class PiController(Law):
-    """PI control of an antagonistic pair: one command for each estimate.
-
-    Args:
-        gains: the gains of each mode.
-        sample_period: T_stp, the time between two estimates [s].
-        limits: of both valves.
-        safe_voltage: command without a usable reference or estimate (2,) [V]; also the voltages at the start.
-        resume_time: longest interruption after which the integral goes on with its old value [s].
-        blend_time: time constant with which the offset of a bumpless start decays [s].
-        anti_windup: ``conditional`` or ``none``.
-
-    Raises:
-        BadInput: a value that is out of range, or a mode without gains.
-    """
+    """PI control of an antagonistic pair: one command for each estimate. See the module for `anti_windup`."""
 
     def __init__(
         self,
@@ -123,11 +99,7 @@ class PiController(Law):
         return min(self._limits.maximum - bias, bias - self._limits.minimum)
 
     def retune(self, mode: Mode, gains: Gains) -> None:
-        """Change the gains of a mode; the command goes on without a bump.
-
-        Raises:
-            BadInput: a bias that is not within the valves' limits.
-        """
+        """Change the gains of a mode; the command goes on without a bump."""
         if not self._limits.minimum < gains.bias < self._limits.maximum:
             raise BadInput(
                 f"bias {gains.bias:g} V: expected between the limits, {self._limits.minimum:g} and "
@@ -142,15 +114,8 @@ class PiController(Law):
     ) -> Command:
         """The command for one estimate.
 
-        Args:
-            mode: of the reference; None: there is no reference yet.
-            reference: wanted angle [rad] or torque [N m].
-            value: estimated angle or torque, in the same unit.
-            velocity: of the reference, for the feed-forward [rad/s].
-            late: whether the estimate is too old to act on.
-
-        Returns:
-            The voltages and the reason for them.
+        `value` is the estimated angle [rad] or torque [N m]; `velocity` that of the reference, for the feed-forward
+        [rad/s]; `late`: the estimate is too old to act on. Without a mode there is no reference yet.
         """
         if mode is None:
             return self.safe(Status.NO_REFERENCE)

@@ -33,40 +33,24 @@ _LONGEST_STEP_NS = 20_000_000
 
 
 class Wanted(NamedTuple):
-    """The reference at one sample.
+    """The reference at one sample."""
 
-    Attributes:
-        mode: of the reference; None: none yet.
-        value: angle [rad] or torque [N m]; NaN where the last reference cannot be used.
-        velocity: of the angle, for feed-forward [rad/s]; 0 where it is not known.
-        lost: whether it timed out and safe voltages must follow.
-        stiffness: −∂τ/∂ψ [N m/rad]; NaN: none given.
-        damping: [N m s/rad]; NaN: none given.
-    """
-
-    mode: Mode | None
-    value: float
-    velocity: float = 0.0
-    lost: bool = False
-    stiffness: float = math.nan
-    damping: float = math.nan
+    mode: Mode | None  # None: none yet
+    value: float  # angle [rad] or torque [N m]; NaN where the last reference cannot be used
+    velocity: float = 0.0  # of the angle, for feed-forward [rad/s]; 0 where it is not known
+    lost: bool = False  # whether it timed out and safe voltages must follow
+    stiffness: float = math.nan  # −∂τ/∂ψ [N m/rad]; NaN: none given
+    damping: float = math.nan  # [N m s/rad]; NaN: none given
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Rules for references, in rad or N m.
+    """Rules for references, in rad or N m, by quantity (``Mode.ANGLE`` or ``Mode.TORQUE``)."""
 
-    Attributes:
-        largest: largest magnitude, by quantity (``Mode.ANGLE`` or ``Mode.TORQUE``).
-        slew: largest change in a second, by quantity; 0: any.
-        timeout: time after which a reference that is not repeated is lost, by quantity [s]; 0: never.
-        lost: ``safe`` or ``hold``.
-    """
-
-    largest: Mapping[Mode, float]
-    slew: Mapping[Mode, float]
-    timeout: Mapping[Mode, float]
-    lost: str = "safe"
+    largest: Mapping[Mode, float]  # magnitude
+    slew: Mapping[Mode, float]  # largest change in a second; 0: any
+    timeout: Mapping[Mode, float]  # after which a reference that is not repeated is lost [s]; 0: never
+    lost: str = "safe"  # ``safe`` or ``hold``
 
     def __post_init__(self) -> None:
         if self.lost not in LOST:
@@ -77,17 +61,8 @@ class Trajectory:
     """A reference that moves through points at given times.
 
     Between two points it is a cubic if the points have velocities, else a straight line. From the reference before the
-    trajectory to the first point it is a straight line. After the last point it stays there.
-
-    Args:
-        mode: of the reference.
-        start_ns: time from which the points count [ns].
-        seconds: times of the points (N,) [s], from 0 on, increasing.
-        values: at the points (N,) [rad] or [N m].
-        velocities: at the points (N,) [rad/s]; empty: not known.
-
-    Raises:
-        BadInput: no points, times that do not increase, or a value that is not finite.
+    trajectory to the first point it is a straight line. After the last point it stays there. The points count from
+    `start_ns` [ns]: times (N,) [s] from 0 on, values (N,) [rad] or [N m], and velocities (N,) [rad/s] or none.
     """
 
     def __init__(
@@ -117,11 +92,9 @@ class Trajectory:
         return (stamp_ns - self._start_ns) * 1e-9 >= self._seconds[-1]
 
     def at(self, stamp_ns: int, now: float) -> tuple[float, float]:
-        """Value and its change in a second at a stamp.
+        """Value and its change in a second at a stamp [ns].
 
-        Args:
-            stamp_ns: of the sample [ns].
-            now: present reference or estimate, used at the first call only [rad] or [N m].
+        `now`: present reference or estimate, used at the first call only [rad] or [N m].
         """
         time = (stamp_ns - self._start_ns) * 1e-9
         seconds, values, speeds = self._seconds, self._values, self._velocities
@@ -155,21 +128,9 @@ difference. It raises ``BadInput`` if the mode cannot be followed."""
 
 
 class References:
-    """Keeps the last reference, and applies the rules to it at each sample.
+    """Keeps the last reference, and applies the rules to it at each sample. Without `nearest`, all can be reached.
 
-    Args:
-        rules: for all references.
-        nearest: function that gives the reachable reference; None: every reference is reachable.
-
-    Attributes:
-        mode: of the last reference; None: none has come.
-        complaint: why the last reference cannot be used; empty if it can.
-        limited: how the last reference was limited; empty if it was not.
-        lost: whether it has timed out.
-        limited_count: references that were limited.
-        lost_count: how often a reference was lost.
-        value: reference at the last sample [rad] or [N m]; NaN where there was none.
-        stiffness: of the reference [N m/rad]; NaN: free.
+    After a reference that cannot be used, `complaint` says why; `limited` says how one was limited.
     """
 
     def __init__(self, rules: Rules, nearest: Nearest | None = None) -> None:
@@ -205,15 +166,10 @@ class References:
         stiffness: float = math.nan,
         damping: float = math.nan,
     ) -> None:
-        """Take a reference.
+        """Take a reference, at a steady time [ns]. A value that is not finite cannot be used.
 
-        Args:
-            mode: of the reference.
-            value: [rad] or [N m]; a value that is not finite cannot be used.
-            now_ns: steady time [ns].
-            velocity: of the angle, for feed-forward [rad/s].
-            stiffness: [N m/rad], above 0, for the modes with a stiffness.
-            damping: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none added to the joint's own.
+        `velocity`: of the angle, for feed-forward [rad/s]. `stiffness`: [N m/rad], for the modes that have one.
+        `damping`: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none added to the joint's own.
         """
         if not math.isfinite(value):
             self.refuse(f"reference {value:g} {_UNIT[mode.quantity]}, expected a finite number", mode)
@@ -247,12 +203,7 @@ class References:
         self._velocity = velocity if math.isfinite(velocity) and not words else 0.0
 
     def follow(self, trajectory: Trajectory, now_ns: int) -> None:
-        """Take a trajectory.
-
-        Args:
-            trajectory: replaces the present reference.
-            now_ns: steady time [ns].
-        """
+        """Take a trajectory in place of the present reference, at a steady time [ns]."""
         self._take(trajectory.mode, now_ns)
         self._trajectory = trajectory
 
@@ -262,11 +213,9 @@ class References:
             self._trajectory, self._target, self._velocity = None, self.value, 0.0
 
     def refuse(self, complaint: str, mode: Mode = Mode.ANGLE) -> None:
-        """Note a reference that cannot be used: safe voltages follow until a usable one comes.
+        """Note a reference that cannot be used, and why: safe voltages follow until a usable one comes.
 
-        Args:
-            complaint: what is wrong with it.
-            mode: of this reference; used only if none has come before.
+        `mode` is used only if none has come before.
         """
         self.complaint, self.limited = complaint, ""
         self.mode = self.mode if self.mode is not None else mode
@@ -292,14 +241,7 @@ class References:
         return f"reference {value:g} {unit} is limited to ±{largest:g} {unit}"
 
     def at(self, stamp_ns: int, now_ns: int, angle: float, torque: float) -> Wanted:
-        """The reference at a sample.
-
-        Args:
-            stamp_ns: of the estimate [ns].
-            now_ns: steady time [ns].
-            angle: estimated [rad].
-            torque: estimated [N m].
-        """
+        """The reference at the stamp of an estimate [ns], with its angle [rad] and torque [N m], and a steady time."""
         self._angle = angle if math.isfinite(angle) else self._angle
         if self.mode is None:
             return Wanted(None, math.nan)

@@ -44,13 +44,7 @@ LEAST_FORCE = 2.0
 
 
 class Box(NamedTuple):
-    """Bounds of the wanted pressures and of the forces.
-
-    Attributes:
-        lowest: pressure [Pa].
-        highest: pressure [Pa].
-        least_force: contraction force of either muscle [N].
-    """
+    """Bounds of the wanted pressures [Pa], and of the contraction forces of both muscles [N]."""
 
     lowest: float
     highest: float
@@ -60,16 +54,10 @@ class Box(NamedTuple):
     def of(
         cls, p: np.ndarray, lowest: float | None = None, margin: float = SUPPLY_MARGIN, force: float = LEAST_FORCE
     ) -> Box:
-        """The box of a rig.
+        """The box of a rig, by its parameter vector (parameters.SIZE,).
 
-        Args:
-            p: parameter vector (parameters.SIZE,); its supply, or the range of its regulators, is the upper bound.
-            lowest: pressure [Pa]; None: about a sixth of the supply's gauge pressure.
-            margin: below the supply's pressure, so that air still flows [Pa].
-            force: least contraction force of either muscle [N].
-
-        Raises:
-            BadInput: the lower bound is not below the upper one.
+        `lowest`: pressure [Pa]; None: about a sixth of the supply's gauge pressure. `margin`: below the supply's
+        pressure, so that air still flows [Pa]. `force`: least contraction force of either muscle [N].
         """
         highest = float(p[SUPPLY]) - margin
         # Regulators hold any pressure of their range, so no margin is needed there.
@@ -170,14 +158,9 @@ def _refine(torque, stiffness, low_1, low_2, high, x, p):
 def set_pressures(torque, stiffness, box, x, p):
     """Set the pressures of a state so that its muscles have a torque and, as far as possible, a stiffness.
 
-    Args:
-        torque: wanted τ at the state's angle [N m].
-        stiffness: wanted −∂τ/∂ψ [N m/rad]; NaN: the middle of the possible range.
-        box: bounds of the pressures (a :class:`Box`).
-        x: state (n,); its pressures are set.
-
-    Returns:
-        Least and largest stiffness possible with the torque [N m/rad], and wanted minus reached torque [N m].
+    Wanted are τ at the state's angle [N m] and −∂τ/∂ψ [N m/rad], NaN: the middle of the possible range. The pressures
+    of the state x (n,) are set, within a :class:`Box`. Returns least and largest stiffness possible with the torque [N
+    m/rad], and wanted minus reached torque [N m].
     """
     low_1, low_2 = _least_pressure(0, box, x, p), _least_pressure(1, box, x, p)
     high = box.highest

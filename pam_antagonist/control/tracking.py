@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,15 +67,27 @@ class Tracking:
     range: float
     performance: float  # 1 - worst_steady_error / range; NaN where either is not known
 
+    def numbers(self, unit: str) -> dict[str, Any]:
+        """The keys of ``report.json``, with a unit in their names."""
+        steps = [
+            {
+                "start_s": step.start_s, "length_s": step.length_s, f"reference_{unit}": step.reference,
+                f"steady_error_{unit}": step.steady_error, "settling_s": step.settling_s,
+            }
+            for step in self.steps
+        ]  # fmt: skip
+        return {
+            f"rmse_{unit}": self.rmse,
+            f"max_{unit}": self.largest,
+            f"worst_steady_error_{unit}": self.worst_steady_error,
+            f"reference_range_{unit}": self.range,
+            "steady_state_performance": self.performance,
+            "steps": steps,
+        }
+
 
 def held(stamp_ns: Stamps, reference_stamp_ns: Stamps, value: Floats) -> Floats:
-    """The reference at each sample: the last one that was sent; NaN before the first.
-
-    Args:
-        stamp_ns: samples (N,) [ns].
-        reference_stamp_ns: references (K,) [ns], not decreasing.
-        value: of the references (K,).
-    """
+    """The reference at each sample (N,) [ns]: the last value of (K,) that was sent; NaN before the first."""
     last = np.searchsorted(reference_stamp_ns, stamp_ns, side="right") - 1
     if len(value) == 0:
         return np.full(len(stamp_ns), np.nan)
@@ -84,12 +97,8 @@ def held(stamp_ns: Stamps, reference_stamp_ns: Stamps, value: Floats) -> Floats:
 def yielded(torque: Floats, equilibrium: Floats, stiffness: Floats, damping: Floats, period: float) -> Floats:
     """Angle (N,) [rad] of a spring and damper under a torque, from rest on: D dψ/dt + K (ψ − ψ_0) = d.
 
-    Args:
-        torque: d (N,) [N m].
-        equilibrium: ψ_0 (N,) [rad]; NaN without a reference.
-        stiffness: K (N,) [N m/rad].
-        damping: D (N,) [N m s/rad].
-        period: between two samples [s].
+    Given d (N,) [N m], ψ_0 (N,) [rad], NaN without a reference, K (N,) [N m/rad], D (N,) [N m s/rad] and the period
+    [s].
     """
     out, before = np.full(len(torque), np.nan), np.nan
     for k in np.flatnonzero(np.isfinite(torque + equilibrium + stiffness + damping)):
@@ -101,13 +110,7 @@ def yielded(torque: Floats, equilibrium: Floats, stiffness: Floats, damping: Flo
 
 
 def tracking(stamp_ns: Stamps, reference: Floats, measured: Floats) -> Tracking:
-    """Judge how a measured angle or torque followed its reference.
-
-    Args:
-        stamp_ns: samples (N,) [ns].
-        reference: (N,) [rad] or [N m]; NaN where there was none.
-        measured: (N,) in the same unit; NaN where missing.
-    """
+    """Judge how a measured angle or torque (N,) followed its reference (N,), NaN where either is missing."""
     keep = np.isfinite(reference) & np.isfinite(measured)
     if not keep.any():
         raise ValueError("no sample has both a reference and a measurement")
@@ -197,12 +200,7 @@ def largest_torque(
 ) -> float:
     """Amplitude [N m] of the largest sinusoidal torque from outside that the valves can follow; 0: none.
 
-    Args:
-        p: parameter vector (parameters.SIZE,) of a rig with valves.
-        stiffness: K of the spring [N m/rad].
-        damping: D [N m s/rad].
-        frequency: of the torque [Hz].
-        angle: ψ_0 of equilibrium [rad].
+    For a rig with valves, a spring K [N m/rad] and damper D [N m s/rad] around an angle ψ_0 [rad], at a frequency [Hz].
     """
     if not (stiffness > 0.0 and damping >= 0.0 and frequency > 0.0 and math.isfinite(stiffness + damping + frequency)):
         raise BadInput(

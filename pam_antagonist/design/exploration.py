@@ -79,6 +79,21 @@ class Program(ABC):
         """Commands for the next sample, from the time [s] and what is measured [Pa], [rad]; None at the end."""
 
 
+class Planned(Program):
+    """The voltages of a plan (N, 2) [V], one row for each `period` [s]."""
+
+    confined = True
+
+    def __init__(self, voltage: Floats, period: float) -> None:
+        self._voltage, self._period, self.seconds = voltage, period, len(voltage) * period
+
+    @override
+    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+        # A little later, so that rounding takes no sample for the one before it.
+        first, second = self._voltage[min(int(time / self._period + 1e-6), len(self._voltage) - 1)]
+        return first, second
+
+
 @dataclass
 class Pulse:
     """What :class:`FirstAir` saw of one valve."""
@@ -191,7 +206,6 @@ class Slow(_Confined):
         super().__init__(rig, limits, towards)
         self._turns = [(share, turn) for share, turns in zip(_COMMON, _TURNS, strict=True) for turn in (0.0, *turns)]
         self._k, self._since, self._arrived = 0, 0.0, -1.0
-        self.unreached = 0
         self.seconds = _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * len(self._turns)
 
     @override
@@ -210,7 +224,6 @@ class Slow(_Confined):
             self._arrived = time
         longest = _LONGEST_TURN_S if self._k else _CENTRE_S
         if (self._arrived >= 0.0 and time - self._arrived > _DWELL_S) or time - self._since > longest:
-            self.unreached += self._arrived < 0.0
             self._k, self._since, self._arrived = self._k + 1, time, -1.0
         return self._commands(pressure)
 

@@ -57,6 +57,36 @@ class Fault:
     sentence: str
 
 
+_CROSSED = "valve 1 fills what pressure sensor 2 shows, and valve 2 what sensor 1 shows"
+_SENTENCES = {
+    "no_supply": "neither muscle gets air from its valve: the supply is off; check the supply and its shut-off valve",
+    "stuck_valves": "both pressures stay as they are whatever the voltages: check the valves' power and signal cables",
+    "crossed": f"{_CROSSED}: valves or pressure sensors are exchanged; check which hose goes where",
+    "swapped_sensors": f"{_CROSSED}, but the joint turns as it should: the pressure sensors are exchanged",
+    "swapped_valves": f"{_CROSSED}, and the joint turns the other way: the valves (or their cables) are exchanged",
+    "stuck_valve": "the pressure of muscle {number} stays at {level:.0f} kPa whatever its voltage: valve {number} is "
+    "stuck; check its cable, then the valve",
+    "stuck_valve without air": "muscle {number} gets no air while the other one does: check valve {number}, its cable "
+    "and its hose",
+    "dead_sensor": "pressure sensor {number} {seen}: it is dead; check its plug, its supply voltage and its channel",
+    "zero": "pressure sensor {number} is {off:+.0f} kPa off while its muscle is vented: its zero is wrong, or gauge "
+    "pressures are taken for absolute ones",
+    "weak_supply": "both pressures reach {share:.0%} of what the model says: check the supply's pressure and the valve "
+    "type in the rig file",
+    "leak": "muscle {number} reaches {share:.0%} of what the other one reaches: it leaks; check its fittings and its "
+    "hose with soapy water",
+    "flipped_encoder": "the encoder counts against the joint: exchange its two tracks, or its sign",
+    "still": "the angle hardly changes while a muscle is filled: check the encoder, and that the joint is free",
+}
+
+
+def _fault(name: str, i: int | None = None, **values: object) -> Fault:
+    """The fault of a name. `i`: of a muscle, 0 or 1, with its valve and its sensor."""
+    which = "" if i is None else f"_{i + 1}"
+    sentence = _SENTENCES[name].format(number=0 if i is None else i + 1, **values)
+    return Fault(f"{name.split(maxsplit=1)[0]}{which}", sentence)
+
+
 def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
     """Plan of the experiment. `highest`: upper limit of the pressures [Pa], absolute, if lower than the usual one."""
     air, supply = rig.atmosphere.pressure, rig.supply.pressure
@@ -103,12 +133,7 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None =
     turned = None
     if angle is not None:
         turned = _turns(angle, rig.sample_period, ends), _turns(course[:, 0], STEP, ends)
-    if not follows.any():
-        return [_no_air(gauge, usual)]
-    if follows[0, 1] and follows[1, 0] and not follows[0, 0] and not follows[1, 1]:
-        return [_crossed(turned)]
-    found = [_unmoved(i, gauge[i], usual[i], seen[:, i]) for i in (0, 1) if not follows[i, i]]
-    if found:
+    if found := _of_valves(follows, gauge, usual, seen[:5].mean(axis=0) * 1e-3, turned):
         return found
     zeros = _zeros(pressure, rig, ends)
     full = (np.array([seen[1, 0], seen[3, 1]]) - air) / (np.array([expected[1, 0], expected[3, 1]]) - air)
@@ -155,15 +180,13 @@ def dead_sensors(pressure: Floats) -> list[Fault]:
 def _dead(i: int, values: Floats) -> list[Fault]:
     missing = float(np.mean(~np.isfinite(values)))
     if missing > _MISSING_SHARE:
-        seen = f"shows nothing in {missing:.0%} of the samples"
-    elif np.nanmedian(values) < _PLAUSIBLE:
-        seen = f"shows {np.nanmedian(values) / 1e3:.0f} kPa absolute, which no muscle has"
-    elif np.ptp(values[np.isfinite(values)][len(values) // 4 :]) == 0.0:
-        seen = f"shows {np.nanmedian(values) / 1e3:.1f} kPa all the time, without noise"
-    else:
-        return []
-    text = f"pressure sensor {i + 1} {seen}: it is dead; check its plug, its supply voltage and its channel"
-    return [Fault(f"dead_sensor_{i + 1}", text)]
+        return [_fault("dead_sensor", i, seen=f"shows nothing in {missing:.0%} of the samples")]
+    middle = float(np.nanmedian(values)) / 1e3
+    if middle < _PLAUSIBLE / 1e3:
+        return [_fault("dead_sensor", i, seen=f"shows {middle:.0f} kPa absolute, which no muscle has")]
+    if np.ptp(values[np.isfinite(values)][len(values) // 4 :]) == 0.0:
+        return [_fault("dead_sensor", i, seen=f"shows {middle:.1f} kPa all the time, without noise")]
+    return []
 
 
 def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[Fault]:
@@ -174,81 +197,52 @@ def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> lis
     follows = rise > 0.5 * RISE
     turned = np.array([pulse.turned for pulse in pulses])
     shown = turned, np.array([1.0, -1.0])
-    if not follows.any():
-        return [_no_air(np.zeros(2), np.ones(2))]
-    if follows[0, 1] and follows[1, 0] and not follows[0, 0] and not follows[1, 1]:
-        return [_crossed(shown)]
-    found = [_unmoved(i, 0.0, 1.0, pulses[0].level) for i in (0, 1) if not follows[i, i]]
-    zeros = []
+    found = _of_valves(follows, np.zeros(2), np.ones(2), pulses[0].level * 1e-3, shown)
+    if not follows.diagonal().any():
+        return found
     for i in (0, 1):
         off = float(np.median(recording.pressure[-max(round(_END_S / rig.sample_period), 1) :, i]))
         off -= rig.command_limits[0] if rig.drive == "regulator" else rig.atmosphere.pressure
         if abs(off) > _ZERO:
-            zeros.append(_zero(i, off))
-    flipped = _encoder(shown) if np.all(np.abs(turned) > _TURNS) else []
-    return [*found, *zeros, *flipped]
+            found.append(_fault("zero", i, off=off / 1e3))
+    return [*found, *(_encoder(shown) if np.all(np.abs(turned) > _TURNS) else [])]
 
 
-def _no_air(gauge: Floats, usual: Floats) -> Fault:
-    if np.all(gauge < 0.5 * usual):
-        return Fault(
-            "no_supply",
-            "neither muscle gets air from its valve: the supply is off; check the supply and its shut-off valve",
-        )
-    return Fault(
-        "stuck_valves",
-        "both pressures stay as they are whatever the voltages: check the valves' power and signal cables",
-    )
+def _of_valves(
+    follows: NDArray[np.bool_], gauge: Floats, usual: Floats, level: Floats, turned: tuple[Floats, Floats] | None
+) -> list[Fault]:
+    """Faults that show in which sensor (columns) follows which valve (rows).
 
-
-def _crossed(turned: tuple[Floats, Floats] | None) -> Fault:
-    which = "valve 1 fills what pressure sensor 2 shows, and valve 2 what sensor 1 shows"
-    if turned is None or not _shows(turned):
-        return Fault("crossed", f"{which}: valves or pressure sensors are exchanged; check which hose goes where")
-    if _sign(turned) > 0:
-        return Fault(
-            "swapped_sensors", f"{which}, but the joint turns as it should: the pressure sensors are exchanged"
-        )
-    return Fault(
-        "swapped_valves", f"{which}, and the joint turns the other way: the valves (or their cables) are exchanged"
-    )
-
-
-def _unmoved(i: int, gauge: float, usual: float, seen: Floats) -> Fault:
-    number, level = i + 1, float(np.mean(seen[:5])) / 1e3
-    if gauge < 0.5 * usual:
-        text = f"muscle {number} gets no air while the other one does: check valve {number}, its cable and its hose"
-    else:
-        text = f"the pressure of muscle {number} stays at {level:.0f} kPa whatever its voltage: valve {number} is stuck"
-        text += "; check its cable, then the valve"
-    return Fault(f"stuck_valve_{number}", text)
+    `gauge`: pressures before (2,) [Pa], and what is usual; `level`: absolute ones (2,) [kPa]. `turned`: how far the
+    joint turned with each valve, and the model's joint; None where the angle was not measured.
+    """
+    if not follows.any():
+        return [_fault("no_supply" if np.all(gauge < 0.5 * usual) else "stuck_valves")]
+    if follows[0, 1] and follows[1, 0] and not follows[0, 0] and not follows[1, 1]:
+        if turned is None or not _shows(turned):
+            return [_fault("crossed")]
+        return [_fault("swapped_sensors" if _sign(turned) > 0 else "swapped_valves")]
+    found = []
+    for i in (0, 1):
+        if not follows[i, i]:
+            airless = gauge[i] < 0.5 * usual[i]
+            found.append(_fault("stuck_valve without air" if airless else "stuck_valve", i, level=level[i]))
+    return found
 
 
 def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[Fault]:
     """Sensors with a wrong zero, judged once both muscles are vented and at rest."""
     vented, before = _means(pressure, rig.sample_period, np.array([ends[-1], ends[-1] - 0.5]))
-    out = []
-    for i in (0, 1):
-        off = float(vented[i] - rig.atmosphere.pressure)
-        if abs(vented[i] - before[i]) < _STILL and abs(off) > _ZERO:
-            out.append(_zero(i, off))
-    return out
-
-
-def _zero(i: int, off: float) -> Fault:
-    text = f"pressure sensor {i + 1} is {off / 1e3:+.0f} kPa off while its muscle is vented: its zero is wrong"
-    return Fault(f"zero_{i + 1}", f"{text}, or gauge pressures are taken for absolute ones")
+    off, still = vented - rig.atmosphere.pressure, np.abs(vented - before) < _STILL
+    return [_fault("zero", i, off=off[i] / 1e3) for i in (0, 1) if still[i] and abs(off[i]) > _ZERO]
 
 
 def _lost(full: Floats) -> list[Fault]:
     weaker = int(np.argmin(full))
     if np.all(full < _WEAK):
-        text = f"both pressures reach {np.max(full):.0%} of what the model says"
-        return [Fault("weak_supply", f"{text}: check the supply's pressure and the valve type in the rig file")]
-    if full[weaker] < _LOSES * full[1 - weaker]:
-        text = f"muscle {weaker + 1} reaches {full[weaker] / full[1 - weaker]:.0%} of what the other one reaches"
-        return [Fault(f"leak_{weaker + 1}", f"{text}: it leaks; check its fittings and its hose with soapy water")]
-    return []
+        return [_fault("weak_supply", share=np.max(full))]
+    share = full[weaker] / full[1 - weaker]
+    return [_fault("leak", weaker, share=share)] if share < _LOSES else []
 
 
 def _shows(turned: tuple[Floats, Floats]) -> bool:
@@ -265,21 +259,6 @@ def _encoder(turned: tuple[Floats, Floats] | None) -> list[Fault]:
     if turned is None:
         return []
     if _shows(turned):
-        if _sign(turned) < 0:
-            return [
-                Fault("flipped_encoder", "the encoder counts against the joint: exchange its two tracks, or its sign")
-            ]
-        return []
-    if np.all(np.abs(turned[1]) > 2.0 * _TURNS) and not np.any(np.abs(turned[0]) > _TURNS):
-        return [
-            Fault(
-                "still",
-                "the angle hardly changes while a muscle is filled: check the encoder, and that the joint is free",
-            )
-        ]
-    return []
-
-
-def summary(found: Sequence[Fault]) -> str:
-    """What was found, a line each."""
-    return "\n".join(f"wrong: {fault.sentence}" for fault in found) or "wired as the rig file says"
+        return [_fault("flipped_encoder")] if _sign(turned) < 0 else []
+    still = np.all(np.abs(turned[1]) > 2.0 * _TURNS) and not np.any(np.abs(turned[0]) > _TURNS)
+    return [_fault("still")] if still else []

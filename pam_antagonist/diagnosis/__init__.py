@@ -20,7 +20,8 @@ keeps finished candidates on disk.
 
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
 :mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` for parameters that drift. A
-rig of data sheets is diagnosed by :mod:`from_pressures`, in the part of the model in which an effect acts.
+rig of data sheets, and short trials of any valves, differ in what is prepared and what is concluded:
+:mod:`from_pressures` identifies the rig and makes an experiment of each of its parts. Search and rules are the same.
 
 Where the catalogue leaves a clear excess, :mod:`learned_law` measures the law that is missing. :mod:`law_search` makes
 :mod:`residual_equations`, runs :mod:`place_search`, then :mod:`law_regression` on what

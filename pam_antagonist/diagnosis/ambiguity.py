@@ -24,7 +24,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.hypotheses import Ranking
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
-from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
+from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Judged, Size
 from pam_antagonist.diagnosis.search import about
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
@@ -46,6 +46,18 @@ def near_candidates(ranking: Ranking) -> tuple[str, ...]:
     first = [tried for tried in ranking.tried if tried.round == 1 and tried.shares is not None]
     best = next((tried for tried in first if tried.effect in ranking.model.effects[:1]), None)
     return () if best is None else best.near(first)
+
+
+def not_told_apart(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[str, ...]:
+    """Effects and calibrations that would do as well as a found one."""
+    near = [name for j in judged if j.verdict == "effect" for name in near_candidates(j.ranking)]
+    near += [
+        name for j in judged if j.verdict == "effect" for e in j.effects for name in j.ranking.rivals.get(e.name, ())
+    ]
+    near += [name for j in judged for item in j.calibrations for name in item.rivals]
+    found = {name for j in judged for name in (*j.model.effects, *(item.name for item in j.calibrations))}
+    names = (*near, *(rival.other for rival in rivals if rival.ambiguous))
+    return tuple(name for name in dict.fromkeys(names) if name not in found)
 
 
 def ambiguities(base: Model, model: Model) -> tuple[Ambiguity, ...]:

@@ -69,6 +69,12 @@ class Group:
             return [(f"{self.kind}_{i}", i) for i in (1, 2)]
         return [(self.place, self.muscle if isinstance(self.muscle, int) else 1)]
 
+    @property
+    def rests_at_zero(self) -> bool:
+        """Whether it only damps: it is 0 at rest, where a constant would be a force of the base."""
+        rates = self.argument in ("velocity", "length_rate") and self.operator == "none"
+        return rates and self.kind in ("torque", "force", "strength")
+
     def argument_of(self, one: Equations, muscle: int) -> Floats:
         """What it depends on in a recording, at a muscle (K,)."""
         if self.argument == "none":
@@ -99,12 +105,16 @@ class Group:
             if place in one.places:
                 through, shown = one.places[place]
                 columns = hats(self.argument_of(one, muscle), nodes)[:, :, None]
+                if self.rests_at_zero:
+                    columns = columns - hats(np.zeros(1), nodes)[:, :, None]
                 inside += columns * through[None]
                 outside += columns * shown[None]
         return inside, outside
 
     def law(self, nodes: Floats, values: Floats) -> Law:
         """Its table as a law."""
+        if self.rests_at_zero:
+            values = values - np.interp(0.0, nodes, values)
         time = self.amount if self.operator in ("lag", "high_pass") else 0.0
         return Law(
             self.kind, tuple(nodes.tolist()), tuple(values.tolist()), self.muscle, self.argument, self.operator, time,

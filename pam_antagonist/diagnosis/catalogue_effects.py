@@ -40,7 +40,7 @@ class CatalogueEffect(Hypothesis):
     @override
     def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
         model = now.model
-        if model.is_at_noise:
+        if model.is_enough:
             return []
         work.progress(f"round {number}: score tests")
         scored = _scored(model)
@@ -64,6 +64,14 @@ class CatalogueEffect(Hypothesis):
         return sorted(tried, key=lambda candidate: (-candidate.standing, -candidate.score))
 
     @override
+    def is_worth_taking(self, tried: TriedCandidate) -> bool:
+        model = tried.model
+        if model is not None and model.is_enough and not model.is_at_noise and _shape_at_bound(model, tried.effect):
+            # Within errors that are tolerated, a shape that wants to leave its bounds stands for something else.
+            return False
+        return tried.is_worth_taking
+
+    @override
     def take(self, now: Ranking, best: TriedCandidate) -> tuple[Model, Model]:
         assert best.model is not None
         return now.base, shared(best.model.map(relinearised))
@@ -85,6 +93,16 @@ class CatalogueEffect(Hypothesis):
         effect = CATALOGUE[name]
         between = effect.sealed.experiment if sealed else experiment_between(name, found) if found else None
         return between or effect.experiment
+
+
+def _shape_at_bound(model: Model, effect: str) -> bool:
+    """Whether a shape of an effect ended at a bound in any recording."""
+    shapes = (
+        (free, fitted.point.effects[free.path])
+        for fitted in model.fits for free in fitted.free
+        if free.path.startswith(f"effects.{effect}.") and not free.item.is_size
+    )  # fmt: skip
+    return any(value in (free.item.low, free.item.high) for free, value in shapes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
     seconds = 1.0 / experiment.trial.block_s
     lengths = [round(length * seconds) for length in thresholds.STRETCHES if round(length * seconds) < len(residual)]
     lengths.append(len(residual))
-    squares = np.vstack([np.zeros(residual.shape[1]), np.cumsum((residual / experiment.noise) ** 2, axis=0)])
+    squares = np.vstack([np.zeros(residual.shape[1]), np.cumsum((residual / experiment.tolerated) ** 2, axis=0)])
     best: tuple[float, int, int, int, float] = (0.0, 0, 0, 0, 0.0)
     looks = 0
     for length in lengths:

@@ -44,7 +44,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     compared = tuple(c for end, j in zip(ended, judged, strict=True) for c in held_out.compare(*end, j.values))
     rivals = tuple(rival for j in judged if j.verdict == "effect" for rival in ambiguity.ambiguities(j.base, j.model))
     effects = _effects(prepared, judged, rivals)
-    ambiguous = _ambiguous(judged, rivals)
+    ambiguous = ambiguity.not_told_apart(judged, rivals)
     calibrated = tuple(_named(prepared, j, item) for j in judged for item in j.calibrations)
     profiles = [item for j in judged if settings.profiles for item in profile_sizes(j.model, j.effects, progress)]
     timings.end("profiles")
@@ -184,18 +184,6 @@ def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[Fo
         in_words(effect, prepared.rig.valves.sealed) + ("" if everywhere else f" in {' and '.join(effect.recordings)}")
         for effect in effects
     ]
-
-
-def _ambiguous(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[str, ...]:
-    """Effects that would do as well as a found one."""
-    near = [name for j in judged if j.verdict == "effect" for name in ambiguity.near_candidates(j.ranking)]
-    near += [
-        name for j in judged if j.verdict == "effect" for e in j.effects for name in j.ranking.rivals.get(e.name, ())
-    ]
-    near += [name for j in judged for item in j.calibrations for name in item.rivals]
-    found = {name for j in judged for name in (*j.model.effects, *(item.name for item in j.calibrations))}
-    names = (*near, *(rival.other for rival in rivals if rival.ambiguous))
-    return tuple(name for name in dict.fromkeys(names) if name not in found)
 
 
 def _ranked(judged: Judged, tried: TriedCandidate) -> TriedCandidate:

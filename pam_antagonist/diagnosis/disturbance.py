@@ -111,7 +111,7 @@ def estimate(experiment: Experiment, fitted: Fitted) -> Disturbance | None:
     parameters with the least sum of absolute torques: with a right model, nothing acts most of the time.
     """
     trial = experiment.trial
-    if trial.joint == "locked" or ANGLE not in experiment.channels:
+    if trial.joint == "locked" or ANGLE not in experiment.channels or not experiment.runs_by_itself:
         return None
     # Other recordings have episodes of their own, which are not known here.
     experiment = replace(experiment, judged=())

@@ -1,21 +1,29 @@
-"""Which effect the model of any rig lacks, from its measured pressures.
+"""Which effect the model of a rig lacks that data sheets describe, or that short trials show.
 
-The rig is identified first (:mod:`pam_antagonist.identification.from_pressures`). Then each effect of the catalogue is
-added to the part of the model in which it acts: to joint and muscles, which the measured pressures drive, or to
-chambers and valves, which the measured motion drives. All values are fitted again with it. An effect is taken if it
-removes enough of the squared error on held-out data.
+Nothing in such a joint is known well enough to let the model run by its commands alone for minutes. So the rig is
+identified first (:mod:`pam_antagonist.identification.from_pressures`), and its two parts are compared with the
+recordings: joint and muscles, which the measured pressures drive, and chambers and valves, which the measured motion
+drives. Both are experiments of all recordings together, with the identification's priors. The search and the rules of
+the verdict are those of all other joints.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import override
 
+from pam_antagonist.diagnosis.ambiguity import not_told_apart
+from pam_antagonist.diagnosis.hypotheses import TriedCandidate
+from pam_antagonist.diagnosis.pipeline import verdicts
+from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared, Settings, Timings
+from pam_antagonist.diagnosis.result import FoundEffect, Judged
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.from_pressures import (
@@ -26,108 +34,234 @@ from pam_antagonist.identification.from_pressures import (
     parts_of,
     with_joint,
 )
+from pam_antagonist.identification.parts import is_guessed
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Floats, Unknown, fitted
+from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, FreeEffectParameter
+from pam_antagonist.inference.likelihood import in_mean_squares
+from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
+from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial
+from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, parameter_path
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
 
+Floats = NDArray[np.float64]
 Place = Literal["joint and muscles", "chambers and valves"]
 JOINT: Place = "joint and muscles"
 AIR: Place = "chambers and valves"
 
-_HOOKS = {
-    JOINT: ("contraction_force", "muscle_force", "coulomb_torque", "joint_torque"),
-    AIR: (
-        "spool_voltage",
-        "open_rate",
-        "supply_change",
-        "mass_loss",
-        "cooling",
-        "valve_pressure_rate",
-        "asked_pressure",
-    ),
-}
+_HOOKS: Mapping[Place, frozenset[str]] = {
+    JOINT: frozenset({"contraction_force", "muscle_force", "coulomb_torque", "joint_torque"}),
+    AIR: frozenset({
+        "spool_voltage", "open_rate", "supply_change", "mass_loss", "cooling", "valve_pressure_rate", "asked_pressure",
+    }),
+}  # fmt: skip
 """Where an effect acts says which part of the model it belongs to."""
 _IN_THE_BASE = (
-    "load_torque",
-    "limb_weight",
-    "friction_by_pressure",
-    "valve_offset",
-    "regulator_lag",
-    "regulator_limits",
-)
-LEAST_GAIN = 0.3
-"""Least share of the held-out squared error that an effect removes. It was set with three rigs in view, on which the
-effects that are there removed 0.48 to 0.82, and others 0.37 at most beside them."""
-_AMBIGUOUS = 0.8
-"""An effect that removes so much of what the best one removes cannot be told from it."""
+    "load_torque", "limb_weight", "friction_by_pressure", "valve_offset", "regulator_lag", "regulator_limits",
+    "learned",
+)  # fmt: skip
+_LAW = {"angle": 0.005, "torque": 0.02, "pressure": 7e3}
+"""Errors that say nothing where only a data sheet tells the law: shares of the range that was seen, and [Pa] over a
+second."""
 _AS_GOOD = 1.1
 """The filter's error with an effect may be larger by this factor than without it."""
-_UNEXPLAINED_ANGLE, _ENCODER = 0.005, 3.0
-"""The joint's model errs above noise if it errs by this share of the range and by so many noises of the encoder."""
-_UNEXPLAINED_PRESSURE = 7e3
-"""[Pa] Error over a second from which on the model of chambers and valves lacks something."""
 _EVALUATIONS = 12
-_FIRST = 0.2
-"""First amount of a size, in standard deviations."""
-_SIZE_STD = 5.0
-"""Standard deviation of a size, in units of its scale in the catalogue."""
+_SIZE_STD, _SHAPE_STD = 5.0, 1.5
+"""Priors of an effect's parameters in the last fit: of sizes in their scales, of shapes on the logarithmic scale."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
-    """An effect that was added to the model."""
+class _Part(Experiment):
+    """All runs of the recordings as one experiment of a part of the model."""
 
-    name: str
-    muscle: int | None  # 1 or 2; None for both
-    place: Place
-    gain: float
-    delta_bic: float
-    fit: Fit
+    runs: tuple[Run, ...] = ()  # each cut to whole blocks
+    start: Fit = Fit((), np.zeros(0), np.zeros((0, 0)), 0.0)  # of the identification
+
+    place: ClassVar[Place]
+
+    @cached_property
+    @override
+    def directions(self) -> tuple[FreeDirection, ...]:
+        return tuple(FreeDirection(item.name, dict.fromkeys(item.paths, 0.0), 1.0) for item in self.start.unknowns)
 
     @property
-    def parameters(self) -> dict[str, tuple[float, float, str]]:
-        """Value, standard error and unit of each parameter of the effect, by name."""
-        found, stds = self.fit.values, self.fit.stds
+    @override
+    def origin(self) -> Point:
+        """The identified model: the middle of the priors, the description, is too far from it."""
+        return Point(self.start.amounts)
+
+    def values(self, point: Point) -> dict[str, float]:
+        """Value of each unknown of the base, by name."""
+        known = zip(self.start.unknowns, point.theta, strict=True)
+        return {item.name: item.value(float(np.clip(amount, *item.bounds))) for item, amount in known}
+
+    @override
+    def changes(self, point: Point) -> dict[str, float]:
+        return joint_stage.model_values(self.start.unknowns, self.values(point))
+
+    @cached_property
+    @override
+    def channels(self) -> tuple[int, ...]:
+        wanted = (ANGLE, TORQUE) if self.place == JOINT else (PRESSURE_1,)
+        return tuple(c for c in wanted if self.trial.has(c))
+
+    @property
+    @override
+    def titles(self) -> tuple[Channel, ...]:
+        return tuple(TITLES[c] for c in self.channels) if self.place == JOINT else (Channel("Pressures", "kPa", 1e-3),)
+
+    @cached_property
+    @override
+    def measured(self) -> Floats:
+        return self.trial.blocks(self.trial.measured[:, list(self.channels)])
+
+    @cached_property
+    @override
+    def noise(self) -> Floats:
+        return np.array([self.rig.sensors.error(name) for name in self._sensors])
+
+    @property
+    def _sensors(self) -> list[str]:
+        return [CHANNELS[channel].split("_")[0] for channel in self.channels]
+
+    @cached_property
+    @override
+    def tolerated(self) -> Floats:
+        """What a data sheet's law leaves; known valves leave nothing, a known joint what the measured pressures err."""
+        if self.place == AIR and not is_guessed(self.rig):
+            return self.noise
+        size = 1.0 if self.place == AIR else np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
+        return np.hypot(self.noise, np.array([_LAW[name] for name in self._sensors]) * size)
+
+    @override
+    def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
+        """In mean squares: measured inputs keep a model near what is measured, and its law errs everywhere."""
+        return in_mean_squares(before, after, self.noise)
+
+    @property
+    @override
+    def noise_memory(self) -> float:
+        return self.blocks_per_error
+
+    @property
+    @override
+    def runs_by_itself(self) -> bool:
+        return False
+
+    @cached_property
+    @override
+    def vector(self) -> Floats:
+        return self.rig.parameters("free" if self.place == JOINT else "locked")
+
+    def vectors(self, point: Point) -> dict[str, Floats]:
+        """Parameter vector of each recording, by name."""
+        values, off = self.values(point), NO_REGULATORS if self.place == JOINT else {}
         return {
-            item.name: (found[one.name], stds[one.name], item.unit)
-            for one in self.fit.unknowns
-            for item in CATALOGUE[self.name].parameters
-            if parameter_path(self.name, item.name) in one.paths
-        }
+            name: par.changed(
+                self.vector, {**joint_stage.model_values(self.start.unknowns, values, name), **point.effects, **off}
+            )
+            for name in dict.fromkeys(run.name for run in self.runs)
+        }  # fmt: skip
+
+    @override
+    def simulated(self, point: Point, whole: bool = False) -> Floats:
+        vectors, values = self.vectors(point), self.values(point)
+        return _laid(self.place, [self.run_shown(run, vectors[run.name], values) for run in self.runs])
+
+    def run_shown(self, run: Run, p: Floats, values: Mapping[str, float]) -> Floats:
+        """What the sensors would show over a run (N, 4), NaN of what this part does not give."""
+        out = np.full((len(run), len(CHANNELS)), np.nan)
+        if self.place == AIR:
+            out[:, PRESSURE_1:] = air_stage.simulated(run, p, 0.0, air_stage.HORIZONS[-1])[0]
+            return out
+        if not np.isfinite(run.angle).any():
+            return out
+        zero, delay = values.get(joint_stage.ZERO, 0.0), values.get(joint_stage.DELAY, 0.0)
+        if not run.locked:
+            out[:, ANGLE] = joint_stage.simulated(run, p, zero, delay)
+        if np.isfinite(run.torque).any():
+            known = np.isfinite(run.angle)
+            at = replace(run, angle=run.angle - zero + delay * run.velocity)
+            out[known, TORQUE] = joint_stage.torques(at, p)
+        return out
+
+    @override
+    def states(self, point: Point) -> tuple[Floats, Floats]:
+        shown, measured = self.simulated(point, whole=True), self.trial.measured
+        angle, torque, *pressures = np.where(np.isfinite(shown), shown, measured).T
+        velocity = np.concatenate([run.velocity for run in self.runs])
+        return np.column_stack([angle, np.resize(velocity, len(angle)), *pressures]), torque
+
+    @override
+    def signals(self, point: Point) -> dict[str, Floats]:
+        course = self.trial.blocks(self.states(point)[0])
+        return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
+
+    @override
+    def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        present = {*_IN_THE_BASE, *self.rig.effects, *(path.split(".")[1] for path in taken)}
+        out = []
+        for name, effect in CATALOGUE.items():
+            acts = _HOOKS[self.place] & set(effect.hooks)
+            of_drive = self.place == JOINT or name.startswith("regulator_") == (self.rig.drive == "regulator")
+            if name in present or not (acts and of_drive and effect.deterministic) or name.endswith("_by_signal"):
+                continue
+            # The share of each muscle in the motion is not observable; its own pressure shows its air.
+            out += [Candidate(name, replace(effect.form, tied=True))]
+            out += [Candidate(name, effect.form)] if self.place == AIR and not effect.form.tied else []
+        return tuple(out)
+
+
+class JointByPressures(_Part):
+    """Joint and muscles, which the measured pressures drive."""
+
+    place = JOINT
+
+
+class AirByMotion(_Part):
+    """Chambers and valves, or regulators: commands and the measured motion drive them, anew from each second on."""
+
+    place = AIR
 
 
 @dataclass(frozen=True, eq=False)
 class FoundFromPressures:
-    """A diagnosis from measured pressures."""
+    """A diagnosis by parts of the model."""
 
     recalibrated: FromPressures
-    extended: FromPressures | None  # the same with the taken effects; None if none was taken
-    tried: tuple[Tried, ...]
-    taken: tuple[Tried, ...]
-    # of the base model on held-out data: angle, driven by the measured pressures [rad], and pressure over a second
-    # [Pa]; RMS, NaN where unknown.
-    errors: tuple[float, float]
-    # parts of the model that err by more than their sensors and for which no effect was taken.
-    unexplained: tuple[Place, ...]
+    extended: FromPressures | None  # the same with the found effects; None if none was found
+    judged: tuple[Judged, ...]  # the verdict on each part
 
     @property
     def verdict(self) -> Literal["effect", "none", "unexplained"]:
         """The result in a word."""
-        return "effect" if self.taken else "unexplained" if self.unexplained else "none"
+        verdicts = {one.verdict for one in self.judged}
+        return "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
+
+    @property
+    def effects(self) -> tuple[tuple[Place, FoundEffect], ...]:
+        """The found effects, each with its part of the model."""
+        return tuple((place_of(one), effect) for one in self.judged for effect in one.effects)
+
+    @property
+    def tried(self) -> tuple[tuple[Place, TriedCandidate], ...]:
+        """Every candidate, each with its part of the model, the best first."""
+        every = [(place_of(one), item) for one in self.judged for item in one.ranking.tried]
+        return tuple(sorted(every, key=lambda pair: (-pair[1].standing, -pair[1].score)))
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
-        """Effects that cannot be told from the taken ones."""
-        names = [
-            other.name
-            for best in self.taken
-            for other in self.tried
-            if other.place == best.place and other.name != best.name and other.gain >= _AMBIGUOUS * best.gain
-        ]
-        return tuple(dict.fromkeys(names))
+        """Effects that cannot be told from the found ones."""
+        return not_told_apart(self.judged, ())
+
+    @property
+    def unexplained(self) -> tuple[Place, ...]:
+        """Parts of the model that err, and nothing says by what."""
+        return tuple(place_of(one) for one in self.judged if one.verdict == "unexplained")
 
     @property
     def proposed(self) -> FromPressures | None:
@@ -140,155 +274,115 @@ class FoundFromPressures:
         return base if worse else extended
 
 
-def diagnose(
-    recordings: Sequence[Given],
-    rig: Rig,
-    holdout: float = 1.0 / 3.0,
-    seed: int = 0,
-    jobs: int = 1,
-    progress: Callable[[str], None] | None = None,
-    whole: int = 0,
-) -> FoundFromPressures:
+def place_of(judged: Judged) -> Place:
+    """The part of the model that a verdict is on."""
+    return JOINT if judged.group.name == JOINT else AIR
+
+
+def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: int = 0) -> FoundFromPressures:
     """Find the effect that the model of a rig lacks.
 
     Args:
         recordings: each with its joint's condition and a name.
-        rig: with forces of the form ``braided``, from data sheets or identified.
-        holdout: share of the data that is held out.
-        seed: of the further start of the fit.
-        jobs: threads.
-        progress: called with a text about each step.
+        rig: from data sheets, or a known one of which short trials were recorded.
+        settings: share that is held out, threads, seed and progress count here.
         whole: number of recordings at the end that are held out as a whole, in place of the share.
 
     Raises:
         BadInput: no free joint with a measured angle.
     """
-    progress = progress or (lambda text: None)
-    base = identify(recordings, rig, holdout, 2, seed, jobs, progress, whole)
-    ends = fitted_until(recordings, holdout, whole)
+    progress, jobs = settings.progress, settings.jobs
+    base = identify(recordings, rig, settings.holdout, 2, settings.seed, jobs, progress, whole)
+    ends = fitted_until(recordings, settings.holdout, whole)
     own, corrected = with_joint(rig, base.joint, recordings)
-    runs, held = parts_of(recordings, ends), parts_of(recordings, ends, held_out=True)
-    moving, judged = air_stage.usable(parts_of(corrected, ends)), air_stage.usable(parts_of(corrected, ends, True))
-    tried = _each(rig, JOINT, base.joint, partial(joint_stage.residual_of, rig, runs, horizon=math.inf),
-                  partial(_angle_errors, rig, held), _seconds(runs), jobs, progress)  # fmt: skip
-    if base.air is not None and judged:
-        residual = partial(air_stage.residual_of, own, moving, 0.0, air_stage.HORIZONS[-1])
-        tried += _each(own, AIR, base.air, residual, partial(_pressure_errors, own, judged), _seconds(moving), jobs,
-                       progress)  # fmt: skip
-    tried.sort(key=lambda item: -item.gain)
-    progress("comparison of the effects")
-    best = {place: next((item for item in tried if item.place == place), None) for place in (JOINT, AIR)}
-    taken = tuple(item for item in best.values() if item is not None and item.gain >= LEAST_GAIN)
-    fits = {item.place: item.fit for item in taken}
-    extended = None
-    if taken:
-        joint = fits.get(JOINT, base.joint)
-        extended = concluded(recordings, ends, rig, joint, fits.get(AIR, base.air), jobs, progress)
-    errors = (
-        _rms(_angle_errors(rig, held, base.joint)),
-        math.nan if base.air is None or not judged else _rms(_pressure_errors(own, judged, base.air)),
-    )
-    left = tuple(place for place in _above_noise(rig, held, errors) if place not in fits)
-    return FoundFromPressures(base, extended, tuple(tried), taken, errors, left)
+    groups = [_group(JointByPressures, rig, base.joint, recordings, ends, settings)]
+    if base.air is not None:
+        groups.append(_group(AirByMotion, own, base.air, corrected, ends, settings))
+    there = tuple(group for group in groups if group is not None)
+    prepared = Prepared(rig, rig, (), tuple(group.experiments[0].trial for group in there), there, len(recordings))
+    judged = tuple(verdicts(prepared, settings, Timings()))
+    if not any(one.effects for one in judged):
+        return FoundFromPressures(base, None, judged)
+    progress("all values once more, with the effects")
+    fits = {place_of(one): _with_effects(one) for one in judged if one.effects}
+    judged = tuple(_with_values(one, fits[place_of(one)]) if one.effects else one for one in judged)
+    joint, air = fits.get(JOINT, base.joint), fits.get(AIR, base.air)
+    return FoundFromPressures(base, concluded(recordings, ends, rig, joint, air, jobs, progress), judged)
 
 
-def _above_noise(rig: Rig, held: Sequence[Run], errors: tuple[float, float]) -> list[Place]:
-    angle = np.concatenate([np.zeros(1), *(run.angle[np.isfinite(run.angle)] for run in held)])
-    bound = max(_UNEXPLAINED_ANGLE * float(np.ptp(angle)), _ENCODER * rig.sensors.error("angle"))
-    return [
-        place for place, error, most in ((JOINT, errors[0], bound), (AIR, errors[1], _UNEXPLAINED_PRESSURE))
-        if error > most
-    ]  # fmt: skip
+def _group(
+    kind: type[_Part], rig: Rig, start: Fit, recordings: Sequence[Given], ends: Sequence[float], settings: Settings
+) -> Group | None:
+    """A part of the model with what is fitted and what is held out; None if either is missing."""
+    parts = []
+    for held_out in (False, True):
+        runs = parts_of(recordings, ends, held_out)
+        one = _experiment(kind, rig, start, air_stage.usable(runs) if kind is AirByMotion else runs, settings)
+        if one is None:
+            return None
+        parts.append(one)
+    fitted_part, held = parts
+    held = replace(held, fitted=0)
+    return Group(kind.place, (replace(fitted_part, judged=(held,)),), (0,), (held,))
 
 
-def _each(
-    rig: Rig,
-    place: Place,
-    base: Fit,
-    residual: Callable[..., Callable[..., Floats]],
-    errors: Callable[[Fit], Floats],
-    seconds: float,
-    jobs: int,
-    progress: Callable[[str], None],
-) -> list[Tried]:
-    """Every effect that may act in a part of the model, fitted with it."""
-    before, out = float(np.sum(errors(base) ** 2)), []
-    for effect in CATALOGUE.values():
-        if not _may_act(effect, place, rig):
-            continue
-        for muscle in _muscles(effect, place):
-            extra = _unknowns(effect, muscle)
-            progress(f"{place}: {effect.title}" + (f" of muscle {muscle}" if muscle else ""))
-            unknown = [*base.unknowns, *extra]
-            begin = np.concatenate([base.amounts, [0.0 if item.positive else _FIRST for item in extra]])
-            found = fitted(unknown, residual(unknown=unknown), begin, _EVALUATIONS, jobs)
-            gain = 1.0 - float(np.sum(errors(found) ** 2)) / before
-            values = 10.0 * seconds
-            evidence = values * math.log(base.cost / found.cost) - len(extra) * math.log(values)
-            out.append(Tried(effect.name, muscle, place, gain if math.isfinite(gain) else -math.inf, evidence, found))
-    return out
+def _experiment(kind: type[_Part], rig: Rig, start: Fit, runs: Sequence[Run], settings: Settings) -> _Part | None:
+    if not runs:
+        return None
+    period = float(np.median([run.period for run in runs]))
+    block = max(1, round(BLOCK_S / period))
+    cut = tuple(run.first(len(run) // block * block) for run in runs if len(run) >= block)
+    columns = [np.column_stack([np.full(len(r), np.nan) if r.locked else r.angle, r.torque, r.pressure]) for r in cut]
+    names = ", ".join(dict.fromkeys(run.name for run in cut))
+    measured = _laid(kind.place, columns)
+    commands = np.resize(np.concatenate([run.command for run in cut]), (len(measured), 2))
+    trial = Trial(names, DRIVEN, 0.0, period, commands, measured)
+    out = kind(rig, trial, len(trial), seed=settings.seed, jobs=settings.jobs, runs=cut, start=start)
+    return out if out.channels else None
 
 
-def _may_act(effect: Effect, place: Place, rig: Rig) -> bool:
-    """Whether an effect is one law that acts in a part of the model, and is not in the rig or in the base model."""
-    if not effect.deterministic or effect.of_tables or effect.name.endswith("_by_signal"):
-        return False
-    if effect.name in (*_IN_THE_BASE, *rig.effects):
-        return False
-    if not any(hook in effect.hooks for hook in _HOOKS[place]):
-        return False
-    of_regulators = effect.name.startswith("regulator_")
-    return place == JOINT or of_regulators == (rig.drive == "regulator")
+def _laid(place: Place, runs: Sequence[Floats]) -> Floats:
+    """Columns of all runs (N, 4) one behind the other; of the air those of chamber 2 behind those of chamber 1.
+
+    The chambers are of one kind. If each had an error of its own size, a fit would give up one for the other.
+    """
+    columns = np.concatenate(runs)
+    return columns if place == JOINT else np.vstack([columns, columns[:, [ANGLE, TORQUE, PRESSURE_2, PRESSURE_1]]])
 
 
-def _muscles(effect: Effect, place: Place) -> tuple[int | None, ...]:
-    """Both muscles alike; in the air each alone as well, which its own pressure shows."""
-    own = any(item.muscle is not None and item.is_size for item in effect.parameters)
-    return (None, 1, 2) if place == AIR and own else (None,)
+def _with_effects(judged: Judged) -> Fit:
+    """The values of a part of the model with its effects, fitted once more with the identification's own weights."""
+    (experiment,), (found,) = judged.model.experiments, judged.model.fits
+    assert isinstance(experiment, _Part)
+    extra = [_unknown(free) for free in found.free]
+    unknown = [*experiment.start.unknowns, *extra]
+    known = [item.amount(found.point.effects[free.path]) for item, free in zip(extra, found.free, strict=True)]
+    begin, runs, rig = np.concatenate([found.point.theta, known]), experiment.runs, experiment.rig
+    if experiment.place == JOINT:
+        residual = joint_stage.residual_of(rig, runs, unknown, math.inf)
+    else:
+        residual = air_stage.residual_of(rig, runs, 0.0, air_stage.HORIZONS[-1], unknown)
+    return fitted(unknown, residual, begin, _EVALUATIONS, experiment.jobs)
 
 
-def _unknowns(effect: Effect, muscle: int | None) -> list[Unknown]:
-    """Parameters of an effect; those of both muscles have one value."""
-    families: dict[str, list[str]] = {}
-    items: dict[str, EffectParameter] = {}
-    for item in effect.parameters:
-        if muscle is None or item.muscle in (None, muscle):
-            families.setdefault(item.family, []).append(parameter_path(effect.name, item.name))
-            items.setdefault(item.family, item)
-    out = []
-    for family, paths in families.items():
-        item = items[family]
-        if item.is_size:
-            out.append(Unknown(paths[0], tuple(paths), 0.0, _SIZE_STD * item.scale, low=item.low, high=item.high))
-        else:
-            start = min(max(item.scale, item.low), item.high)
-            out.append(Unknown(paths[0], tuple(paths), start, 1.5, True, item.low, item.high))
-    return out
+def _with_values(judged: Judged, fit: Fit) -> Judged:
+    """A verdict with the effects' values of the last fit, which the rig file has."""
+    values = fit.parameters
+    return replace(
+        judged,
+        effects=tuple(
+            replace(effect, parameters={
+                name: size._replace(value=values.get(parameter_path(effect.name, name), size.value))
+                for name, size in effect.parameters.items()
+            })
+            for effect in judged.effects
+        ),
+    )  # fmt: skip
 
 
-def _angle_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
-    """Errors of the simulated angle [rad] of runs that the measured pressures drive."""
-    values = fit.values
-    changes = {**joint_stage.model_values(fit.unknowns, values), **NO_REGULATORS}
-    p = par.changed(rig.parameters(), changes)
-    zero, delay = values.get(joint_stage.ZERO, 0.0), values.get(joint_stage.DELAY, 0.0)
-    left = [run.angle - joint_stage.simulated(run, p, zero, delay) for run in runs]
-    return np.concatenate([np.zeros(0), *(item[np.isfinite(run.angle)] for item, run in zip(left, runs, strict=True))])
-
-
-def _pressure_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> Floats:
-    """Errors of the simulated pressures [Pa] over a second, of runs that commands and measured motion drive."""
-    p = par.changed(rig.parameters("locked"), fit.parameters)
-    out = [np.zeros(0)]
-    for run in runs:
-        shown, starts = air_stage.simulated(run, p, 0.0, air_stage.HORIZONS[-1])
-        out.append((run.pressure - shown)[~starts].ravel())
-    return np.concatenate(out)
-
-
-def _seconds(runs: Sequence[Run]) -> float:
-    return sum(float(run.time[-1] - run.time[0]) for run in runs)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+def _unknown(free: FreeEffectParameter) -> Unknown:
+    item, paths = free.item, free.paths
+    if item.is_size:
+        return Unknown(paths[0], paths, 0.0, _SIZE_STD * item.scale, low=item.low, high=item.high)
+    start = min(max(item.scale, item.low), item.high)
+    return Unknown(paths[0], paths, start, _SHAPE_STD, True, item.low, item.high)

@@ -282,12 +282,12 @@ def along_pressures(time, pressure, angle, velocity, anew, command, p, longest):
                 share = (s + 0.5) / steps
                 if held:
                     x[ANGLE] = angle[k - 1] + share * (angle[k] - angle[k - 1])
-                    x[VELOCITY] = (angle[k] - angle[k - 1]) / dt
+                    x[VELOCITY] = velocity[k - 1] + share * (velocity[k] - velocity[k - 1])
                 for i in range(2):
                     x[PRESSURE_1 + i] = pressure[k - 1, i] + share * (pressure[k, i] - pressure[k - 1, i])
                 _rk4_step(x, command[k], p, dt / steps, x, scratch)
         if held:
-            x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle[k], pressure[k, 0], pressure[k, 1]
+            x[ANGLE], x[VELOCITY], x[PRESSURE_1], x[PRESSURE_2] = angle[k], velocity[k], pressure[k, 0], pressure[k, 1]
             out[k, 1] = _torque(x, p)
         out[k, 0] = x[ANGLE]
         if anew[k] and not held:

@@ -28,6 +28,7 @@ _ROUNDS, _LAST_ROUNDS = 4, 8
 """Steps of Gauss and Newton of a base without a law, and of the best law."""
 _AS_GOOD = 0.1
 """A law without memory may leave so much more, on the logarithmic scale."""
+_RATES = {"length": "length_rate", "angle": "velocity"}
 _TIE = 0.03
 """Laws that remove so nearly as much cannot be told apart."""
 
@@ -120,11 +121,20 @@ def _simulated(simulation: Simulation, ranked: _Ranked, begin: Sequence[Floats])
             made = simulation.evaluated(one.law, near, one)
             if group not in starts or made.left < starts[group].left:
                 starts[group] = made
-    standing = list(starts.values())
+    standing = _best_of_places(list(starts.values()))
     for most, rounds in ((len(standing), 1), (_FINALISTS, 2), (1, _LAST_ROUNDS)):
         fitted = [simulation.fitted(one, rounds, anew=most == 1) for one in standing[:most]]
         standing = sorted([*fitted, *standing[most:]], key=lambda one: one.left)
     return _simplest(simulation, standing, ranked) if standing else standing
+
+
+def _best_of_places(tried: Sequence[Simulated]) -> list[Simulated]:
+    """Of each place the laws that leave least before they are fitted, one more than it has arguments."""
+    by_place: dict[str, list[Simulated]] = {}
+    for one in sorted(tried, key=lambda one: one.left):
+        assert one.law is not None
+        by_place.setdefault(one.law.at, []).append(one)
+    return sorted((one for own in by_place.values() for one in own[: _ARGUMENTS + 1]), key=lambda one: one.left)
 
 
 def _chosen(ranked: _Ranked) -> list[Group]:
@@ -147,12 +157,14 @@ def _chosen(ranked: _Ranked) -> list[Group]:
 
 
 def _simplest(simulation: Simulation, done: list[Simulated], ranked: _Ranked) -> list[Simulated]:
-    """The same, and the best law without its memory where that simulates as well."""
+    """The same, and the best law without its memory where that simulates as well; what fades at once is a rate."""
     best = done[0]
     assert best.regression is not None and best.regression.group is not None and best.law is not None
     if best.law.operator == "none" or best.law.argument == "draw":
         return done
     bare = replace(best.regression.group, operator="none", amount=0.0)
+    if best.law.operator == "high_pass" and bare.argument in _RATES:
+        bare = replace(bare, argument=_RATES[bare.argument])
     laws = [best.law] if best.law.operator in ("lag", "play") else []
     laws += [one.law for _, one in ranked if one.group == bare and one.law is not None]
     plain = [

@@ -147,7 +147,8 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = _PARTS, law: Law
     behind = sensor.pressures_behind(course.pressure - raised, p)
     reach = max(round(_SLOPE_S / period), 1)
     velocity = np.zeros(len(course.time))
-    velocity[reach:-reach] = (angle[2 * reach :] - angle[: -2 * reach]) / (2.0 * reach * period)
+    if not course.locked:
+        velocity[reach:-reach] = (angle[2 * reach :] - angle[: -2 * reach]) / (2.0 * reach * period)
     anew = np.arange(len(course.time)) % max(round(_ANEW_S / period), 2 * reach) == 0
     for name in (name for name, is_wanted in wanted.items() if is_wanted):
         q = held.copy()

@@ -20,11 +20,19 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.law_search import LEAST_GAIN, LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
-from pam_antagonist.diagnosis.models import further_share, held_share, likelier, price, share_of_all
+from pam_antagonist.diagnosis.models import (
+    Model,
+    further_share,
+    held_share,
+    likelier,
+    price,
+    recalibrated,
+    share_of_all,
+)
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
-from pam_antagonist.inference.gauss_newton import held_residual
+from pam_antagonist.inference.gauss_newton import held_residual, refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.recording import Recording
@@ -140,7 +148,7 @@ def with_laws(
         try:
             learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
             corrected, also = learned.corrected(fitted), learned.corrected(others)
-            after = diagnose(corrected, learned.rig, held_out=also) if learned.law is not None else now
+            after = diagnose(corrected, learned.rig, held_out=also) if may_be_better(now, learned) else now
         except BadInput:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             break
@@ -148,7 +156,7 @@ def with_laws(
             if now.verdict == "unexplained":
                 now = replace(now, sentence=f"{now.sentence} {place_in_words(learned.search)}".strip())
             break
-        if not is_better(now, after):
+        if after is now or not is_better(now, after.extended):
             if now.verdict == "unexplained":
                 words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
                 now = replace(now, sentence=f"{now.sentence} {words}")
@@ -160,22 +168,56 @@ def with_laws(
 def leaves_excess(found: Diagnosis) -> bool:
     """Whether what a diagnosis found leaves so much that a law could be a further effect.
 
-    What begins, ends or comes and goes is no law, nor is friction that is judged along the motion of a joint that
-    sticks.
+    What begins or ends is no law, nor is friction that is judged along the motion of a joint that sticks, nor a torque
+    that comes and goes beside effects. Such a torque alone may be a law that acts in a part of the range.
     """
-    events = any(one.name == DISTURBANCE or one.onset_s is not None or one.end_s is not None for one in found.effects)
+    events = any(one.onset_s is not None or one.end_s is not None for one in found.effects)
+    events = events or (len(found.effects) > 1 and any(one.name == DISTURBANCE for one in found.effects))
     if found.verdict == "none" or events or any(isinstance(one, MeasuredMotion) for one in found.experiments):
         return False
+    if _is_a_torque_alone(found):
+        return True
     left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
     return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
 
 
-def is_better(before: Diagnosis, after: Diagnosis) -> bool:
-    """Whether a diagnosis with a law does better where nothing was fitted, by the rules of a further effect."""
-    pairs = zip(before.extended.pairs, after.extended.pairs, strict=True)
+def may_be_better(before: Diagnosis, learned: Learned) -> bool:
+    """Whether a law is worth a diagnosis with it: alone, or beside the effects that were found, it does better."""
+    law = learned.law
+    if law is None or law.is_of_readings:
+        # Of what was recorded wrongly, only a diagnosis of the corrected recordings tells.
+        return law is not None
+
+    def with_it(model: Model) -> Model:
+        return replace(model, experiments=tuple(one.of_rig(learned.rig) for one in model.experiments))
+
+    alone = recalibrated(with_it(before.recalibrated).experiments, before.recalibrated)
+    if is_better(before, alone):
+        return True
+    beside = bool(before.effects) and not _is_a_torque_alone(before)
+    return beside and is_better(before, with_it(before.extended).map(lambda experiment, fitted: refit(
+        experiment, fitted.point, fitted.free
+    )))  # fmt: skip
+
+
+def is_better(before: Diagnosis, model: Model) -> bool:
+    """Whether a model with a law does better where nothing was fitted, by the rules of a further effect.
+
+    A law that predicts held-out data comes before a torque of any course, if the law is the explanation.
+    """
+    if _is_a_torque_alone(before):
+        before = replace(before, extended=before.recalibrated)
+        if share_of_all(before.recalibrated, model) < thresholds.EXPLAINED:
+            return False
+    pairs = zip(before.extended.pairs, model.pairs, strict=True)
     gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
-    share = further_share(before.recalibrated, before.extended, after.extended)
+    share = further_share(before.recalibrated, before.extended, model)
     return gain >= thresholds.STRONG and share >= thresholds.FURTHER_SHARE
+
+
+def _is_a_torque_alone(found: Diagnosis) -> bool:
+    """Whether what was found is a torque from outside and nothing else."""
+    return [one.name for one in found.effects] == [DISTURBANCE]
 
 
 def place_in_words(found: LawSearch) -> str:

@@ -83,16 +83,29 @@ class Model:
         return all(float(np.max(e.times_noise(f.residual))) < thresholds.AT_NOISE for e, f in self.pairs)
 
     @property
+    def is_enough(self) -> bool:
+        """Whether nothing more is looked for: it is at the noise, or has effects and no more than tolerated errors."""
+        return self.is_at_noise or (bool(self.effects) and self._is_tolerated)
+
+    @property
+    def _is_tolerated(self) -> bool:
+        return all(float(np.max(_times_tolerated(e, f))) < thresholds.AT_NOISE for e, f in self.pairs)
+
+    @property
     def has_significant_excess(self) -> bool:
         """Whether an effect that explained all of the excess would pay for its parameters."""
         total = 0.0
         for experiment, fitted in self.pairs:
-            times_noise = experiment.times_noise(fitted.residual)
-            if np.max(times_noise) < thresholds.AT_NOISE:
+            times = _times_tolerated(experiment, fitted)
+            if np.max(times) < thresholds.AT_NOISE:
                 continue
-            gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.maximum(np.log(times_noise**2), 0.0))
+            gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.maximum(np.log(times**2), 0.0))
             total += max(float(gain) - price(fitted, thresholds.LEAST_PARAMETERS), 0.0)
         return total >= thresholds.STRONG
+
+
+def _times_tolerated(experiment: Experiment, fitted: Fitted) -> Floats:
+    return experiment.times_noise(fitted.residual) * experiment.noise / experiment.tolerated
 
 
 # Evidence.

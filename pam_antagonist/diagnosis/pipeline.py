@@ -10,8 +10,8 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.description import describe
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.judgement import judge
-from pam_antagonist.diagnosis.preparation import Settings, Timings, prepare
-from pam_antagonist.diagnosis.result import Diagnosis
+from pam_antagonist.diagnosis.preparation import Prepared, Settings, Timings, prepare
+from pam_antagonist.diagnosis.result import Diagnosis, Judged
 from pam_antagonist.diagnosis.search import hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
 from pam_antagonist.recording import Recording
@@ -62,6 +62,11 @@ def diagnose(
     )
     timings = Timings()
     prepared = prepare(recordings, held_out, rig, settings)
+    return describe(prepared, verdicts(prepared, settings, timings), settings, timings)
+
+
+def verdicts(prepared: Prepared, settings: Settings, timings: Timings) -> list[Judged]:
+    """The verdict on each group, the one with the strongest effect first."""
     judged = []
     for group in prepared.groups:
         settings.progress("recalibrating the base parameters")
@@ -72,6 +77,4 @@ def diagnose(
         timings.end("selection")
         judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.checkpoint)))
         timings.end("judgement")
-    # The group with the strongest effect comes first.
-    judged.sort(key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))
-    return describe(prepared, judged, settings, timings)
+    return sorted(judged, key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))

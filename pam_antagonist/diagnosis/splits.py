@@ -95,7 +95,7 @@ def by_itself_or_in_turn(group: Group) -> Model:
     An angle-driven joint shows few sweeps. Its last part alone would decide by one or two of them. So its recordings
     are fitted as a whole and judged by all splits together. Errors in a report stay those of the last part.
     """
-    if any(experiment.runs_by_itself for experiment in group.experiments):
+    if any(experiment.runs_by_itself or experiment.judged for experiment in group.experiments):
         return recalibrated(group.experiments)
     base = recalibrated([_whole(experiment) for experiment in group.experiments])
     pairs = zip(group.experiments, base.fits, strict=True)

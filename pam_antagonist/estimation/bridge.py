@@ -118,10 +118,7 @@ def _widen(covariance, halves):
 def propagate(steps, since, dt, u, known_u, effects, memory, settings, work):
     """Predict over steps of the model. Returns how many pivots were repaired.
 
-    Args:
-        dt: step [s].
-        u: new commands (2,).
-        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+    `dt`: step [s]. `u`: new commands (2,).
     """
     repaired = 0
     for step in range(steps):
@@ -162,10 +159,7 @@ def _copy(x, covariance, cross, own_x, own_covariance, own_cross):
 def over_gap(steps, since, dt, y, usable_1, usable_2, u, known_u, effects, memory, settings, work):
     """Predict over missing samples, whose commands are unknown. Returns how many pivots were repaired.
 
-    Args:
-        steps: as for :func:`propagate`.
-        y: pressures after the gap (2,) [Pa].
-        u: as for :func:`propagate`.
+    `steps`: as for :func:`propagate`. `y`: pressures after the gap (2,) [Pa]. `u`: as for :func:`propagate`.
     """
     x, covariance, cross, held = memory.x, memory.covariance, memory.cross, memory.held
     p, limits, pressure = settings.parameter_sets[0], settings.commands, work.brackets[0]

@@ -190,17 +190,10 @@ def _judge(noise, step, encoder):
 def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step, encoder, work):
     """Check a reading against earlier readings and against the pressures.
 
-    Args:
-        reading: ψ as measured, offset subtracted [rad], finite.
-        elapsed: since the last sample [s].
-        y: pressures (2,) [Pa].
-        u: voltages (2,) [V] over the step.
-        x: estimate (n,), of which the added states count.
-        noise: diagonal of R (2,) [Pa²].
-        angle_noise: variance of a reading [rad²].
-        angle_step: of the converter [rad]; 0: none.
-        encoder: its memory (MEMORY,), changed in place.
-        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+    `reading`: ψ as measured, offset subtracted [rad], finite. `elapsed`: since the last sample [s]. `y`: pressures (2,)
+    [Pa]. `u`: voltages (2,) [V] over the step. `x`: estimate (n,), of which the added states count. `noise`: diagonal
+    of R (2,) [Pa²]. `angle_noise`: variance of a reading [rad²]. `angle_step`: of the converter [rad]; 0: none.
+    `encoder`: its memory (MEMORY,), changed in place.
     """
     elapsed += encoder[WITHOUT]
     encoder[WITHOUT] = 0.0
@@ -235,11 +228,9 @@ def examine(reading, elapsed, y, usable, u, x, p, noise, angle_noise, angle_step
 def correct(reading, memory, settings, work):
     """Update with a reading, unless the gate rejects it.
 
-    Args:
-        reading: ψ as measured, offset subtracted [rad], finite.
-        memory: :class:`pam_antagonist.estimation.memory.Memory`, changed in place.
-        settings: :class:`pam_antagonist.estimation.memory.Settings`.
-        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+    `reading`: ψ as measured, offset subtracted [rad], finite. `memory`:
+    :class:`pam_antagonist.estimation.memory.Memory`, changed in place. `settings`:
+    :class:`pam_antagonist.estimation.memory.Settings`.
     """
     innovation = reading - memory.x[ANGLE]
     variance = memory.covariance[ANGLE, ANGLE] + settings.angle_noise

@@ -70,10 +70,8 @@ def channel_errors(
 ) -> ChannelErrors | None:
     """Errors of an angle [rad] or torque [N m]; None where it was not measured.
 
-    Args:
-        measured: (N,), NaN where there is no value.
-        value: of the estimate or the model (N,).
-        variance: of the estimate (N,), to check its 95 % interval.
+    `measured`: (N,), NaN where there is no value. `value`: of the estimate or the model (N,). `variance`: of the
+    estimate (N,), to check its 95 % interval.
     """
     if measured is None or not np.isfinite(measured).any():
         return None

@@ -18,12 +18,8 @@ def factorise(matrix, lower):
     negative or nearly zero is lifted to ``_TOLERANCE`` of the diagonal entry, and the column below it is
     bounded so that the product stays positive definite.
 
-    Args:
-        matrix: symmetric (n, n); the lower triangle is read.
-        lower: result (n, n); the strict upper triangle is set to zero.
-
-    Returns:
-        How many pivots were repaired; -1 where the matrix is not finite, and ``lower`` is of no use.
+    `matrix`: symmetric (n, n); the lower triangle is read. `lower`: result (n, n); the strict upper triangle is set to
+    zero. Returns how many pivots were repaired; -1 where the matrix is not finite, and ``lower`` is of no use.
     """
     n = matrix.shape[0]
     repaired = 0

@@ -314,19 +314,11 @@ def _flagged(usable_1, usable_2, known_u, outlier, gap, repaired, counts):
 def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
     """Process one sample.
 
-    Args:
-        stamp: [ns].
-        y: both pressures [Pa], NaN where missing.
-        u: both voltages [V] over the step that ends at the stamp, NaN where missing.
-        angles: measured angles (N,) [rad], NaN where missing; None where none is used.
-        k: index of the sample's angle in ``angles``.
-        memory: :class:`Memory` of the filter, changed in place.
-        settings: its :class:`Settings`.
-        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
-        row: result, a record of ``ESTIMATE_DTYPE``.
-
-    Returns:
-        True if ``row`` holds an estimate; False if the sample was dropped, or could not start the filter.
+    `stamp`: [ns]. `y`: both pressures [Pa], NaN where missing. `u`: both voltages [V] over the step that ends at the
+    stamp, NaN where missing. `angles`: measured angles (N,) [rad], NaN where missing; None where none is used. `k`:
+    index of the sample's angle in ``angles``. `memory`: :class:`Memory` of the filter, changed in place. `settings`:
+    its :class:`Settings`. `row`: result, a record of ``ESTIMATE_DTYPE``. Returns True if ``row`` holds an estimate;
+    False if the sample was dropped, or could not start the filter.
     """
     clock, counts = memory.clock, memory.counts
     bounds = settings.possible
@@ -387,18 +379,12 @@ def process_all(
 ):  # fmt: skip
     """:func:`process` for every sample of a recording, called from Python.
 
-    Args:
-        stamps: (N,) [ns].
-        pressures: (N, 2) [Pa].
-        voltages: (N, 2) [V].
-        angles: (N,) [rad]; None for a filter without an encoder, for which numba compiles a smaller version.
-        memory_fields: fields of :class:`Memory` as a plain tuple: numba unpacks it in a third of a NamedTuple's time.
-        settings_fields: fields of :class:`Settings`, likewise.
-        work_fields: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise.
-        rows: results (N,) of ``ESTIMATE_DTYPE``.
-        states: result (N, n), the whole state of each estimate.
-        index: result (N,), the index of each estimate's sample.
-        started: result (N,), the stamp [ns] at which the filter of each estimate was started.
+    `stamps`: (N,) [ns]. `pressures`: (N, 2) [Pa]. `voltages`: (N, 2) [V]. `angles`: (N,) [rad]; None for a filter
+    without an encoder, for which numba compiles a smaller version. `memory_fields`: fields of :class:`Memory` as a
+    plain tuple: numba unpacks it in a third of a NamedTuple's time. `settings_fields`: fields of :class:`Settings`,
+    likewise. `work_fields`: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise. `rows`: results (N,) of
+    ``ESTIMATE_DTYPE``. `states`: result (N, n), the whole state of each estimate. `index`: result (N,), the index of
+    each estimate's sample. `started`: result (N,), the stamp [ns] at which the filter of each estimate was started.
     """
     memory, settings, work = Memory(*memory_fields), Settings(*settings_fields), Work(*work_fields)
     count = 0

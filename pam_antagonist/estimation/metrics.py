@@ -95,13 +95,8 @@ LONGEST_DELAY = 0.2
 def delay(signal: ArrayLike, estimate: ArrayLike, period: float) -> float:
     """Delay of an estimate: the shift with the least mean square error against the signal.
 
-    Args:
-        signal: true values (N,), in any unit.
-        estimate: of the signal (N,), in the same unit.
-        period: between two values [s].
-
-    Returns:
-        0 to ``LONGEST_DELAY`` [s], NaN where the signal never changes.
+    `signal`: true values (N,), in any unit. `estimate`: of the signal (N,), in the same unit. `period`: between two
+    values [s]. Returns 0 to ``LONGEST_DELAY`` [s], NaN where the signal never changes.
     """
     true, seen = np.asarray(signal, dtype=np.float64), np.asarray(estimate, dtype=np.float64)
     known = true[np.isfinite(true)]
@@ -118,14 +113,10 @@ def interval_half_width(variance: ArrayLike, reference: Reading = EXACT, level: 
     The interval includes the errors of the reference sensor. Its noise adds to the variance of the estimate, and its
     converter rounds by half a step at most.
 
-    Args:
-        variance: variance of the estimate, (N,).
-        reference: errors of the reference sensor, in the unit of the estimate.
-        level: probability of the two-sided interval, between 0 and 1.
-
-    Returns:
-        The quantile of a normal error plus a uniform one of a converter's step, (N,): for 95 %, this is
-        1.96 sqrt(variance + std^2) without a step, and 0.475 step with nothing but a step.
+    `variance`: variance of the estimate, (N,). `reference`: errors of the reference sensor, in the unit of the
+    estimate. `level`: probability of the two-sided interval, between 0 and 1. Returns the quantile of a normal error
+    plus a uniform one of a converter's step, (N,): for 95 %, this is 1.96 sqrt(variance + std^2) without a step, and
+    0.475 step with nothing but a step.
     """
     std = np.sqrt(np.asarray(variance, dtype=np.float64) + reference.std**2)
     if reference.step == 0.0:
@@ -141,13 +132,9 @@ def interval_half_width(variance: ArrayLike, reference: Reading = EXACT, level: 
 def coverage(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT, level: float = 0.95) -> float:
     """Share of the samples whose measured value lies inside the estimate's interval.
 
-    Args:
-        error: estimate minus measurement, (N,).
-        variance: variance of the estimate, (N,).
-        level: probability of the interval, between 0 and 1.
-
-    Returns:
-        A share between 0 and 1 (`level` if the covariance is right), NaN if no sample is finite.
+    `error`: estimate minus measurement, (N,). `variance`: variance of the estimate, (N,). `level`: probability of the
+    interval, between 0 and 1. Returns a share between 0 and 1 (`level` if the covariance is right), NaN if no sample is
+    finite.
     """
     z = np.asarray(error, dtype=np.float64)
     half = interval_half_width(variance, reference, level)
@@ -161,12 +148,8 @@ def nees(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT) -> f
     The NIS tests the pressures. The NEES tests an estimated quantity that was measured as well (Bar-Shalom, Li and
     Kirubarajan 2001, section 5.4). The variance of the reference sensor adds to that of the estimate.
 
-    Args:
-        error: estimate minus measurement, (N,).
-        variance: variance of the estimate, (N,).
-
-    Returns:
-        1 where the covariance is right, more where it is too small; NaN if no sample is finite.
+    `error`: estimate minus measurement, (N,). `variance`: variance of the estimate, (N,). Returns 1 where the
+    covariance is right, more where it is too small; NaN if no sample is finite.
     """
     z = np.asarray(error, dtype=np.float64)
     total = np.asarray(variance, dtype=np.float64) + reference.error**2
@@ -198,12 +181,8 @@ def nis_consistency(nis: ArrayLike, innovation: ArrayLike) -> NisConsistency:
     Values below the lower bound count as outside: a filter whose covariance is far too large is inconsistent as well
     (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
 
-    Args:
-        nis: normalised innovation squared, (N,), NaN where nothing was used.
-        innovation: innovations, (N, m), NaN where that measurement was not used.
-
-    Returns:
-        Mean, share within the 95 % bounds and number of samples.
+    `nis`: normalised innovation squared, (N,), NaN where nothing was used. `innovation`: innovations, (N, m), NaN where
+    that measurement was not used. Returns mean, share within the 95 % bounds and number of samples.
     """
     value = np.asarray(nis, dtype=np.float64)
     used = np.isfinite(np.asarray(innovation, dtype=np.float64))
@@ -225,12 +204,8 @@ def nis_consistency(nis: ArrayLike, innovation: ArrayLike) -> NisConsistency:
 def normalised_innovation(innovation: ArrayLike, covariance: ArrayLike) -> FloatArray:
     """Innovations in units of their own standard deviation: L^-1 nu with S = L L^T.
 
-    Args:
-        innovation: (N, 2), NaN where a measurement was not used.
-        covariance: innovation covariance S, (N, 2, 2).
-
-    Returns:
-        (N, 2), NaN in both columns where either measurement was not used.
+    `innovation`: (N, 2), NaN where a measurement was not used. `covariance`: innovation covariance S, (N, 2, 2).
+    Returns (N, 2), NaN in both columns where either measurement was not used.
     """
     nu = np.asarray(innovation, dtype=np.float64)
     s = np.asarray(covariance, dtype=np.float64)

@@ -83,10 +83,7 @@ def _compression(rig: Rig, i: int, p: NDArray[np.float64]) -> float:
 def impossible(limits: NDArray[np.float64], pressure: np.ndarray, command: np.ndarray) -> NDArray[np.bool_]:
     """Which values of some samples are there, but not possible (N, 4).
 
-    Args:
-        limits: (4, 2), see :func:`bounds`.
-        pressure: (N, 2) [Pa].
-        command: (N, 2) [V] or [Pa].
+    `limits`: (4, 2), see :func:`bounds`. `pressure`: (N, 2) [Pa]. `command`: (N, 2) [V] or [Pa].
     """
     values = np.concatenate([pressure, command], axis=1)
     return np.isfinite(values) & ((values < limits[:, 0]) | (values > limits[:, 1]))
@@ -95,11 +92,8 @@ def impossible(limits: NDArray[np.float64], pressure: np.ndarray, command: np.nd
 def complaint(limits: NDArray[np.float64], drive: str, pressure: np.ndarray, command: np.ndarray) -> str:
     """What is impossible of some samples, in a sentence; empty if nothing is.
 
-    Args:
-        limits: (4, 2), see :func:`bounds`.
-        drive: of the rig, ``valve`` or ``regulator``.
-        pressure: (N, 2) [Pa].
-        command: (N, 2) [V] or [Pa].
+    `limits`: (4, 2), see :func:`bounds`. `drive`: of the rig, ``valve`` or ``regulator``. `pressure`: (N, 2) [Pa].
+    `command`: (N, 2) [V] or [Pa].
     """
     odd = impossible(limits, pressure, command)
     if not odd.any():

@@ -64,10 +64,8 @@ def forget(memory):
 def repeats(values, elapsed, memory):
     """Whether a sample only repeats the last reading of a slow sensor.
 
-    Args:
-        values: of the sample (C,), all from one board.
-        elapsed: time since the last sample [s].
-        memory: of the sensor, see :func:`new`; changed in place.
+    `values`: of the sample (C,), all from one board. `elapsed`: time since the last sample [s]. `memory`: of the
+    sensor, see :func:`new`; changed in place.
     """
     columns = len(values)
     memory[_AGE] += elapsed

@@ -31,12 +31,8 @@ def beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
 def advance(points, u, parameter_sets, dt, effects, work):
     """Propagate each sigma point over a step, in place; in compiled code only.
 
-    Args:
-        points: (K, n).
-        u: input (2,) held over the step.
-        parameter_sets: sets of the first points (1 + 2 m, SIZE); the others have the first set.
-        dt: step [s].
-        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+    `points`: (K, n). `u`: input (2,) held over the step. `parameter_sets`: sets of the first points (1 + 2 m, SIZE);
+    the others have the first set. `dt`: step [s].
     """
     raise NotImplementedError("in compiled code only")
 

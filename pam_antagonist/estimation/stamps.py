@@ -94,10 +94,8 @@ def started_ns(clock: Any) -> int | None:
 def own_period(elapsed, clock, nominal):
     """Period of the stream [s]: the median of the last intervals, or the nominal period if that is near.
 
-    Args:
-        elapsed: interval since the last stamp [ns]; it is stored.
-        clock: of the filter (CLOCK_SIZE,), changed in place.
-        nominal: the rig's period [s].
+    `elapsed`: interval since the last stamp [ns]; it is stored. `clock`: of the filter (CLOCK_SIZE,), changed in place.
+    `nominal`: the rig's period [s].
     """
     clock[_FIRST_DISTANCE + clock[_SEEN] % _DISTANCES] = elapsed
     clock[_SEEN] += 1
@@ -122,14 +120,9 @@ def own_period(elapsed, clock, nominal):
 def steps_over(elapsed, period, nominal, longest):
     """Steps of the model over the time since the last sample.
 
-    Args:
-        elapsed: time since the last sample [ns].
-        period: the stream's own period [s].
-        nominal: the rig's period [s].
-        longest: approximate length of a step [s].
-
-    Returns:
-        Number of steps; length of each [s]; whether samples are missing; and the step with which the last period
+    `elapsed`: time since the last sample [ns]. `period`: the stream's own period [s]. `nominal`: the rig's period [s].
+    `longest`: approximate length of a step [s]. Returns number of steps; length of each [s]; whether samples are
+    missing; and the step with which the last period begins.
     """
     seconds = elapsed / 1e9
     steps = max(1, int(seconds / longest + 0.5))

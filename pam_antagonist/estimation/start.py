@@ -46,18 +46,10 @@ _torque_slope, _torque_needed, _sliding_friction = (
 def start(y, u, p, initial, noise, gain_noise, lock_angle, x, covariance, cross, innovation, effects, work):
     """Set state and covariance from a first sample.
 
-    Args:
-        y: pressures (2,) [Pa].
-        u: voltages (2,) [V].
-        initial: diagonal of P(0) (n,).
-        noise: diagonal of R (2,) [Pa²].
-        gain_noise: value of R in the gain (2,) [Pa²].
-        lock_angle: angle of a locked joint [rad].
-        x: result (n,).
-        covariance: result (n, n).
-        cross: result (n, m), zero.
-        innovation: (2,) [Pa], set to NaN, since the sample was not predicted.
-        work: :class:`pam_antagonist.estimation.ukf.Work`, scratch.
+    `y`: pressures (2,) [Pa]. `u`: voltages (2,) [V]. `initial`: diagonal of P(0) (n,). `noise`: diagonal of R (2,)
+    [Pa²]. `gain_noise`: value of R in the gain (2,) [Pa²]. `lock_angle`: angle of a locked joint [rad]. `x`: result
+    (n,). `covariance`: result (n, n). `cross`: result (n, m), zero. `innovation`: (2,) [Pa], set to NaN, since the
+    sample was not predicted.
     """
     pressure_1, pressure_2 = _pressure_behind(FIRST, y[0], p), _pressure_behind(SECOND, y[1], p)
     angle = lock_angle if p[LOCKED] != 0.0 else _start_angle(pressure_1, pressure_2, p, effects)

@@ -79,11 +79,8 @@ def make_work(states: int, parameter_sets: np.ndarray) -> Work:
 def spread_points(x, cross, lower, reach, points):
     """Sigma points of the state, equations (13) to (15).
 
-    Args:
-        x: mean (n,).
-        cross: C (n, m).
-        lower: L (n, n).
-        points: result (1 + 2 m + 2 n, n): the mean, then a pair for each θ, then one for each state.
+    `x`: mean (n,). `cross`: C (n, m). `lower`: L (n, n). `points`: result (1 + 2 m + 2 n, n): the mean, then a pair for
+    each θ, then one for each state.
     """
     n = x.shape[0]
     m = cross.shape[1]
@@ -103,14 +100,8 @@ def spread_points(x, cross, lower, reach, points):
 def conditional_factor(covariance, cross, scratch, lower):
     """L with L Lᵀ = P − C Cᵀ; if a pivot had to be repaired, P is set to C Cᵀ + L Lᵀ, which is definite.
 
-    Args:
-        covariance: P (n, n).
-        cross: C (n, m).
-        scratch: (n, n), overwritten.
-        lower: result (n, n).
-
-    Returns:
-        Repaired pivots, -1 for a covariance that is not finite.
+    `covariance`: P (n, n). `cross`: C (n, m). `scratch`: (n, n), overwritten. `lower`: result (n, n). Returns repaired
+    pivots, -1 for a covariance that is not finite.
     """
     n = covariance.shape[0]
     m = cross.shape[1]
@@ -140,19 +131,10 @@ def conditional_factor(covariance, cross, scratch, lower):
 def predict(x, covariance, cross, u, parameter_sets, dt, noise, change, kappa, effects, work):
     """Prediction step, equations (13) to (18), in place.
 
-    Args:
-        x: estimate (n,).
-        covariance: P (n, n).
-        cross: C (n, m).
-        u: input (2,) held over the step.
-        parameter_sets: (1 + 2 m, SIZE): nominal, then a pair for each θ at ±c.
-        dt: step [s].
-        noise: diagonal of Q (n,) for this step.
-        change: variance of the error of a predicted change of pressure in this step, relative to its square.
-        work: :class:`Work`, scratch.
-
-    Returns:
-        Repaired pivots, -1 where the covariance is not finite.
+    `x`: estimate (n,). `covariance`: P (n, n). `cross`: C (n, m). `u`: input (2,) held over the step. `parameter_sets`:
+    (1 + 2 m, SIZE): nominal, then a pair for each θ at ±c. `dt`: step [s]. `noise`: diagonal of Q (n,) for this step.
+    `change`: variance of the error of a predicted change of pressure in this step, relative to its square. Returns
+    repaired pivots, -1 where the covariance is not finite.
     """
     points, lower = work.points, work.lower
     n = x.shape[0]
@@ -200,13 +182,8 @@ def innovate(x, covariance, y, noise, innovation, innovation_covariance):
     g selects the pressures from the state. For this linear g, the redrawn sigma points of (19) have
     exactly the moments ŷ = g(x̂), P_yy = g P gᵀ + R and P_xy = P gᵀ (22), which are used directly.
 
-    Args:
-        x: prediction (n,).
-        covariance: P⁻ (n, n).
-        y: measured pressures (2,) [Pa].
-        noise: diagonal of R (2,).
-        innovation: result (2,).
-        innovation_covariance: result (2, 2).
+    `x`: prediction (n,). `covariance`: P⁻ (n, n). `y`: measured pressures (2,) [Pa]. `noise`: diagonal of R (2,).
+    `innovation`: result (2,). `innovation_covariance`: result (2, 2).
     """
     for a in range(OUTPUTS):
         innovation[a] = y[a] - x[PRESSURE_1 + a]
@@ -235,14 +212,9 @@ def update(x, covariance, cross, innovation, noise, gain_noise, use_1, use_2, wo
     Joseph's form, (I − K g) P⁻ (I − K g)ᵀ + K R Kᵀ. This equals (24) for this gain, stays symmetric and
     non-negative under rounding, and is the true covariance for any other gain as well.
 
-    Args:
-        x: prediction (n,), becomes the estimate.
-        covariance: P⁻ (n, n), becomes P.
-        cross: C (n, m).
-        innovation: (2,) [Pa].
-        noise: diagonal of R (2,).
-        gain_noise: value of R in the gain: R itself, or 2 R for the gain as printed.
-        work: :class:`Work`, scratch.
+    `x`: prediction (n,), becomes the estimate. `covariance`: P⁻ (n, n), becomes P. `cross`: C (n, m). `innovation`:
+    (2,) [Pa]. `noise`: diagonal of R (2,). `gain_noise`: value of R in the gain: R itself, or 2 R for the gain as
+    printed.
     """
     factor, scratch, gain = work.lower, work.scratch, work.gain
     n = x.shape[0]
@@ -292,13 +264,8 @@ def update_angle(x, covariance, cross, innovation, noise, work):
 
     The gain K = P_xψ/(P_ψψ + R) acts on the state, as in :func:`update`: C ← C − K C_ψ, and P in Joseph's form.
 
-    Args:
-        x: estimate (n,).
-        covariance: P (n, n).
-        cross: C (n, m).
-        innovation: measured less estimated angle [rad].
-        noise: variance R of the measurement [rad²].
-        work: :class:`Work`, scratch.
+    `x`: estimate (n,). `covariance`: P (n, n). `cross`: C (n, m). `innovation`: measured less estimated angle [rad].
+    `noise`: variance R of the measurement [rad²].
     """
     gain, factor = work.gain, work.lower
     n, m = x.shape[0], cross.shape[1]
@@ -329,16 +296,9 @@ def update_angle(x, covariance, cross, innovation, noise, work):
 def torque_moments(x, covariance, cross, parameter_sets, kappa, effects, work, moments):
     """Torque and its covariances by the unscented transform of equation (9).
 
-    Args:
-        x: estimate (n,).
-        covariance: P (n, n).
-        cross: C (n, m).
-        parameter_sets: (1 + 2 m, SIZE), as for :func:`predict`.
-        work: :class:`Work`, scratch.
-        moments: result (1 + 1 + n,): mean of τ [N m], its variance, its covariance with each state.
-
-    Returns:
-        Repaired pivots, -1 where the covariance is not finite.
+    `x`: estimate (n,). `covariance`: P (n, n). `cross`: C (n, m). `parameter_sets`: (1 + 2 m, SIZE), as for
+    :func:`predict`. `moments`: result (1 + 1 + n,): mean of τ [N m], its variance, its covariance with each state.
+    Returns repaired pivots, -1 where the covariance is not finite.
     """
     points, lower, torques = work.points, work.lower, work.torques
     n = x.shape[0]

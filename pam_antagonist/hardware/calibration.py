@@ -11,9 +11,8 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Optional  # (pydantic 1 evaluates annotations on Python 3.10)
+from typing import Literal, NamedTuple, Optional  # (pydantic 1 evaluates annotations on Python 3.10)
 
 from pydantic import Field
 
@@ -112,8 +111,8 @@ def _locate(name: str) -> Path:
 
 def _complaints(found: Calibration) -> Iterator[str]:
     """Contradictions between entries, which the schema cannot check."""
-    for name in ("pressure_1", "pressure_2", "torque"):
-        channel = getattr(found, name)
+    sensors = {"pressure_1": found.pressure_1, "pressure_2": found.pressure_2}
+    for name, channel in {**sensors, "torque": found.torque}.items():
         if channel is None:
             continue
         if channel.gain == 0.0:
@@ -122,38 +121,35 @@ def _complaints(found: Calibration) -> Iterator[str]:
             yield f"{name}: lowest is {channel.lowest:g} and highest {channel.highest:g}: expected lowest < highest"
     if (found.regulator_1 is None) != (found.regulator_2 is None):
         yield "regulator_1 and regulator_2: expected both, or neither"
-    yield from _sensor_complaints(found)
-    for name, channel in (("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2)):
-        if channel is None:
-            continue
-        if (channel.offset is None) == (channel.at_rest is None):
-            yield f"{name}: expected either offset or at_rest"
-        if channel.at_rest is not None and not channel.lowest <= channel.at_rest <= channel.highest:
-            yield (
-                f"{name}.at_rest is {channel.at_rest:g}: expected a reading of a sensor that works, "
-                f"{channel.lowest:g} to {channel.highest:g}"
-            )
-        low, high = sorted(_absolute(channel, found.atmosphere, end) for end in (channel.lowest, channel.highest))
-        if high > _HIGHEST_PRESSURE or high < found.atmosphere or low < -found.atmosphere:
-            yield (
-                f"{name}: readings from lowest to highest mean {low:g} to {high:g} Pa absolute: expected a range that "
-                f"includes the atmosphere's pressure and ends below {_HIGHEST_PRESSURE:g} Pa; is gain in Pa?"
-            )
-
-
-def _sensor_complaints(found: Calibration) -> Iterator[str]:
-    """Contradictions between ``pressure_sensors`` and the sensors of the file."""
     measured = found.pressure_sensors == "measured"
     if not measured and found.regulator_1 is None:
         yield (
             "pressure_sensors is none: expected regulator_1 and regulator_2 as well, since valve voltages do not "
             "determine the pressures"
         )
-    for name, channel in (("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2)):
+    for name, channel in sensors.items():
         if measured and channel is None:
             yield f"{name} is missing: expected a sensor, or pressure_sensors: none with pressure regulators"
         if not measured and channel is not None:
             yield f"{name} is given, but pressure_sensors is none: expected only one of them"
+        if channel is not None:
+            yield from _pressure_complaints(name, channel, found.atmosphere)
+
+
+def _pressure_complaints(name: str, channel: PressureChannel, atmosphere: float) -> Iterator[str]:
+    if (channel.offset is None) == (channel.at_rest is None):
+        yield f"{name}: expected either offset or at_rest"
+    if channel.at_rest is not None and not channel.lowest <= channel.at_rest <= channel.highest:
+        yield (
+            f"{name}.at_rest is {channel.at_rest:g}: expected a reading of a sensor that works, "
+            f"{channel.lowest:g} to {channel.highest:g}"
+        )
+    low, high = sorted(_absolute(channel, atmosphere, end) for end in (channel.lowest, channel.highest))
+    if high > _HIGHEST_PRESSURE or high < atmosphere or low < -atmosphere:
+        yield (
+            f"{name}: readings from lowest to highest mean {low:g} to {high:g} Pa absolute: expected a range that "
+            f"includes the atmosphere's pressure and ends below {_HIGHEST_PRESSURE:g} Pa; is gain in Pa?"
+        )
 
 
 def _absolute(channel: PressureChannel, atmosphere: float, reading: float) -> float:
@@ -163,12 +159,11 @@ def _absolute(channel: PressureChannel, atmosphere: float, reading: float) -> fl
     return channel.gain * reading + offset + (atmosphere if channel.reference == "gauge" else 0.0)
 
 
-@dataclass(frozen=True)
-class _Linear:
+class _Linear(NamedTuple):
     gain: float
     offset: float
-    lowest: float
-    highest: float
+    lowest: float = -math.inf
+    highest: float = math.inf
 
     def value(self, reading: float) -> float:
         """Value in SI units; NaN for a reading outside the sensor's range."""
@@ -181,32 +176,33 @@ class _Linear:
         return (value - self.offset) / self.gain
 
 
+Pair = tuple[float, float]
+
+
 class Converter:
     """Readings to SI units, and back.
 
     `rest`: correction that is added to both pressures (2,) [Pa], as measured at rest.
     """
 
-    def __init__(self, calibration: Calibration, rest: tuple[float, float] = (0.0, 0.0)) -> None:
+    def __init__(self, calibration: Calibration, rest: Pair = (0.0, 0.0)) -> None:
         self.calibration = calibration
         self.rest = rest
+        atmosphere = calibration.atmosphere
         self._pressures = tuple(
-            _Linear(channel.gain, _absolute(channel, calibration.atmosphere, 0.0), channel.lowest, channel.highest)
+            _Linear(channel.gain, _absolute(channel, atmosphere, 0.0), channel.lowest, channel.highest)
             for channel in (calibration.pressure_1, calibration.pressure_2)
             if channel is not None
         )
-        self._regulators: tuple[tuple[float, float], tuple[float, float]] | None = None
-        if calibration.regulator_1 is not None and calibration.regulator_2 is not None:
-            self._regulators = self._line(calibration.regulator_1), self._line(calibration.regulator_2)
+        self._regulators = tuple(
+            _Linear(channel.gain, channel.offset + (atmosphere if channel.reference == "gauge" else 0.0))
+            for channel in (calibration.regulator_1, calibration.regulator_2)
+            if channel is not None
+        )
         torque, encoder = calibration.torque, calibration.encoder
         self._torque = None if torque is None else _Linear(torque.gain, torque.offset, torque.lowest, torque.highest)
         self._step = math.nan if encoder is None else encoder.sign * 2.0 * math.pi / encoder.counts
         self._zero = 0 if encoder is None else encoder.zero
-
-    def _line(self, channel: RegulatorChannel) -> tuple[float, float]:
-        """Gain [Pa/V], and absolute pressure at 0 V [Pa]."""
-        atmosphere = self.calibration.atmosphere if channel.reference == "gauge" else 0.0
-        return channel.gain, channel.offset + atmosphere
 
     def check(self, info: DeviceInfo) -> None:
         """Make sure that the device has the channels of the calibration."""
@@ -222,49 +218,52 @@ class Converter:
         """Whether there are pressure sensors."""
         return bool(self._pressures)
 
-    def pressure(self, readings: tuple[float, float]) -> tuple[float, float]:
+    def pressure(self, readings: Pair) -> Pair:
         """Both pressures, absolute [Pa]; NaN where the sensor is faulty or missing."""
         if not self._pressures:
             return math.nan, math.nan
         first, second = self._pressures
         return first.value(readings[0]) + self.rest[0], second.value(readings[1]) + self.rest[1]
 
-    def suits(self, drive: str) -> None:
-        """Make sure that the calibration fits a rig. `drive`: of the rig, ``valve`` or ``regulator``."""
-        if drive == "regulator" and self._regulators is None:
+    def adapt(self, drive: str) -> None:
+        """Use regulators, or none, as a rig has them; `drive`: of the rig, ``valve`` or ``regulator``."""
+        name = self.calibration.name
+        if drive == "regulator" and not self._regulators:
             raise BadInput(
-                f"calibration {self.calibration.name} has no regulators, but the rig has; expected regulator_1 and "
-                "regulator_2, such as {gain: 60.0e+3, offset: 0.0, reference: gauge}"
+                f"calibration {name} has no regulators, but the rig has; expected regulator_1 and regulator_2, such as "
+                "{gain: 60.0e+3, offset: 0.0, reference: gauge}"
             )
         if drive == "valve" and not self._pressures:
             raise BadInput(
-                f"calibration {self.calibration.name} has no pressure sensors (pressure_sensors: none), but the rig "
-                "has valves, whose voltages do not determine the pressures; expected pressure_1 and pressure_2"
+                f"calibration {name} has no pressure sensors (pressure_sensors: none), but the rig has valves, whose "
+                "voltages do not determine the pressures; expected pressure_1 and pressure_2"
             )
+        if drive == "valve":
+            self._regulators = ()
 
-    def asked(self, command: tuple[float, float]) -> tuple[float, float]:
+    def asked(self, command: Pair) -> Pair:
         """Pressure commands (2,) [Pa absolute] of the device's voltages (2,) [V]; the voltages without regulators."""
-        if self._regulators is None:
+        if not self._regulators:
             return command
-        (gain_1, offset_1), (gain_2, offset_2) = self._regulators
-        return gain_1 * command[0] + offset_1, gain_2 * command[1] + offset_2
+        first, second = self._regulators
+        return first.value(command[0]), second.value(command[1])
 
-    def output(self, command: tuple[float, float]) -> tuple[float, float]:
+    def output(self, command: Pair) -> Pair:
         """Voltages of the device (2,) [V] for pressure commands [Pa]; the command itself without regulators."""
-        if self._regulators is None:
+        if not self._regulators:
             return command
-        (gain_1, offset_1), (gain_2, offset_2) = self._regulators
-        return (command[0] - offset_1) / gain_1, (command[1] - offset_2) / gain_2
+        first, second = self._regulators
+        return first.reading(command[0]), second.reading(command[1])
 
     def action(self, action: SafeAction) -> SafeAction:
         """A safe action in voltages of the device; neither muscle vents faster than the action's rate.
 
         `action`: in voltages, or in pressures for a joint with regulators.
         """
-        if self._regulators is None:
+        if not self._regulators:
             return action
         vent = None if action.vent is None else self.output(action.vent)
-        return SafeAction(self.output(action.hold), vent, action.rate / max(gain for gain, _ in self._regulators))
+        return SafeAction(self.output(action.hold), vent, action.rate / max(line.gain for line in self._regulators))
 
     def angle(self, encoder: int | None) -> float | None:
         """Angle [rad], None without an encoder."""
@@ -277,8 +276,8 @@ class Converter:
         """Torque [N m], None without a torque meter, NaN where it is faulty."""
         return None if reading is None or self._torque is None else self._torque.value(reading)
 
-    def readings(self, pressure: tuple[float, float], angle: float, torque: float) -> tuple[float, float, int, float]:
-        """Readings of the sensors for the emulator, not limited to ``lowest`` and ``highest``.
+    def readings(self, pressure: Pair, angle: float, torque: float) -> tuple[float, float, int, float]:
+        """Readings for the emulator, not limited to ``lowest`` and ``highest``; 0 for missing sensors.
 
         Args:
             pressure: of both muscles, absolute [Pa].
@@ -286,7 +285,7 @@ class Converter:
             torque: of the muscles [N m].
 
         Returns:
-            Readings of both pressures, counts of the encoder, reading of the torque meter; 0 for missing sensors.
+            Readings of both pressures, counts of the encoder, reading of the torque meter.
         """
         shown = [channel.reading(value) for channel, value in zip(self._pressures, pressure, strict=False)]
         first, second = shown or (0.0, 0.0)

@@ -126,8 +126,7 @@ class DeviceClock:
 class Emulator:
     """The device: its clock, firmware, sensors and port.
 
-    `missed`: samples that were skipped because this process stalled for too long. `regulated`: whether the voltages are
-    commands of pressure regulators.
+    `missed`: samples that were skipped because this process stalled for too long.
     """
 
     def __init__(
@@ -138,17 +137,15 @@ class Emulator:
         faults: FaultPlan,
         log: VoltageLog,
         open_port: Callable[[], Port],
-        clock: DeviceClock | None = None,
-        regulated: bool = False,
+        clock: DeviceClock,
     ) -> None:
-        self._regulated = regulated
         self._joint = Miswired(plant, faults)
         self._converter = converter
         self._firmware = firmware
         self._faults = faults
         self._log = log
         self._open_port = open_port
-        self._clock = clock or DeviceClock()
+        self._clock = clock
         self._port: Port | None = open_port()
         self._frozen: dict[int, float] = {}
         self._first_command_s: float | None = None
@@ -209,7 +206,7 @@ class Emulator:
             data = self._faults.damaged(self._port.wait(0.0))
             if data:
                 self._send(firmware.receive(data, now_us))
-        sample = self._joint.step(self._converter.asked(firmware.voltage) if self._regulated else firmware.voltage)
+        sample = self._joint.step(self._converter.asked(firmware.voltage))
         pressures = (float(sample.pressure[0]), float(sample.pressure[1]))
         first, second, counts, torque = self._converter.readings(pressures, float(sample.angle), float(sample.torque))
         fault = overrun | (Status.STOPPED if self._faults.has("stop") else Status(0))

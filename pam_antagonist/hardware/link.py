@@ -49,29 +49,18 @@ class Unwrapped:
         return self._time
 
 
+_WINDOW_NS = 1_000_000_000  # time over which the least delay is searched [ns]
+_WINDOWS = 16
+_WARM_UP_NS = 300_000_000  # host time from the first arrival until the map is used for stamps [ns]
+_LARGEST_RATE = 1e-3  # largest deviation of the ratio of the clocks' rates from 1 [-]; more is no drift
+_LARGEST_ERROR_NS = 20_000_000  # largest error of the map that is corrected smoothly; a larger one restarts it [ns]
+
+
 class ClockMap:
-    """Host time of device times, from the times of arrival of samples.
+    """Host time of device times, from the times of arrival of samples."""
 
-    Args:
-        window_ns: time over which the least delay is searched [ns].
-        warm_up_ns: host time from the first arrival until the map is used for stamps [ns].
-        largest_rate: largest deviation of the ratio of the clocks' rates from 1 [-]; more is no drift.
-        largest_error_ns: largest error of the map that is corrected smoothly [ns]; a larger one restarts the map.
-    """
-
-    def __init__(
-        self,
-        window_ns: int = 1_000_000_000,
-        windows: int = 16,
-        warm_up_ns: int = 300_000_000,
-        largest_rate: float = 1e-3,
-        largest_error_ns: int = 20_000_000,
-    ) -> None:
-        self._window_ns = window_ns
-        self._warm_up_ns = warm_up_ns
-        self._largest_rate = largest_rate
-        self._largest_error_ns = largest_error_ns
-        self._points: deque[tuple[int, int]] = deque(maxlen=windows)
+    def __init__(self) -> None:
+        self._points: deque[tuple[int, int]] = deque(maxlen=_WINDOWS)
         self.restarts = 0
         self._begin()
 
@@ -100,25 +89,20 @@ class ClockMap:
         return (self._anchor[1] - self._anchor[0]) * 1e-9
 
     def add(self, device_ns: int, host_ns: int) -> None:
-        """Take an arrival.
-
-        Args:
-            device_ns: time of the sample on the device's clock, increasing [ns].
-            host_ns: time of its arrival on the host's clock [ns].
-        """
+        """Take the arrival [ns] at the host of the sample that the device took at a time [ns] of its clock."""
         offset = host_ns - device_ns
         if self._first_ns is None:
             self._first_ns = host_ns
-            self._window_end = device_ns + self._window_ns
+            self._window_end = device_ns + _WINDOW_NS
         if self._best is None or offset < self._best[1]:
             self._best = device_ns, offset
         if self._anchor is None:
-            if host_ns - self._first_ns >= self._warm_up_ns:
+            if host_ns - self._first_ns >= _WARM_UP_NS:
                 self._anchor = device_ns, device_ns + self._best[1]
         elif device_ns >= self._window_end:
             self._points.append(self._best)
             self._best = None
-            self._window_end = device_ns + self._window_ns
+            self._window_end = device_ns + _WINDOW_NS
             self._steer(device_ns)
 
     def host_ns(self, device_ns: int) -> int:
@@ -131,22 +115,23 @@ class ClockMap:
     def _steer(self, now_ns: int) -> None:
         """Set the rate so that the map meets the line at the end of the next window."""
         if len(self._points) > 2:
-            self._drift = self._clipped(
+            self._drift = _clipped(
                 median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._points, 2) if b[0] != a[0])
             )
-        target = now_ns + self._window_ns
+        target = now_ns + _WINDOW_NS
         below = min(offset + self._drift * (target - at) for at, offset in self._points)
         here = self.host_ns(now_ns)
-        error = target + below - (here + self._window_ns)
-        if abs(error) > self._largest_error_ns:
+        error = target + below - (here + _WINDOW_NS)
+        if abs(error) > _LARGEST_ERROR_NS:
             self.restarts += 1
             self._begin()
             return
         self._anchor = now_ns, here
-        self._rate = self._clipped(error / self._window_ns)
+        self._rate = _clipped(error / _WINDOW_NS)
 
-    def _clipped(self, rate: float) -> float:
-        return min(max(rate, -self._largest_rate), self._largest_rate)
+
+def _clipped(rate: float) -> float:
+    return min(max(rate, -_LARGEST_RATE), _LARGEST_RATE)
 
 
 SILENCE = 0.25
@@ -330,17 +315,9 @@ class Link:
         self._last_stamp = stamp
         first, second = self._converter.pressure(raw.pressure)
         if raw.status & Status.PRESSURE_1_FAULT:
-            first = float("nan")
+            first = math.nan
         if raw.status & Status.PRESSURE_2_FAULT:
-            second = float("nan")
+            second = math.nan
+        angle, torque = self._converter.angle(raw.encoder), self._converter.torque(raw.torque)
         self.counts.samples += 1
-        self._deliver(
-            Sample(
-                stamp,
-                (first, second),
-                raw.voltage,
-                self._converter.angle(raw.encoder),
-                self._converter.torque(raw.torque),
-                raw.status,
-            )
-        )
+        self._deliver(Sample(stamp, (first, second), raw.voltage, angle, torque, raw.status))

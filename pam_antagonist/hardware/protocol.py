@@ -17,11 +17,6 @@ from typing import NamedTuple
 
 VERSION = 1
 _NAME_BYTES = 16
-_HELLO = struct.Struct("<BBHfffff")
-_WELCOME = struct.Struct("<BBHBBIIff16s")
-_COMMAND = struct.Struct("<BHHHff")
-_TELEMETRY = struct.Struct("<BHIffifffHHHHHH")
-_GOODBYE = struct.Struct("<BH")
 
 
 class Kind(IntEnum):
@@ -132,29 +127,26 @@ class Goodbye(NamedTuple):
 
 Message = Hello | Welcome | Command | Telemetry | Goodbye
 
-_LAYOUTS: dict[type[Message], tuple[Kind, struct.Struct]] = {
-    Hello: (Kind.HELLO, _HELLO),
-    Welcome: (Kind.WELCOME, _WELCOME),
-    Command: (Kind.COMMAND, _COMMAND),
-    Telemetry: (Kind.TELEMETRY, _TELEMETRY),
-    Goodbye: (Kind.GOODBYE, _GOODBYE),
+LAYOUTS: dict[type[Message], tuple[Kind, struct.Struct]] = {
+    Hello: (Kind.HELLO, struct.Struct("<BBHfffff")),
+    Welcome: (Kind.WELCOME, struct.Struct("<BBHBBIIff16s")),
+    Command: (Kind.COMMAND, struct.Struct("<BHHHff")),
+    Telemetry: (Kind.TELEMETRY, struct.Struct("<BHIffifffHHHHHH")),
+    Goodbye: (Kind.GOODBYE, struct.Struct("<BH")),
 }
-_KINDS = {int(kind): (message, layout) for message, (kind, layout) in _LAYOUTS.items()}
+_KINDS = {int(kind): (message, layout) for message, (kind, layout) in LAYOUTS.items()}
 
 
 def pack(message: Message) -> bytes:
     """The payload of a message."""
-    kind, layout = _LAYOUTS[type(message)]
+    kind, layout = LAYOUTS[type(message)]
     return layout.pack(kind, *message)
 
 
 def unpack(payload: bytes) -> Message | None:
     """The message in a payload; None for an unknown kind or length."""
-    known = _KINDS.get(payload[0]) if payload else None
-    if known is None:
-        return None
-    message, layout = known
-    if len(payload) != layout.size:
+    message, layout = _KINDS.get(payload[0], (None, None)) if payload else (None, None)
+    if message is None or layout is None or len(payload) != layout.size:
         return None
     return message(*layout.unpack(payload)[1:])
 
@@ -191,7 +183,7 @@ def frame(payload: bytes) -> bytes:
     Sixteen bits are not enough: if one byte in a hundred is damaged, so are about 300 of the 1000 frames a second. One
     in 65536 of these would be accepted, which is a wrong voltage every few minutes.
     """
-    return stuffed(payload + zlib.crc32(payload).to_bytes(CRC_BYTES, "little")) + b"\0"
+    return stuffed(payload + _check_sum(payload)) + b"\0"
 
 
 class FrameReader:
@@ -236,7 +228,11 @@ def _checked(piece: bytes) -> bytes | None:
     if decoded is None or len(decoded) <= CRC_BYTES:
         return None
     payload, check = decoded[:-CRC_BYTES], decoded[-CRC_BYTES:]
-    return payload if zlib.crc32(payload).to_bytes(CRC_BYTES, "little") == check else None
+    return payload if _check_sum(payload) == check else None
+
+
+def _check_sum(payload: bytes) -> bytes:
+    return zlib.crc32(payload).to_bytes(CRC_BYTES, "little")
 
 
 def stuffed(data: bytes) -> bytes:
@@ -248,10 +244,10 @@ def stuffed(data: bytes) -> bytes:
 
 def unstuffed(encoded: bytes) -> bytes | None:
     """Decode; None for an invalid encoding."""
-    if not 0 < len(encoded) <= LONGEST + 1:
+    end = len(encoded)
+    if not 0 < end <= LONGEST + 1:
         return None
-    blocks = []
-    position, end = 0, len(encoded)
+    blocks, position = [], 0
     while position < end:
         code = encoded[position]
         if code == 0 or position + code > end:

@@ -17,9 +17,6 @@ class DeviceLost(Exception):
 class Transport(Protocol):
     """Bytes to and from a device."""
 
-    def fileno(self) -> int:
-        """File descriptor for ``select``."""
-
     def read(self, timeout_s: float) -> bytes:
         """Received bytes, as soon as there are some; empty after the time [s]."""
 
@@ -49,10 +46,6 @@ class SerialTransport:
             raise DeviceLost(f"{port} cannot be opened: {_reason(error)}") from None
         self._port = port
         self._fd: int = self._serial.fileno()
-
-    def fileno(self) -> int:
-        """File descriptor of the port."""
-        return self._fd
 
     def read(self, timeout_s: float) -> bytes:
         """See :meth:`Transport.read`."""

@@ -79,10 +79,8 @@ def _positive(path: str, rig: Rig, share: float, low: float = 0.0, high: float =
 def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Pressures (N, 2) [Pa] that a model gives for commands and measured motion, and the rows that are a start (N,).
 
-    Args:
-        p: parameter vector of a locked joint (m,).
-        zero: reading of the encoder at ψ = 0 [rad].
-        horizon: time after which the simulation starts anew from the measurement [s].
+    `p`: parameter vector of a locked joint (m,). `zero`: reading of the encoder at ψ = 0 [rad]. `horizon`: time after
+    which the simulation starts anew from the measurement [s].
     """
     known = np.flatnonzero(np.isfinite(run.angle))
     angle = np.interp(run.time, run.time[known], run.angle[known]) - zero

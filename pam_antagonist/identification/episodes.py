@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.errors import BadInput, NoResult
+from pam_antagonist.identification.held_out import WORSE
 from pam_antagonist.identification.regulators import RegulatorsFound, of_commands
 from pam_antagonist.inference.bootstrap import Interval, rmse
 from pam_antagonist.inference.episodes import EpisodeModel
@@ -23,6 +25,8 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import unphysical
+from pam_antagonist.rig.write import refusal
+from pam_antagonist.shown import number
 
 _USED = 600
 """Most episodes in a fit: more add little information and take longer."""
@@ -39,6 +43,29 @@ class EpisodesIdentified:
     errors: Mapping[str, tuple[Interval, Interval]]
     regulators: RegulatorsFound | None
     counts: tuple[int, int, int]
+
+    @property
+    def rejected(self) -> str:
+        """Why the identified rig should not be used, in a sentence; empty if it may."""
+        before, now = (self.errors[name][0].value for name in ("as configured", "identified"))
+        if complaint := refusal(self.rig):
+            return f"the values that fit best are impossible ({complaint})."
+        if now <= WORSE * before:
+            return ""
+        return (
+            f"the error of the angle on later episodes is {number(now)}°, with the rig file as given "
+            f"{number(before)}°. The joint drifts, or it moved too little to be identified."
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``."""
+        return {
+            "values": self.values,
+            "errors_deg": {name: {"later": a, "interleaved": b} for name, (a, b) in self.errors.items()},
+            "regulators": self.regulators,
+            "episodes": dict(zip(("fitted", "later", "interleaved"), self.counts, strict=True)),
+            "rig": self.start.name,
+        }
 
 
 @one_blas_thread

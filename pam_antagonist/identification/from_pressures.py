@@ -312,9 +312,9 @@ def _moves(rig: Rig, fit: Fit) -> dict[str, tuple[float, float]]:
 
 def _with_curves(rig: Rig, runs: Sequence[Run]) -> tuple[Rig, Step]:
     """The rig with the curves that steady pressures contradict replaced."""
-    changed, findings = identify_curves(rig, runs)
-    note = "; ".join(finding.note for finding in findings)
-    return changed, Step("valve curve", "steady pressures: open rate, voltage, the two combined", {}, {}, {}, note)
+    changed, notes = identify_curves(rig, runs)
+    source = "steady pressures: open rate, voltage, the two combined"
+    return changed, Step("valve curve", source, {}, {}, {}, "; ".join(notes))
 
 
 def _with_regulators(rig: Rig, recordings: Sequence[Given], ends: Sequence[float], jobs: int) -> tuple[Rig, Step]:

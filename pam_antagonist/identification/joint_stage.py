@@ -195,12 +195,8 @@ def simulated(
 ) -> Floats:
     """Readings of the encoder (N,) [rad] that a model gives for the measured pressures of a run.
 
-    Args:
-        p: parameter vector (m,).
-        zero: reading at ψ = 0 [rad].
-        delay: by how much the reading is late [s].
-        horizon: time after which the simulation starts anew from the measurement [s].
-        longest: step of the integration [s].
+    `zero`: reading at ψ = 0 [rad]. `delay`: by how much the reading is late [s]. `horizon`: time after which the
+    simulation starts anew from the measurement [s]. `longest`: step of the integration [s].
     """
     known = np.isfinite(run.angle)
     angle = np.interp(run.time, run.time[known], run.angle[known]) - zero

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from pam_antagonist.inference.episodes import EpisodeModel, Episodes
 from pam_antagonist.inference.free_parameters import Candidate, moved
 from pam_antagonist.inference.held_episodes import Held, thinned
 from pam_antagonist.rig import Rig
+from pam_antagonist.strict_json import picked
 
 Floats = NDArray[np.float64]
 
@@ -43,6 +45,11 @@ class RegulatorsFound:
         """Highest gain of the lag over its gain at rest [-]; 1 for regulators that do not resonate."""
         d = self.values["effects.regulator_lag.damping"].value
         return 1.0 / (2.0 * d * math.sqrt(1.0 - d * d)) if d < math.sqrt(0.5) else 1.0
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of ``report.json``."""
+        errors = {"errors_pa": self.errors, "command_errors_pa": self.command_errors}
+        return picked(self, "values", "tried") | errors | picked(self, "gains", "resonance")
 
     def on(self, rig: Rig) -> Rig:
         """A rig with these regulators."""

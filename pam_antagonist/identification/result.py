@@ -135,13 +135,8 @@ class FromPressures:
         return tuple(fit for fit in self.final if fit is not None)
 
     def pooled(self, column: str) -> float:
-        """Error of the angle over all held-out rows, RMS [deg]; NaN without any.
-
-        `column`: as for :meth:`Held.error`.
-        """
-        known = [(item.error(column), item.rows) for item in self.held if math.isfinite(item.error(column))]
-        total = sum(rows for _, rows in known)
-        return math.sqrt(sum(rows * error**2 for error, rows in known) / total) if total else math.nan
+        """Error of the angle over all held-out rows, RMS [deg]; NaN without any; as :func:`pooled`."""
+        return pooled(self.held, column)
 
     @property
     def coverage(self) -> float:
@@ -179,6 +174,13 @@ class FromPressures:
                 "check."
             )
         return ""
+
+
+def pooled(every: Sequence[Held], column: str) -> float:
+    """Error of the angle over all held-out rows, RMS [deg]; NaN without any. `column`: as for :meth:`Held.error`."""
+    known = [(item.error(column), item.rows) for item in every if math.isfinite(item.error(column))]
+    total = sum(rows for _, rows in known)
+    return math.sqrt(sum(rows * error**2 for error, rows in known) / total) if total else math.nan
 
 
 def linear_map(runs: Sequence[Run]) -> Floats | None:

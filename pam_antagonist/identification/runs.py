@@ -83,6 +83,10 @@ class Run:
             velocity=self.velocity[both],
         )  # fmt: skip
 
+    def first(self, count: int) -> Run:
+        """Its first rows."""
+        return self._rows(slice(count))
+
     def _rows(self, cut: slice) -> Run:
         return replace(
             self, time=self.time[cut], pressure=self.pressure[cut], command=self.command[cut], angle=self.angle[cut],

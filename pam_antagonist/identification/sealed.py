@@ -12,13 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.sealed_tuning import tuned
+from pam_antagonist.identification.sealed_tuning import drift_size, tuned
+from pam_antagonist.identification.unknowns import Fit
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
 from pam_antagonist.inference.free_parameters import Direction, moved, start_values, values_along
 from pam_antagonist.inference.trial import BLOCK_S
@@ -28,6 +31,16 @@ from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
+ASSUMED = (
+    "The volume of each muscle at angle 0 and the polytropic index: closed chambers determine k_2 (dV/dl)/V only.",
+    "The force map: a sealed joint determines the difference of the two muscles' forces only, not how a force grows "
+    "with pressure.",
+    "The inertia, and whatever else does not matter in slow motion.",
+    "The charge: at angle 0 it stays the same while the muscles are closed. Pressures alone do not distinguish an "
+    "angle from a difference in charge.",
+)
+"""What an identification of a sealed joint takes as given."""
+DRIFT_TIME = "effects.pressure_sensor.drift_time"
 _CLUSTER_S = 1.0
 """[s] Residuals closer than this are taken to depend on each other."""
 _LEAST_RANGE = np.radians(1.0)
@@ -114,32 +127,22 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
     `muscle`: 0 or 1.
     """
     number = muscle + 1
-    mean = float(np.mean(np.concatenate([trial.pressure[:, muscle] for trial in trials])))
+    angle = np.concatenate([trial.angle for trial in trials])
+    shown = np.concatenate([trial.pressure[:, muscle] for trial in trials])
+    mean = float(np.mean(shown))
     start = moved(rig, {f"valves.charge_{number}": mean})
-    directions = chamber_directions(start, number)
-    known = start_values(start, directions)
 
-    def named(theta: Floats) -> dict[str, float]:
-        return values_along(known, directions, theta)
+    def errors(p: Floats) -> Floats:
+        return np.array([equilibrium.closed_pressure(muscle, at, p) for at in angle]) - shown
 
-    def residual(theta: Floats) -> Floats:
-        p = rig.parameters(changes=named(theta))
-        parts = []
-        for trial in trials:
-            model = np.array([equilibrium.closed_pressure(muscle, angle, p) for angle in trial.angle])
-            parts.append(model - trial.pressure[:, muscle])
-        return np.concatenate(parts)
-
-    solution = least_squares(residual, np.zeros(2), x_scale=[0.1, 1e-3])
-    std = _robust_std(solution.jac, solution.fun)
-    values = named(solution.x)
+    free = (-np.inf, -np.inf)
+    values, std, residual = _least_squares(start, chamber_directions(start, number), errors, free, (0.1, 1e-3))
     volume = f"muscle_{number}.volume.d2"
-    spread = {volume: abs(rig.value(volume)) * std[0], f"valves.charge_{number}": mean * std[1]}
     return SealedStage(
         f"closed chamber of muscle {number}",
         values,
-        spread,
-        float(np.sqrt(np.mean(solution.fun**2))),
+        {volume: abs(rig.value(volume)) * std[0], f"valves.charge_{number}": mean * std[1]},
+        residual,
         "Pa",
         "the volume at angle 0 and the polytropic index stay as declared: pressures determine only k_2 (dV/dl)/V",
     )
@@ -162,13 +165,8 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
     forces = {f"muscle_{number}.force.w2": way for number, way in ((1, 1.0), (2, -1.0))}
     directions = [Direction(name, {name: rig.value(name)}) for name in names]
     directions.append(Direction("difference of the muscles' forces", forces))
-    known = start_values(rig, directions)
 
-    def named(theta: Floats) -> dict[str, float]:
-        return values_along(known, directions, theta)
-
-    def residual(theta: Floats) -> Floats:
-        p = rig.parameters(changes=named(theta))
+    def errors(p: Floats) -> Floats:
         parts = []
         for trial, mask in zip(used, sliding, strict=True):
             assert trial.external is not None
@@ -177,23 +175,34 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
             parts.append(needed - trial.external[mask])
         return np.concatenate(parts)
 
-    start = [0.0, 0.0, 0.0, 0.0]
-    solution = least_squares(
-        residual, start, bounds=([-0.999, -0.999, -0.999, -np.inf], np.inf), x_scale=[0.3, 0.3, 0.3, 5.0]
-    )
-    std = _robust_std(solution.jac, solution.fun)
-    values = named(solution.x)
+    lowest = (-0.999, -0.999, -0.999, -np.inf)
+    values, std, residual = _least_squares(rig, directions, errors, lowest, (0.3, 0.3, 0.3, 5.0))
     spread = {name: rig.value(name) * std[k] for k, name in enumerate(names)}
     spread |= {f"muscle_{number}.force.w2": std[3] for number in (1, 2)}
     return SealedStage(
         "balance of torques",
         values,
         spread,
-        float(np.sqrt(np.mean(solution.fun**2))),
+        residual,
         "N m",
         f"over {count * BLOCK_S:.1f} s in which the joint slides; where it sticks, friction may be anything up to its "
         "bound",
     )
+
+
+def _least_squares(
+    rig: Rig, directions: Sequence[Direction], errors: Callable[[Floats], Floats], lowest: Sequence[float],
+    scales: Sequence[float],
+) -> tuple[dict[str, float], Floats, float]:  # fmt: skip
+    """Values by dotted path, standard deviations of the directions' amounts (D,), and the RMS of what is left."""
+    known = start_values(rig, directions)
+
+    def residual(theta: Floats) -> Floats:
+        return errors(rig.parameters(changes=values_along(known, directions, theta)))
+
+    found = least_squares(residual, np.zeros(len(scales)), bounds=(lowest, np.inf), x_scale=scales)
+    left = float(np.sqrt(np.mean(found.fun**2)))
+    return values_along(known, directions, found.x), _robust_std(found.jac, found.fun), left
 
 
 def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
@@ -215,7 +224,11 @@ _LEAST_MOVE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class SealedIdentified:
-    """What was found."""
+    """What was found; less than :class:`~pam_antagonist.identification.result.FromPressures` has."""
+
+    fits: ClassVar[tuple[Fit, ...]] = ()
+    notes: ClassVar[tuple[str, ...]] = ()
+    rejected: ClassVar[str] = ""
 
     start: Rig
     rig: Rig
@@ -225,6 +238,30 @@ class SealedIdentified:
     # with the new one.
     likelihood: tuple[float, float]
     evaluations: int
+
+    @cached_property
+    def tuning(self) -> dict[str, Any]:
+        """The filter's tuning before and after, in squared SI units of readings and states.
+
+        The random walk is the noise of the external torque [N m/√s].
+        """
+
+        def both(what: Callable[[Rig], Any]) -> dict[str, Any]:
+            return {"before": what(self.start), "after": what(self.rig)}
+
+        def drift(rig: Rig) -> float:  # of the pressure readings, the larger of both
+            noise = max(rig.value(f"effects.pressure_sensor.drift_{muscle}") for muscle in (1, 2))
+            return drift_size(noise, rig.value(DRIFT_TIME))
+
+        return {
+            "measurement": both(lambda rig: tuple(rig.tuning("default").measurement)),
+            "process": both(lambda rig: tuple(rig.tuning("default").process)),
+            "drift_std_pa": both(drift),
+            "drift_time_s": both(lambda rig: rig.value(DRIFT_TIME)),
+            "random_walk": both(lambda rig: rig.value("effects.external_torque.noise")),
+            "log_likelihood": dict(zip(("before", "after"), self.likelihood, strict=True)),
+            "evaluations": self.evaluations,
+        }
 
 
 def identify_sealed(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,8 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_fit import UNITS, VOLUME, StaticFit, compare_forms, fit, rms
 from pam_antagonist.identification.static_table import StaticTable
-from pam_antagonist.identification.tobit import Floats, Undetermined
+from pam_antagonist.identification.tobit import Undetermined
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import lever_arm, muscle
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
@@ -31,16 +33,12 @@ Forms = dict[str, StaticFit | Undetermined]
 
 
 class Reach(NamedTuple):
-    """Range of lengths and pressures of a rig's muscles."""
+    """Range of lengths [m] and absolute pressures [Pa] of a rig's muscles."""
 
-    shortest: float  # length [m] of a muscle at one end of the joint's range
-    longest: float  # at the other [m]
-    lowest: float  # least absolute pressure [Pa]
-    highest: float  # largest [Pa]
-
-    def lengths(self, count: int = 41) -> Floats:
-        """Lengths (count,) [m] over the range."""
-        return np.linspace(self.shortest, self.longest, count)
+    shortest: float
+    longest: float
+    lowest: float
+    highest: float
 
     @override
     def __str__(self) -> str:
@@ -119,22 +117,19 @@ def work_out(
 ) -> StaticFits:
     """Fit static tables and put them into a rig.
 
-    Args:
-        muscles: which the tables hold for, 1, 2 or both.
-        form: of the force map, one of ``parameters.FORCE_FORMS``; default: the rig's, and for muscles of a data sheet
-            ``braided``, as in an identification.
-        length: muscle length at ψ = 0 [m] in place of the rig's; without a rig the nominal one. 0: not given.
+    `muscles`: which the tables hold for, 1, 2 or both. `form`: of the force map, one of ``parameters.FORCE_FORMS``;
+    default: the rig's, and for muscles of a data sheet ``braided``, as in an identification. `length`: muscle length at
+    ψ = 0 [m] in place of the rig's; without a rig the nominal one. 0: not given.
     """
     if length and rig is not None:
         rig = rig.replaced(geometry=rig.geometry.replaced(length=length))
     target = None if report_only else rig
-    tables = [table for table in (volumes, force_map) if table is not None]
-    warnings = [f"{table.name}: {issue}" for table in tables for issue in table.issues]
+    tables = {what: table for what, table in ((VOLUME, volumes), ("force map", force_map)) if table is not None}
+    warnings = [f"{table.name}: {issue}" for table in tables.values() for issue in table.issues]
     if target is not None:
         _refuse_unknown_units(target)
-        for table in tables:
-            _refuse_other_muscle(table, target, length > 0.0)
-            warnings += _coverage(table, target)
+        for table in tables.values():
+            warnings += _coverage(table, target, length)
     volume, force, forms = None, None, {}
     if volumes is not None:
         try:
@@ -159,7 +154,11 @@ def work_out(
         warnings += [f"form {form}: {note}" for note in force.notes]
         warnings += _doubts_about_force(force, target) if target else []
         warnings += _better_form(forms, form, force)
-    fitted = target and _with_fits(target, muscles, volume, force, _source(volumes, force_map, muscles))
+    fitted = None
+    if target is not None:
+        files = ", ".join(f"{what} from {table.name} (SHA-256 {table.sha256[:12]})" for what, table in tables.items())
+        fitted = _with_fits(target, muscles, volume, force)
+        fitted = fitted.replaced(source=f"{target.source.strip()} Muscle {' and '.join(map(str, muscles))}: {files}.")
     return StaticFits(
         rig, fitted, tuple(muscles), volumes, volume, force_map, forms, form if force else "",
         tuple(dict.fromkeys(warnings)),
@@ -177,36 +176,28 @@ def _chosen(force_map: StaticTable, forms: Forms, name: str) -> StaticFit:
 
 def _refuse_unknown_units(rig: Rig) -> None:
     """Refuse a rig whose pressures or forces are in units of its own: measured ones do not fit in."""
-    if rig.units.pressure == "pascal" and rig.units.force == "newton":
-        return
-    what = "pressures" if rig.units.pressure != "pascal" else "forces"
-    field, value = ("pressure", "unknown") if what == "pressures" else ("force", "per_inertia")
-    raise BadInput(
-        f"rig {rig.name}: its {what} are not in a known unit (units.{field}: {value}), so a measured table does not "
-        "fit in; expected a rig in Pa and N, or --report-only to fit the table without a rig file"
-    )
+    for field, known in (("pressure", "pascal"), ("force", "newton")):
+        if (unit := getattr(rig.units, field)) != known:
+            raise BadInput(
+                f"rig {rig.name}: its {field}s are not in a known unit (units.{field}: {unit}), so a measured table "
+                "does not fit in; expected a rig in Pa and N, or --report-only to fit the table without a rig file"
+            )
 
 
-def _refuse_other_muscle(table: StaticTable, rig: Rig, own_length: bool) -> None:
-    """Refuse a table of which no length lies within the joint's range."""
-    span = reach(rig)
-    low, high = float(table.length.min()), float(table.length.max())
-    if low <= span.longest and high >= span.shortest:
-        return
-    given = (
-        f"--length {rig.geometry.length:g}" if own_length else f"rig {rig.name} with L_0 = {rig.geometry.length:g} m"
-    )
-    raise BadInput(
-        f"{table.name}: measured at {low * 1e3:.0f} to {high * 1e3:.0f} mm, but {given} uses {span}: another muscle; "
-        "expected lengths within the joint's range, or --length L_0 [m] for a joint with this muscle (it becomes "
-        "geometry.length), or --report-only to fit the table without a rig file"
-    )
+def _coverage(table: StaticTable, rig: Rig, own_length: float) -> list[str]:
+    """Sentences on where the joint goes and the table does not, and on how little is in it.
 
-
-def _coverage(table: StaticTable, rig: Rig) -> list[str]:
-    """Sentences on where the joint goes and the table does not, and on how little is in it."""
+    A table of which no length lies within the joint's range is refused.
+    """
     span, out = reach(rig), []
     low, high = float(table.length.min()), float(table.length.max())
+    if low > span.longest or high < span.shortest:
+        given = f"--length {own_length:g}" if own_length else f"rig {rig.name} with L_0 = {rig.geometry.length:g} m"
+        raise BadInput(
+            f"{table.name}: measured at {low * 1e3:.0f} to {high * 1e3:.0f} mm, but {given} uses {span}: another "
+            "muscle; expected lengths within the joint's range, or --length L_0 [m] for a joint with this muscle (it "
+            "becomes geometry.length), or --report-only to fit the table without a rig file"
+        )
     slack = 0.02 * (span.longest - span.shortest)
     uncovered = [f"below {low * 1e3:.1f} mm"] if low > span.shortest + slack else []
     uncovered += [f"above {high * 1e3:.1f} mm"] if high < span.longest - slack else []
@@ -222,61 +213,48 @@ def _coverage(table: StaticTable, rig: Rig) -> list[str]:
         )
     if not table.pressure.any():
         return out
-    measured = table.pressure[~table.slack]
     if len(np.unique(np.round(table.pressure, -2))) < _FEW_PRESSURES:
         out.append(
             f"{table.name}: fewer than {_FEW_PRESSURES} pressures; it is unknown whether the force is linear in the "
             "pressure"
         )
-    if not rig.valves.sealed and measured.max() < 0.95 * span.highest:
-        regulated = f"the regulators of rig {rig.name} hold up to"
-        source = regulated if rig.drive == "regulator" else f"the supply of rig {rig.name} has"
+    highest = table.pressure[~table.slack].max()
+    if not rig.valves.sealed and highest < 0.95 * span.highest:
+        regulated = rig.drive == "regulator"
+        source = f"the regulators of rig {rig.name} hold up to" if regulated else f"the supply of rig {rig.name} has"
         out.append(
-            f"{table.name}: forces up to {measured.max() / 1e3:.0f} kPa absolute, but {source} "
+            f"{table.name}: forces up to {highest / 1e3:.0f} kPa absolute, but {source} "
             f"{span.highest / 1e3:.0f} kPa: above, the fit is extrapolated"
         )
     return out
 
 
 def _doubts_about_volume(found: StaticFit, rig: Rig) -> list[str]:
-    """Sentences on a volume that is odd within the joint's range."""
-    lengths, out = reach(rig).lengths(), []
+    """A sentence on a volume that grows with the length somewhere in the joint's range."""
+    lengths = np.linspace(reach(rig).shortest, reach(rig).longest, 41)
     grows = found.value(lengths + _NEAR) >= found.value(lengths - _NEAR)
-    if np.any(grows):
-        out.append(
-            f"the volume grows with length at {np.mean(grows):.0%} of the joint's lengths, where a "
-            "pressurised muscle would push, not pull: is the length column right?"
-        )
-    relative = float(np.max(found.value_std(lengths) / found.value(lengths)))
-    if relative > 0.1:
-        out.append(f"within the joint's range the volume is known to {relative:.0%} only: more lengths, or repeat them")
-    return out
+    if not np.any(grows):
+        return []
+    return [
+        f"the volume grows with length at {np.mean(grows):.0%} of the joint's lengths, where a pressurised muscle "
+        "would push, not pull: is the length column right?"
+    ]
 
 
 def _doubts_about_force(found: StaticFit, rig: Rig) -> list[str]:
-    """Sentences on a force map that is odd within the joint's range."""
-    span = reach(rig)
-    middle = 0.5 * (span.lowest + span.highest)
-    std = float(np.max(found.value_std(span.lengths(9), middle)))
-    top = float(np.max(np.abs(found.value(span.lengths(9), middle))))
-    out = []
-    if std > 0.05 * top:
-        out.append(
-            f"at {middle / 1e3:.0f} kPa the map is known to {std:.2g} N only within the joint's range "
-            f"({std / top:.0%} of its largest force there): more lengths there, or a form that fits better"
-        )
-    offsets = [name for name in rig.uncertainty if name.endswith(f".force.{_OFFSET[rig.model.force]}")]
-    carried = min((rig.uncertainty[name] for name in offsets), default=math.inf)
+    """A sentence on a force map that errs by more than the filter of a rig allows for."""
     # Means over a length: the sensor's noise is no error of the map.
     means = [float(np.mean(item.errors)) for item in found.left_out if item.measured]
     missed = rms([mean for mean in means if math.isfinite(mean)])
-    if missed > 2.0 * carried:
-        out.append(
-            f"at lengths left out the map's mean error is {missed:.2g} N, but the filter's covariance allows for "
-            f"{carried:.2g} N only (uncertainty of {offsets[0]} in the rig file): identify the rig, or enter a larger "
-            "value there"
-        )
-    return out
+    offset = f".force.{_OFFSET[rig.model.force]}"
+    carried, name = min(((std, name) for name, std in rig.uncertainty.items() if name.endswith(offset)),
+                        default=(math.inf, ""))  # fmt: skip
+    if missed <= 2.0 * carried:
+        return []
+    return [
+        f"at lengths left out the map's mean error is {missed:.2g} N, but the filter's covariance allows for "
+        f"{carried:.2g} N only (uncertainty of {name} in the rig file): identify the rig, or enter a larger value there"
+    ]
 
 
 def _least_error(forms: Forms) -> str:
@@ -300,27 +278,18 @@ def _better_form(forms: Forms, chosen: str, own: StaticFit) -> list[str]:
     return []
 
 
-def _source(volumes: StaticTable | None, force_map: StaticTable | None, muscles: Sequence[int]) -> str:
-    sources = [f"{what} from {table.name} (SHA-256 {table.sha256[:12]})"
-               for what, table in ((VOLUME, volumes), ("force map", force_map)) if table is not None]  # fmt: skip
-    return f"Muscle {' and '.join(map(str, muscles))}: {', '.join(sources)}."
-
-
-def _with_fits(rig: Rig, muscles: Sequence[int], volume: StaticFit | None, force: StaticFit | None, source: str) -> Rig:
+def _with_fits(rig: Rig, muscles: Sequence[int], volume: StaticFit | None, force: StaticFit | None) -> Rig:
     """The rig with fitted coefficients, and their standard deviations as priors for an identification."""
-    fits = {part: found for part, found in ((VOLUME, volume), ("force", force)) if found is not None}
-    changes: dict[str, Any] = {}
+    values: dict[str, float] = {}
     stds: dict[str, float] = {}
-    for number in muscles:
-        name = f"muscle_{number}"
-        own = getattr(rig, name)
-        for part, found in fits.items():
-            values = dict(zip(found.names, found.coefficients.tolist(), strict=True))
-            own = own.replaced(**{part: getattr(own, part).replaced(**values)})
-            stds |= {f"{name}.{part}.{key}": float(std) for key, std in zip(found.names, found.std, strict=True)}
-        changes[name] = own
-    if force is not None and force.form.name != rig.model.force:
-        form = force.form.name
+    for part, number in product((VOLUME, "force"), muscles):
+        found = volume if part == VOLUME else force
+        if found is not None:
+            names = [f"muscle_{number}.{part}.{name}" for name in found.names]
+            values |= dict(zip(names, found.coefficients.tolist(), strict=True))
+            stds |= dict(zip(names, found.std.tolist(), strict=True))
+    changes: dict[str, Any] = {}
+    if force is not None and (form := force.form.name) != rig.model.force:
         _check_other_muscle(rig, muscles, form)
         changes["model"] = rig.model.replaced(force=form)
         # Uncertain offsets have another name in another form.
@@ -334,7 +303,7 @@ def _with_fits(rig: Rig, muscles: Sequence[int], volume: StaticFit | None, force
         **{name: std for name, std in stds.items() if math.isfinite(std) and std > 0.0},
     }
     changes["bounds"] = {name: pair for name, pair in rig.bounds.items() if name not in stds}
-    out = rig.replaced(**changes, source=f"{rig.source.strip()} {source}")
+    out = moved(rig, values).replaced(**changes)
     complaint = unphysical(out)
     if complaint:
         missing = (

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import stdtrit
 
 from pam_antagonist.identification.static_table import StaticTable
-from pam_antagonist.identification.tobit import Floats, Solution, Undetermined, jackknife, larger, solve
+from pam_antagonist.identification.tobit import Floats, Undetermined, larger, solve
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 
@@ -28,17 +29,20 @@ UNITS = {
 """Form -> unit of each coefficient, by its name under ``muscle_i.volume`` or ``muscle_i.force`` in a rig file."""
 _FEWEST_LENGTHS = {VOLUME: 3, "braided": 3}
 """At two lengths a force has two slopes and two offsets: fewer numbers than ``braided``."""
-_EXPONENT = {"sarosi": 2}
-"""Index of the coefficient in which the force is not linear."""
+_EXPONENT = 2
+"""Index of the coefficient of ``sarosi`` in which the force is not linear."""
 _FLATTEST, _STEEPEST, _TRIED = 0.02, 20.0, 16
 """Exponents that are tried, relative to the map's range of contractions: from nearly straight to a step."""
-_FREE = slice(5)
-"""Of ``braided``: a, k, b, s and ε_0 are fitted, L_n and w held. The force is linear in none of them."""
 _RUBBER, _BENT, _REST, _BEND = 0.19, 18.5, 0.007, 0.005
-"""b as a share of the largest force, s/k, ε_0, and w as a share of the largest force, as in a rig of a data sheet."""
-_MOST, _BENT_PRIOR, _REST_PRIOR = 10.0, 0.5, 0.01
-"""Largest factor between start and solution; standard deviations of ln s and ε_0 between muscles. They only count where
-no length is near the nominal one, and the table does not show how soon the rubber pulls."""
+"""Of ``braided``: b as a share of the largest force, s/k, ε_0, and w as a share of the largest force, as in a rig of a
+data sheet."""
+_FREE = np.arange(5)
+"""Of ``braided``: a, k, b, s and ε_0 are fitted, L_n and w held. The force is linear in none of them."""
+_PRIOR = np.array([0.5, 0.01])
+"""Standard deviations of ln s and ε_0 between muscles. They only count where no length is near the nominal one, and the
+table does not show how soon the rubber pulls."""
+_MOST, _STEPS = 10.0, (0.2, 0.2, 0.3, 0.5, 0.01)
+"""Largest factor between start and solution, and usual steps of the five."""
 
 
 class Form(NamedTuple):
@@ -49,13 +53,7 @@ class Form(NamedTuple):
     atmosphere: float = 0.0  # absolute pressure of the surroundings [Pa]
 
     def value(self, coefficients: Sequence[float] | Floats, length: Floats, pressure: Floats | float = 0.0) -> Floats:
-        """Contraction forces (N,) [N], or volumes (N,) [m³].
-
-        Args:
-            coefficients: (K,), in the order of ``UNITS``.
-            length: (N,) [m].
-            pressure: absolute (N,) [Pa].
-        """
+        """Contraction forces (N,) [N] or volumes (N,) [m³] at lengths (N,) [m] and absolute pressures (N,) [Pa]."""
         p = np.zeros(par.SIZE)
         p[par.LENGTH], p[par.ATMOSPHERE] = self.rest_length, self.atmosphere
         part = VOLUME if self.name == VOLUME else "force"
@@ -67,23 +65,17 @@ class Form(NamedTuple):
         return np.array([muscle.force(0, at, held, p) for at, held in np.broadcast(length, pressure)])
 
     def slopes(self, coefficients: Floats, length: Floats, pressure: Floats | float = 0.0) -> Floats:
-        """∂value/∂coefficient (N, K).
-
-        Args:
-            coefficients: (K,).
-            length: (N,) [m].
-            pressure: absolute (N,) [Pa].
-        """
-        curved, columns = _EXPONENT.get(self.name), []
+        """∂value/∂coefficient (N, K)."""
+        columns = []
         for k, unit in enumerate(np.eye(len(coefficients))):
-            if k == curved or self.name == "braided":
+            if self.name == "braided" or (self.name == "sarosi" and k == _EXPONENT):
                 step = 1e-4 * max(abs(coefficients[k]), 1.0)
                 up, down = (self.value(coefficients + way * unit, length, pressure) for way in (step, -step))
                 columns.append((up - down) / (2.0 * step))
                 continue
             # The other coefficients are linear: the value is homogeneous in them.
-            if curved is not None:
-                unit[curved] = coefficients[curved]
+            if self.name == "sarosi":
+                unit[_EXPONENT] = coefficients[_EXPONENT]
             columns.append(self.value(unit, length, pressure))
         return np.column_stack(columns)
 
@@ -92,8 +84,7 @@ class LeftOut(NamedTuple):
     """What a fit without one length predicts there."""
 
     length: float  # mean of the length [m]
-    # prediction minus measured value, one a measured value; NaN where the others do not determine the form.
-    errors: Floats
+    errors: Floats  # prediction minus each measured value; NaN where the others do not determine the form
     slack: int  # points at it where the muscle was slack or nothing was measured
     overshoot: float  # largest force predicted above the limit where the muscle was slack [N]
 
@@ -115,8 +106,8 @@ class StaticFit:
     freedom: int
     scale: float  # standard deviation of the residuals, or its ratio to the declared deviations
     errors: Floats  # of the measured values it was fitted to (N,); they say little about others
-    left_out: tuple[LeftOut, ...]  # for each length, what the fit without it predicts there
-    notes: tuple[str, ...]
+    left_out: tuple[LeftOut, ...] = ()  # for each length, what the fit without it predicts there
+    notes: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -207,19 +198,14 @@ def rms(errors: Sequence[float] | Floats) -> float:
 def fit(table: StaticTable, name: str, rest_length: float = 0.2, nominal: float = 0.0) -> StaticFit:
     """Fit a form to a table, to all of it and without each of its lengths.
 
-    Args:
-        name: of the form, a key of ``UNITS``.
-        rest_length: L_0 of the rig [m], from which the contraction k = 1 − l/L_0 counts.
-        nominal: length of the muscle without pressure and load [m], from which that of ``braided`` counts; 0: the
-            longest of the table. Inside the table it changes nothing, beyond its longest length much.
+    `name`: of the form, a key of ``UNITS``. `rest_length`: L_0 of the rig [m], from which the contraction k = 1 − l/L_0
+    counts. `nominal`: length of the muscle without pressure and load [m], from which that of ``braided`` counts; 0: the
+    longest of the table. Inside the table it changes nothing, beyond its longest length much.
     """
-    held: tuple[float, ...] = ()
     if name == "braided":
-        # The same for all parts of the table.
         rest_length = nominal or float(table.length.max())
-        held = (rest_length, _BEND * float(table.value.max()))
-    form = Form(name, rest_length, table.atmosphere)
-    whole, notes = _fitted(table, form, held)
+    form, bend = Form(name, rest_length, table.atmosphere), _BEND * float(table.value.max())
+    whole = _fitted(table, form, bend)
     if name != VOLUME and not np.all(np.isfinite(whole.covariance)):
         raise Undetermined(f"{int(np.sum(~table.slack))} measured forces, expected more than coefficients")
     left_out, parts = [], []
@@ -227,7 +213,7 @@ def fit(table: StaticTable, name: str, rest_length: float = 0.2, nominal: float 
         inside = table.group == group
         there = table.part(inside)
         try:
-            parts.append(_fitted(table.part(~inside), form, held)[0].coefficients)
+            parts.append(_fitted(table.part(~inside), form, bend).coefficients)
             predicted = form.value(parts[-1], there.length, there.pressure)
         except Undetermined:
             predicted = np.full(len(there), np.nan)
@@ -235,30 +221,26 @@ def fit(table: StaticTable, name: str, rest_length: float = 0.2, nominal: float 
         overshoot = float(np.max(above)) if len(above) else np.nan
         errors = (predicted - there.value)[~there.slack]
         left_out.append(LeftOut(float(there.length.mean()), errors, len(above), overshoot))
-    covariance = whole.covariance
+    covariance, notes = whole.covariance, whole.notes
     # Values at one length have similar errors where the form is not quite right. Where each length has one volume, the
     # residuals' scatter over the lengths shows that already.
     if len(parts) == table.lengths and (name != VOLUME or len(table) > table.lengths):
-        covariance = larger(covariance, jackknife(np.array(parts)))
+        apart = np.array(parts) - np.mean(parts, axis=0)
+        covariance = larger(covariance, (len(parts) - 1) / len(parts) * apart.T @ apart)
     elif name != VOLUME:
-        notes = [
-            *notes,
+        notes += (
             "if one length is left out, the map does not determine this form: so the standard deviations treat all "
             "forces as independent, and are too small",
-        ]
-    errors = (form.value(whole.coefficients, table.length, table.pressure) - table.value)[~table.slack]
+        )
     return StaticFit(
-        form, whole.coefficients, covariance, whole.freedom, whole.scale, errors, tuple(left_out), tuple(notes)
+        form, whole.coefficients, covariance, whole.freedom, whole.scale, whole.errors, tuple(left_out), notes
     )
 
 
 def compare_forms(
     table: StaticTable, rest_length: float, names: Sequence[str] = par.FORCE_FORMS, nominal: float = 0.0
 ) -> dict[str, StaticFit | Undetermined]:
-    """Every form fitted to the same table, or the reason why the table does not determine it.
-
-    `rest_length`: as for :func:`fit` [m]. `nominal`: as for :func:`fit`.
-    """
+    """Every form fitted to the same table as by :func:`fit`, or the reason why the table does not determine it."""
     out: dict[str, StaticFit | Undetermined] = {}
     for name in names:
         try:
@@ -268,87 +250,89 @@ def compare_forms(
     return out
 
 
-def _fitted(table: StaticTable, form: Form, held: tuple[float, ...]) -> tuple[Solution, list[str]]:
-    """Coefficients of a form, those at its end held, and what is odd about them."""
-    measured, fewest = ~table.slack, _FEWEST_LENGTHS.get(form.name, 0)
-    if len(np.unique(table.group[measured])) < fewest:
+def _fitted(table: StaticTable, form: Form, bend: float) -> StaticFit:
+    """A form fitted to all of a table. `bend`: w of ``braided`` [N], the same for all parts of a table."""
+    fewest = _FEWEST_LENGTHS.get(form.name, 0)
+    if len(np.unique(table.group[~table.slack])) < fewest:
         raise Undetermined(f"{'volume' if form.name == VOLUME else 'force'}s at fewer than {fewest} lengths")
-    if held:
-        return _braided(table, form, held)
-    size, curved = len(UNITS[form.name]), _EXPONENT.get(form.name)
-    if curved is None:
-        return solve(form.slopes(np.zeros(size), table.length, table.pressure), table.seen), []
+    if form.name == "braided":
+        return _braided(table, form, bend)
+    start = np.zeros(len(UNITS[form.name]))
+    return _sarosi(table, form, start) if form.name == "sarosi" else _around(table, form, start, np.arange(len(start)))
 
-    # Variable projection: each exponent has one best set of the other coefficients, so the search has one dimension.
-    def with_exponent(exponent: float) -> Solution:
-        start = np.insert(np.zeros(size - 1), curved, exponent)
-        found = solve(np.delete(form.slopes(start, table.length, table.pressure), curved, axis=1), table.seen, others=1)
-        covariance = np.insert(np.insert(found.covariance, curved, 0.0, axis=0), curved, 0.0, axis=1)
-        return found._replace(coefficients=np.insert(found.coefficients, curved, exponent), covariance=covariance)
+
+def _sarosi(table: StaticTable, form: Form, start: Floats) -> StaticFit:
+    """Each exponent has one best set of the other coefficients, so the search has one dimension."""
+    linear = np.delete(np.arange(len(start)), _EXPONENT)
+    known = table.length[~table.slack]
+    reach = float(np.ptp(known)) / form.rest_length if len(known) else 0.0
+    if reach == 0.0:
+        raise Undetermined("the measured forces are all at one length")
 
     def cost(exponent: float) -> float:
+        start[_EXPONENT] = exponent
         try:
-            return with_exponent(exponent).cost
+            design = form.slopes(start, table.length, table.pressure)[:, linear]
+            return solve(design, table.aim, table.slack, table.spread, table.declared, len(start)).cost
         except Undetermined:
             return np.inf
 
-    reach = float(np.ptp(table.length[measured])) / form.rest_length
-    if reach == 0.0:
-        raise Undetermined("the measured forces are all at one length")
     steps = np.geomspace(_FLATTEST, _STEEPEST, _TRIED) / reach
     tried = np.concatenate([-steps[::-1], steps])
     costs = [cost(exponent) for exponent in tried]
     best = int(np.argmin(costs))
-    if best in (0, len(tried) - 1) or not np.isfinite(costs[best]):
+    at_end = best in (0, len(tried) - 1) or not np.isfinite(costs[best])
+    if at_end:
         # The likelihood rises to an end: the bend lies between two lengths, and the map does not show its sharpness.
-        note = (
-            f"the measured lengths do not determine the exponent {list(UNITS[form.name])[curved]}; it was held at "
-            f"{tried[best]:.3g}, the end of its range"
-        )
-        return with_exponent(tried[best]), [note]
-    exponent = minimize_scalar(cost, bounds=(tried[best - 1], tried[best + 1]), method="bounded").x
+        start[_EXPONENT] = tried[best]
+        held = f"it was held at {tried[best]:.3g}, the end of its range"
+        note = f"the measured lengths do not determine the exponent c3; {held}"
+        return replace(_around(table, form, start, linear), notes=(note,))
+    start[_EXPONENT] = minimize_scalar(cost, bounds=(tried[best - 1], tried[best + 1]), method="bounded").x
+    found = _around(table, form, start, linear)
     # The exponent's error is correlated with the others'.
-    return _around(table, form, with_exponent(float(exponent)).coefficients, slice(size)), []
+    return _around(table, form, found.coefficients, np.arange(len(start)), held=True)
 
 
-def _braided(table: StaticTable, form: Form, held: tuple[float, ...]) -> tuple[Solution, list[str]]:
-    """Least squares for ``braided``. The map itself is 0 where the muscle is slack, and a, k, b and s are positive."""
+def _braided(table: StaticTable, form: Form, bend: float) -> StaticFit:
+    """The map itself is 0 where the muscle is slack, and a, k, b and s are positive."""
     top, shortest = int(np.argmax(table.value)), float(table.length[~table.slack].min())
-    largest, closing = float(table.value[top]), 0.8 / max(1.0 - shortest / form.rest_length, 0.05)
-    area = largest / max(table.pressure[top] - table.atmosphere, 1e3) * 1e5
-    start = np.array([area, closing, _RUBBER * largest, _BENT * closing])
+    most, closing = float(table.value[top]), 0.8 / max(1.0 - shortest / form.rest_length, 0.05)
+    area = most / max(table.pressure[top] - table.atmosphere, 1e3) * 1e5
+    usual = np.array([*np.log([area, closing, _RUBBER * most, _BENT * closing]), _REST])
 
     def coefficients(z: Floats) -> Floats:
-        return np.array([*(start * np.exp(z[:-1])), _REST + z[-1], *held])
+        return np.array([*np.exp(z[:4]), z[4], form.rest_length, bend])
 
     def residual(z: Floats, noise: float) -> Floats:
-        error = form.value(coefficients(z), table.length, table.pressure) - table.seen.value
+        error = form.value(coefficients(z), table.length, table.pressure) - table.aim
         error = np.where(table.slack, np.maximum(error, 0.0), error) / table.spread
-        return np.array([*error, noise * z[3] / _BENT_PRIOR, noise * z[4] / _REST_PRIOR])
+        return np.array([*error, *noise * (z - usual)[3:] / _PRIOR])
 
-    reach = np.array([*(4 * [np.log(_MOST)]), 0.1])
-    z, noise = np.zeros(5), 0.0
+    z, noise, room = usual, 0.0, np.array([*(4 * [np.log(_MOST)]), 0.1])
+    within = usual - room, usual + room
     for _ in range(2):
-        z = least_squares(
-            residual, z, args=(noise,), bounds=(-reach, reach), x_scale=[0.2, 0.2, 0.3, 0.5, 0.01], max_nfev=60
-        ).x
-        found = _around(table, form, coefficients(z), _FREE)
+        z = least_squares(residual, z, args=(noise,), bounds=within, x_scale=_STEPS, max_nfev=60).x
+        found = _around(table, form, coefficients(z), _FREE, held=True)
         noise = found.scale if np.isfinite(found.scale) else 0.0
-    bent = _BENT_PRIOR * found.coefficients[3]
-    notes = []
-    if np.sqrt(found.covariance[3, 3]) > bent:
-        notes = [
-            "the measured lengths hardly tell how soon the rubber pulls: c4 and c5 are near those of usual muscles"
-        ]
-    known = np.diag([0.0, 0.0, 0.0, bent**-2, _REST_PRIOR**-2])
-    covariance = np.zeros((len(found.coefficients), len(found.coefficients)))
-    covariance[_FREE, _FREE] = np.linalg.inv(np.linalg.inv(found.covariance) + known)
-    return found._replace(covariance=covariance), notes
+    stds = _PRIOR * [found.coefficients[3], 1.0]
+    if found.std[3] > stds[0]:
+        note = "the measured lengths hardly tell how soon the rubber pulls: c4 and c5 are near those of usual muscles"
+        found = replace(found, notes=(note,))
+    covariance, inside = np.zeros_like(found.covariance), np.ix_(_FREE, _FREE)
+    known = np.diag([0.0, 0.0, 0.0, *stds**-2])
+    covariance[inside] = np.linalg.inv(np.linalg.inv(found.covariance[inside]) + known)
+    return replace(found, covariance=covariance)
 
 
-def _around(table: StaticTable, form: Form, coefficients: Floats, free: slice) -> Solution:
-    """A solution with the covariance of its free coefficients, by a regression on the slopes there."""
-    slopes = form.slopes(coefficients, table.length, table.pressure)[:, free]
-    offset = form.value(coefficients, table.length, table.pressure) - slopes @ coefficients[free]
-    seen = table.seen._replace(value=table.seen.value - offset)
-    return solve(slopes, seen)._replace(coefficients=coefficients)
+def _around(table: StaticTable, form: Form, start: Floats, free: NDArray[np.int64], held: bool = False) -> StaticFit:
+    """The most likely free coefficients by the slopes at a start; where ``held``, those of the start."""
+    slopes = form.slopes(start, table.length, table.pressure)[:, free]
+    offset = form.value(start, table.length, table.pressure) - slopes @ start[free] if held else 0.0
+    taken = len(start) if form.name == "sarosi" else len(free)
+    found = solve(slopes, table.aim - offset, table.slack, table.spread, table.declared, taken)
+    coefficients, covariance = start.copy(), np.zeros((len(start), len(start)))
+    coefficients[free] = start[free] if held else found.coefficients
+    covariance[np.ix_(free, free)] = found.covariance
+    errors = (form.value(coefficients, table.length, table.pressure) - table.value)[~table.slack]
+    return StaticFit(form, coefficients, covariance, found.freedom, found.scale, errors)

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.tobit import Bools, Floats, Observations
+from pam_antagonist.identification.tobit import Bools, Floats
 from pam_antagonist.recording.csv_map import Delimiter, Layout
 from pam_antagonist.recording.csv_table import Table, read_table
 from pam_antagonist.recording.csv_text import Line, Lines, check_file, opened, split
-from pam_antagonist.recording.plausible import Signal, judge_pressures, pascal
+from pam_antagonist.recording.plausible import Signal, judge_muscles
 from pam_antagonist.recording.units import UNITS, canonical
 
 _WORDS = {
@@ -92,9 +92,9 @@ class StaticTable:
         return int(self.group.max()) + 1 if len(self) else 0
 
     @property
-    def seen(self) -> Observations:
-        """The values, of which slack ones are only known not to be above the limit."""
-        return Observations(np.where(self.slack, self.limit, self.value), self.slack, self.spread, self.declared)
+    def aim(self) -> Floats:
+        """What is known of each value (N,): the measured one, or of a slack muscle the limit that it is not above."""
+        return np.where(self.slack, self.limit, self.value)
 
     def part(self, keep: Bools) -> StaticTable:
         """The rows of a mask (N,), lengths numbered anew."""
@@ -130,11 +130,9 @@ def read_force_map(
 ) -> StaticTable:
     """Read a table of length, pressure and force.
 
-    Args:
-        atmosphere: absolute pressure of the surroundings [Pa], which gauge pressures count from.
-        columns: by quantity, those that the user named; the others are found by their names.
-        reference: gauge or absolute, for a pressure whose column does not say it.
-        slack_below: largest force [N] that is taken for a slack muscle or for no measurement.
+    `atmosphere`: absolute pressure of the surroundings [Pa], which gauge pressures count from. `columns`: by quantity,
+    those that the user named; the others are found by their names. `reference`: gauge or absolute, for a pressure whose
+    column does not say it. `slack_below`: largest force [N] that is taken for a slack muscle or for no measurement.
     """
     table, labels = _read(path, ("length", "pressure", "force"), columns, reference, atmosphere)
     force = table.value
@@ -189,16 +187,14 @@ def _read(
     rows = len(cells["length"])
     values = {"pressure": np.full(rows, atmosphere), deviation: np.ones(rows)}
     for name, choice in chosen.items():
-        signal = Signal(table.labels[name], cells[name], choice.unit, choice.reference)
+        quantity = name.removesuffix("_std")
+        signal = Signal(table.labels[name], quantity, cells[name], choice.unit, choice.reference, atmosphere, True)
+        values[name] = signal.si()
         if name == "pressure":
             odd: list[str] = []
-            judge_pressures(str(path), signal, signal, atmosphere, odd)
+            judge_muscles(str(path), signal, signal, odd)
             issues += dict.fromkeys(odd)
-            values[name] = pascal(signal.values, signal.unit, signal.reference, atmosphere)
-            continue
-        quantity = name.removesuffix("_std")
-        values[name] = signal.values * UNITS[quantity][signal.unit]
-        if name == quantity:
+        elif name == quantity:
             _check_range(path, signal, quantity)
     spread = values[deviation]
     if not np.all(spread > 0.0):

@@ -7,7 +7,7 @@ relation comes from the model, the second from a recording.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,12 +46,7 @@ def steady_open_rate(pressure: Floats, p: Floats) -> Floats:
     orifice areas nor polytropic indices (Proposition 1). The paper gets the same relation by simulating until the
     pressure is constant.
 
-    Args:
-        pressure: (K,) [Pa], between atmosphere and supply.
-        p: parameter vector (P,).
-
-    Returns:
-        α (K,) [-].
+    `pressure`: (K,) [Pa], between atmosphere and supply. Returns α (K,) [-].
     """
     inflow = np.array([flow.orifice_flow(p[par.SUPPLY], value, p) for value in pressure])
     outflow = np.array([flow.orifice_flow(value, p[par.ATMOSPHERE], p) for value in pressure])
@@ -61,24 +56,27 @@ def steady_open_rate(pressure: Floats, p: Floats) -> Floats:
 def steady_points(voltage: Floats, pressure: Floats, dt: float) -> SteadyPoints:
     """Step two: the steady pressures of a recording.
 
-    Args:
-        voltage: of one valve (N,) [V].
-        pressure: of its muscle (N,) [Pa], NaN where missing.
-        dt: sample period [s].
+    `voltage`: of one valve (N,) [V]. `pressure`: of its muscle (N,) [Pa], NaN where missing.
     """
-    length = round(_STEADY_S / dt)
+    return _steady([(voltage, pressure, dt)])
+
+
+def _steady(parts: Iterable[tuple[Floats, Floats, float]]) -> SteadyPoints:
+    """The steady pressures of several recordings, given as for :func:`steady_points`."""
     found: dict[int, list[float]] = {}
-    for first in range(0, len(voltage) - length + 1, length):
-        part, held = pressure[first : first + length], voltage[first : first + length]
-        good = np.isfinite(part)
-        if np.ptp(held) > _SAME_VOLTAGE or good.sum() < length / 2:
-            continue
-        slope = np.polyfit(np.arange(length)[good] * dt, part[good], 1)[0]
-        if abs(slope) < _DRIFT:
-            found.setdefault(round(float(held.mean()) / _SAME_VOLTAGE), []).append(float(part[good].mean()))
+    for voltage, pressure, dt in parts:
+        length = round(_STEADY_S / dt)
+        for first in range(0, len(voltage) - length + 1, length):
+            part, held = pressure[first : first + length], voltage[first : first + length]
+            good = np.isfinite(part)
+            if np.ptp(held) > _SAME_VOLTAGE or good.sum() < length / 2:
+                continue
+            slope = np.polyfit(np.arange(length)[good] * dt, part[good], 1)[0]
+            if abs(slope) < _DRIFT:
+                found.setdefault(round(float(held.mean()) / _SAME_VOLTAGE), []).append(float(part[good].mean()))
     keys = sorted(found)
     return SteadyPoints(
-        voltage=np.array([key * _SAME_VOLTAGE for key in keys]),
+        voltage=np.round(np.array(keys) * _SAME_VOLTAGE, 2),
         pressure=np.array([np.mean(found[key]) for key in keys]),
         spread=np.array([np.std(found[key]) for key in keys]),
     )
@@ -105,41 +103,26 @@ _DEVIATING = 2.0
 """RMS deviation, in standard deviations, above which the declared curve is replaced."""
 
 
-@dataclass(frozen=True, eq=False)
-class CurveFinding:
-    """What the steady pressures say about the curve of one valve."""
-
-    valve: int  # 0 or 1
-    voltage: Floats  # knots that were measured (K,) [V], less the rig's offsets; empty where there were too few
-    open_rate: Floats  # their open rates (K,) [-]
-    declared: Floats  # the declared curve there (K,) [-]
-    std: Floats  # standard deviations of the open rates (K,) [-]
-    replaced: bool
-    note: str
-
-
-def identify_curves(rig: Rig, runs: Sequence[Run]) -> tuple[Rig, list[CurveFinding]]:
-    """κ(u) of both valves by the paper's three steps, where the recordings hold steady pressures.
+def identify_curves(rig: Rig, runs: Sequence[Run]) -> tuple[Rig, list[str]]:
+    """κ(u) of both valves by the paper's three steps, where the recordings hold steady pressures; and what they say.
 
     Between the measured voltages the correction of the declared curve is linear. Beyond them the declared curve is
     kept, since nothing is known there.
     """
-    findings = []
+    notes = []
     for valve in (0, 1):
-        finding = _curve_finding(rig, runs, valve)
-        findings.append(finding)
-        if finding.replaced:
-            name = f"valve_{valve + 1}"
-            curve = getattr(rig, name).curve
-            knots = _knots(np.array(curve.voltage), finding.voltage)
-            shift = finding.open_rate - finding.declared
-            inside = (knots >= finding.voltage[0]) & (knots <= finding.voltage[-1])
+        name = f"valve_{valve + 1}"
+        curve = getattr(rig, name).curve
+        measured, shift, note = _correction(rig, runs, valve)
+        notes.append(f"valve {valve + 1}: {note}")
+        if len(measured):
+            knots = _knots(np.array(curve.voltage), measured)
             rates = np.interp(knots, curve.voltage, curve.open_rate)
-            rates += np.where(inside, np.interp(knots, finding.voltage, shift), 0.0)
+            rates += np.interp(knots, measured, shift, left=0.0, right=0.0)
             rates = np.maximum.accumulate(np.clip(rates, 0.0, 1.0))
             new = curve.replaced(voltage=tuple(knots.tolist()), open_rate=tuple(rates.tolist()))
             rig = rig.replaced(**{name: getattr(rig, name).replaced(curve=new)})
-    return rig, findings
+    return rig, notes
 
 
 def _knots(declared: Floats, measured: Floats) -> Floats:
@@ -152,46 +135,27 @@ def _knots(declared: Floats, measured: Floats) -> Floats:
     return np.unique(np.concatenate([declared, measured[chosen]]).round(6))
 
 
-def _curve_finding(rig: Rig, runs: Sequence[Run], valve: int) -> CurveFinding:
-    p = rig.parameters()
+def _correction(rig: Rig, runs: Sequence[Run], valve: int) -> tuple[Floats, Floats, str]:
+    """Voltages (K,) [V] less the rig's offsets, by how much the curve is off there (K,) [-], and a note.
+
+    Both are empty where the declared curve is kept.
+    """
+    p, kept = rig.parameters(), np.zeros(0)
     parts = [part for run in runs for part in run.commanded()]
-    found = [steady_points(part.command[:, valve], part.pressure[:, valve], part.period) for part in parts]
-    points = _merged(found)
-    none = np.zeros(0)
+    points = _steady((part.command[:, valve], part.pressure[:, valve], part.period) for part in parts)
     try:
         voltage, rates = valve_curve(points, p)
     except BadInput as reason:
-        return CurveFinding(valve, none, none, none, none, False, f"valve {valve + 1}: {reason}; declared curve kept")
+        return kept, kept, f"{reason}; declared curve kept"
     # The curve is the steady open rate less the offsets that the rig declares.
     shift, lift = flow.curve_shift(valve, p)
-    voltage = voltage - shift
-    rates = np.clip(rates - lift, 0.0, 1.0)
+    voltage, rates = voltage - shift, np.clip(rates - lift, 0.0, 1.0)
     curve = getattr(rig, f"valve_{valve + 1}").curve
-    declared = np.interp(voltage, curve.voltage, curve.open_rate)
-    slope = (
-        np.abs(
-            steady_open_rate(np.minimum(points.pressure + 500.0, p[par.SUPPLY]), p)
-            - steady_open_rate(np.maximum(points.pressure - 500.0, p[par.ATMOSPHERE]), p)
-        )
-        / 1e3
-    )
-    std = np.maximum(slope * np.hypot(_STEADY_STD, points.spread), 1e-4)
-    off = float(np.sqrt(np.mean(((rates - declared) / std) ** 2)))
-    far = float(np.max(np.abs(rates - declared)))
-    text = f"valve {valve + 1}: {len(voltage)} steady pressures, largest difference from the declared curve {far:.3f}"
-    if off > _DEVIATING:
-        return CurveFinding(valve, voltage, rates, declared, std, True, f"{text}: curve replaced between them")
-    return CurveFinding(valve, voltage, rates, declared, std, False, f"{text}, within their uncertainty: curve kept")
-
-
-def _merged(parts: Sequence[SteadyPoints]) -> SteadyPoints:
-    voltage = np.concatenate([part.voltage for part in parts])
-    pressure = np.concatenate([part.pressure for part in parts])
-    spread = np.concatenate([part.spread for part in parts])
-    keys = np.unique(np.round(voltage, 2))
-    rows = [np.flatnonzero(np.round(voltage, 2) == key) for key in keys]
-    return SteadyPoints(
-        keys,
-        np.array([pressure[row].mean() for row in rows]),
-        np.array([np.hypot(spread[row].mean(), pressure[row].std()) for row in rows]),
-    )
+    off = rates - np.interp(voltage, curve.voltage, curve.open_rate)
+    higher, lower = (steady_open_rate(np.clip(points.pressure + step, p[par.ATMOSPHERE], p[par.SUPPLY]), p)
+                     for step in (500.0, -500.0))  # fmt: skip
+    std = np.maximum(np.abs(higher - lower) / 1e3 * np.hypot(_STEADY_STD, points.spread), 1e-4)
+    text = f"{len(voltage)} steady pressures, largest difference from the declared curve {np.max(np.abs(off)):.3f}"
+    if np.sqrt(np.mean((off / std) ** 2)) > _DEVIATING:
+        return voltage, off, f"{text}: curve replaced between them"
+    return kept, kept, f"{text}, within their uncertainty: curve kept"

@@ -158,6 +158,11 @@ class Experiment(Driven):
         return 1.0
 
     @property
+    def tolerated(self) -> Floats:
+        """Root mean square error of each channel that does not call a model wrong (C,): the sensors' noise."""
+        return self.noise
+
+    @property
     def judged_channels(self) -> tuple[int, ...]:
         """Columns of :meth:`shown` that have something to be judged by."""
         return self.channels
@@ -173,6 +178,10 @@ class Experiment(Driven):
     def prior(self) -> Floats:
         """Precision of the prior of each base coordinate (K + S,)."""
         return np.array([direction.prior**-2 for direction in self.directions] + [1.0] * len(self.start_std))
+
+    def of_rig(self, rig: Rig) -> Experiment:
+        """The recording, and those that judge it, with another rig."""
+        return replace(self, rig=rig, judged=tuple(other.of_rig(rig) for other in self.judged))
 
     def corrected(self, point: Point) -> tuple[Experiment, Point]:
         """The recording as calibrated sensors would have shown it, and the model of it without its calibrations."""

@@ -44,7 +44,7 @@ _OF_A_LAG = 0.5
 """Longer steps are shorter than this share of each lag, so that they follow it."""
 _ASTRAY = 0.5
 """A simulation in longer steps goes the model's way if no channel is off by more than so many noises (RMS)."""
-_TITLES = (
+TITLES = (
     Channel("Angle", "°", 180.0 / np.pi),
     Channel("Torque", "N m", 1.0),
     Channel("Pressure 1", "kPa", 1e-3),
@@ -69,7 +69,7 @@ class ValveDriven(Experiment):
     @property
     @override
     def titles(self) -> tuple[Channel, ...]:
-        return tuple(_TITLES[c] for c in self.channels)
+        return tuple(TITLES[c] for c in self.channels)
 
     @cached_property
     @override

@@ -51,10 +51,7 @@ small_signal_lags = composition.small_signal_lags
 def chamber_pressure(i, x, p):
     """Pressure [Pa] in muscle i. It equals P_i of the state, the pressure at the sensor, unless an effect changes it.
 
-    Args:
-        i: muscle, 0 or 1.
-        x: state (n,).
-        p: parameter vector (m,).
+    `x`: state (n,).
     """
     return _chamber(x[PRESSURE_1 + i], i, x, p)
 
@@ -160,10 +157,8 @@ def sliding_friction(x, direction, p):
 def torque_needed(x, acceleration, direction, p):
     """External torque [N m] that a motion needs, from equation (8).
 
-    Args:
-        x: state (n,), of which angle, velocity and pressures count.
-        acceleration: ψ̈ [rad/s²].
-        direction: of the motion, −1 to 1.
+    `x`: state (n,), of which angle, velocity and pressures count. `acceleration`: ψ̈ [rad/s²]. `direction`: of the
+    motion, −1 to 1.
     """
     sine, _, _ = _leverage(x[ANGLE], p)
     load = _joint_torque(0.0, x[ANGLE], x[VELOCITY], sine, x, p)
@@ -175,16 +170,9 @@ def torque_needed(x, acceleration, direction, p):
 def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, effects):
     """The rows of equation (11a) without added states, as scalars: a sigma point stays in the processor's registers.
 
-    Args:
-        angle: ψ [rad].
-        velocity: dψ/dt [rad/s].
-        pressure_1: P_1 [Pa].
-        pressure_2: P_2 [Pa].
-        alpha_1: open rate [-] of valve 1.
-        alpha_2: likewise of valve 2.
-        external: torque from outside [N m].
-        p: parameter vector (m,).
-        effects: None where the rig is known to be plain: the branches of options and effects are left out.
+    `angle`: ψ [rad]. `velocity`: dψ/dt [rad/s]. `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa]. `alpha_1`: open rate
+    [-] of valve 1. `alpha_2`: likewise of valve 2. `external`: torque from outside [N m]. `effects`: None where the rig
+    is known to be plain: the branches of options and effects are left out.
     """
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
@@ -220,12 +208,8 @@ def external_torque(u):
 def rows(x, u, wanted_1, wanted_2, p, dx):
     """All rows of equation (11a), with any added states, from the same functions as :func:`slopes`.
 
-    Args:
-        x: state (n,).
-        u: input, as for :func:`derivative`.
-        wanted_1: open rate [-] that the voltage of valve 1 asks for.
-        wanted_2: likewise of valve 2.
-        dx: result (n,).
+    `x`: state (n,). `u`: input, as for :func:`derivative`. `wanted_1`: open rate [-] that the voltage of valve 1 asks
+    for. `wanted_2`: likewise of valve 2. `dx`: result (n,).
     """
     angle = x[ANGLE]
     velocity = _stopped(angle, x[VELOCITY], p)
@@ -269,10 +253,8 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
 def derivative(x, u, p, dx):
     """ẋ = f_σ(x, u), equation (11a), with the rows of the states that effects add.
 
-    Args:
-        x: state (n,), n = p[parameters.STATES].
-        u: valve voltages [V], and where it is known the torque from outside [N m]; (2,) or (3,).
-        dx: result (n,), written in place.
+    `x`: state (n,), n = p[parameters.STATES]. `u`: valve voltages [V], and where it is known the torque from outside
+    [N m]; (2,) or (3,). `dx`: result (n,), written in place.
     """
     rows(x, u, _open_rate(FIRST, u[0], p), _open_rate(SECOND, u[1], p), p, dx)
 

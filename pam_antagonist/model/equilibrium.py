@@ -48,10 +48,7 @@ def rest_angle(pressure_1, pressure_2, p, effects=True):
 
     A balance beyond it gives the nearer bound.
 
-    Args:
-        pressure_1: P_1 [Pa].
-        pressure_2: P_2 [Pa].
-        p: parameter vector (m,).
+    `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa].
     """
     high = largest_angle(p)
     low = -high
@@ -74,10 +71,7 @@ def rest_angle(pressure_1, pressure_2, p, effects=True):
 def closed_pressure(i, angle, p):
     """Pressure [Pa] of a sealed muscle: by equation (4) without flow, P V^k_2 stays constant after the charge.
 
-    Args:
-        i: muscle, 0 or 1.
-        angle: ψ [rad].
-        p: parameter vector (m,).
+    `angle`: ψ [rad].
     """
     travel, _, _ = _leverage(angle, p)
     volume, _ = _volume(i, _length(i, travel, p), p)
@@ -92,10 +86,7 @@ def start_angle(pressure_1, pressure_2, p, effects=True):
     If the charge of sealed muscles is known, it is the angle at which the closed chambers have this ratio of
     pressures. Otherwise it is the angle of rest.
 
-    Args:
-        pressure_1: P_1 [Pa].
-        pressure_2: P_2 [Pa].
-        p: parameter vector (m,).
+    `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa].
     """
     if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
         return rest_angle(pressure_1, pressure_2, p, effects)
@@ -119,15 +110,9 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
     The pressure drop of a line belongs to the valve flow at these pressures, so it is 0 if they are steady. With a
     velocity, the added states are those after a long motion at this velocity.
 
-    Args:
-        angle: ψ [rad].
-        pressure_1: P_1 [Pa].
-        pressure_2: P_2 [Pa].
-        u: input, as for :func:`integration.rk4_step`.
-        velocity: ψ̇ [rad/s] of the motion before; the velocity in the state is 0.
-
-    Returns:
-        State (n,), n = p[parameters.STATES].
+    `angle`: ψ [rad]. `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa]. `u`: input, as for :func:`integration.rk4_step`.
+    `velocity`: ψ̇ [rad/s] of the motion before; the velocity in the state is 0. Returns state (n,), n =
+    p[parameters.STATES].
     """
     x = np.empty(int(p[STATES]))
     make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, dynamics.WITH_EFFECTS)
@@ -138,14 +123,8 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
 def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
     """:func:`initial_state`, written into an array.
 
-    Args:
-        x: the array (n,).
-        angle: ψ [rad].
-        pressure_1: P_1 [Pa].
-        pressure_2: P_2 [Pa].
-        u: input, as for :func:`integration.rk4_step`.
-        p: parameter vector (m,).
-        velocity: ψ̇ [rad/s] of the motion before.
+    `x`: the array (n,). `angle`: ψ [rad]. `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa]. `u`: input, as for
+    :func:`integration.rk4_step`. `velocity`: ψ̇ [rad/s] of the motion before.
     """
     x[:] = 0.0
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2

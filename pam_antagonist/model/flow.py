@@ -50,12 +50,7 @@ def _on_curve(valve, voltage, p):
 def open_rate(valve, voltage, p):
     """α = κ(u) with the shifts of effects, limited to 0 and 1.
 
-    Args:
-        valve: 0 or 1.
-        voltage: u [V].
-
-    Returns:
-        Open rate in [0, 1].
+    `voltage`: u [V]. Returns open rate in [0, 1].
     """
     shifted = _open_rate_shift(_on_curve(valve, _voltage_shift(voltage, valve, p), p), valve, p)
     return min(max(shifted, 0.0), 1.0)
@@ -92,14 +87,8 @@ def valve_flow(valve, alpha, pressure, supply, p):
     factor of both terms, so the sign is known before the area is. The drawn flow passes the inflow orifice, so
     its area is always A_1.
 
-    Args:
-        valve: 0 or 1.
-        alpha: open rate α [-] of :func:`open_rate`.
-        pressure: pressure at the valve [Pa].
-        supply: P_tank [Pa].
-
-    Returns:
-        Mass flow into the chamber, and out of the supply [kg/s].
+    `alpha`: open rate α [-] of :func:`open_rate`. `pressure`: pressure at the valve [Pa]. `supply`: P_tank [Pa].
+    Returns mass flow into the chamber, and out of the supply [kg/s].
     """
     first = VALVE + valve * VALVE_SIZE
     filling, emptying = openings(alpha, p[first + OVERLAP])
@@ -113,14 +102,8 @@ def valve_flow(valve, alpha, pressure, supply, p):
 def open_rate_for(valve, flow, pressure, supply, p):
     """Equation (5) solved for α: the open rate at which a valve lets a mass flow pass.
 
-    Args:
-        valve: 0 or 1.
-        flow: wanted into the chamber [kg/s].
-        pressure: pressure at the valve [Pa].
-        supply: P_tank [Pa].
-
-    Returns:
-        Open rate in [0, 1]; the nearest end where no open rate gives that flow.
+    `flow`: wanted into the chamber [kg/s]. `pressure`: pressure at the valve [Pa]. `supply`: P_tank [Pa]. Returns open
+    rate in [0, 1]; the nearest end where no open rate gives that flow.
     """
     most, _ = valve_flow(valve, 1.0, pressure, supply, p)
     least, _ = valve_flow(valve, 0.0, pressure, supply, p)
@@ -145,13 +128,9 @@ def open_rate_for(valve, flow, pressure, supply, p):
 def _lapped_open_rate(flow, most, least, inflow, outflow, overlap):
     """:func:`open_rate_for` of a valve with overlap, from the flows of the wholly open orifices.
 
-    Args:
-        flow: wanted [kg/s], between ``least`` and ``most``.
-        most: through the wholly open inflow orifice [kg/s].
-        least: through the wholly open outflow orifice, negative [kg/s].
-        inflow: ``most`` by its area [kg/(s m²)].
-        outflow: −``least`` by its area, likewise.
-        overlap: c [-], above 0.
+    `flow`: wanted [kg/s], between ``least`` and ``most``. `most`: through the wholly open inflow orifice [kg/s].
+    `least`: through the wholly open outflow orifice, negative [kg/s]. `inflow`: ``most`` by its area [kg/(s m²)].
+    `outflow`: −``least`` by its area, likewise. `overlap`: c [-], above 0.
     """
     share = 1.0 - overlap
     if overlap >= 0.5:
@@ -195,10 +174,7 @@ def voltage_for(valve, alpha, p):
 def mass_flow(valve, alpha, pressure, p):
     """Mass flow m_i into the chamber [kg/s], equation (5): α m_in − (1 − α) m_out.
 
-    Args:
-        valve: 0 or 1.
-        alpha: open rate α [-] of :func:`open_rate`.
-        pressure: P_i [Pa].
+    `alpha`: open rate α [-] of :func:`open_rate`. `pressure`: P_i [Pa].
     """
     flow, _ = valve_flow(valve, alpha, pressure, p[SUPPLY], p)
     return flow
@@ -208,11 +184,7 @@ def mass_flow(valve, alpha, pressure, p):
 def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
     """Ṗ_i [Pa/s], equation (4): k_1 R T m / V − k_2 V̇ P / V.
 
-    Args:
-        pressure: P_i [Pa].
-        chamber_volume: V_i [m³].
-        volume_rate: V̇_i [m³/s].
-        flow: m_i [kg/s].
+    `pressure`: P_i [Pa]. `chamber_volume`: V_i [m³]. `volume_rate`: V̇_i [m³/s]. `flow`: m_i [kg/s].
     """
     supplied = p[POLYTROPIC_FLOW] * p[GAS_CONSTANT] * p[TEMPERATURE] * flow
     # The processor computes the reciprocal before it has the flow, so no division waits for the flow.
@@ -223,11 +195,7 @@ def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
 def flow_for(rate, pressure, chamber_volume, volume_rate, p):
     """Mass flow m_i [kg/s] that gives a rate of the pressure, the inverse of equation (4).
 
-    Args:
-        rate: Ṗ_i wanted [Pa/s].
-        pressure: P_i [Pa].
-        chamber_volume: V_i [m³].
-        volume_rate: V̇_i [m³/s].
+    `rate`: Ṗ_i wanted [Pa/s]. `pressure`: P_i [Pa]. `chamber_volume`: V_i [m³]. `volume_rate`: V̇_i [m³/s].
     """
     # pressure_rate is linear in the flow: its value without flow is the offset, its value for a unit of flow the slope.
     without = pressure_rate(pressure, chamber_volume, volume_rate, 0.0, p)

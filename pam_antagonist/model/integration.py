@@ -89,11 +89,8 @@ def _optional_step(x, u, p, dt, result):
 def plain_step(x, u, p, dt, result, scratch):
     """:func:`rk4_step_within` of a rig that is known to be plain.
 
-    Args:
-        x: state (4,), not changed unless it is also ``result``.
-        u: input, as for :func:`rk4_step_within`.
-        dt: step [s].
-        result: state after the step (4,).
+    `x`: state (4,), not changed unless it is also ``result``. `u`: input, as for :func:`rk4_step_within`. `dt`: step
+    [s]. `result`: state after the step (4,).
     """
     _scalar_step(x, u, p, dt, result, None)
 
@@ -102,12 +99,9 @@ def plain_step(x, u, p, dt, result, scratch):
 def rk4_step_within(x, u, p, dt, result, scratch):
     """One step of the fourth-order Runge-Kutta method with the input held, then the mechanical stop.
 
-    Args:
-        x: state (n,), not changed unless it is also ``result``.
-        u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
-        dt: step [s].
-        result: state after the step (n,).
-        scratch: (STAGES + 1, n), used where there are added states or learned laws.
+    `x`: state (n,), not changed unless it is also ``result``. `u`: valve voltages [V] over the step, and where it is
+    known the torque from outside [N m]; (2,) or (3,). `dt`: step [s]. `scratch`: (STAGES + 1, n), used where there are
+    added states or learned laws.
     """
     if p[PLAIN] != 0.0:
         _scalar_step(x, u, p, dt, result, None)
@@ -121,12 +115,9 @@ def rk4_step_within(x, u, p, dt, result, scratch):
 def rk4_step(x, u, p, dt, result, effects=True):
     """:func:`rk4_step_within` that allocates its scratch, which takes as long as the step: not for loops.
 
-    Args:
-        x: state (n,), not changed unless it is also ``result``.
-        u: valve voltages [V] over the step, and where it is known the torque from outside [N m]; (2,) or (3,).
-        dt: step [s].
-        result: state after the step (n,).
-        effects: None where the rig is known to be plain: less is compiled then.
+    `x`: state (n,), not changed unless it is also ``result``. `u`: valve voltages [V] over the step, and where it is
+    known the torque from outside [N m]; (2,) or (3,). `dt`: step [s]. `effects`: None where the rig is known to be
+    plain: less is compiled then.
     """
     if effects is None:
         _scalar_step(x, u, p, dt, result, None)
@@ -157,14 +148,9 @@ def _course(x, voltage, p, dt, substeps, states, torques, scratch):
 def course(x0, voltage, p, dt, substeps):
     """The model alone, driven by recorded voltages: states and torques, as a fit needs them.
 
-    Args:
-        x0: state (n,) at the first sample.
-        voltage: (N, 2) [V], or (N, 3) with the torque from outside [N m]; row k holds over the step that ends at
-            sample k, row 0 is not used.
-        dt: sample period [s].
-
-    Returns:
-        States (N, n) and torques (N,) [N m].
+    `x0`: state (n,) at the first sample. `voltage`: (N, 2) [V], or (N, 3) with the torque from outside [N m]; row k
+    holds over the step that ends at sample k, row 0 is not used. `dt`: sample period [s]. Returns states (N, n) and
+    torques (N,) [N m].
     """
     samples, n = voltage.shape[0], x0.shape[0]
     states, torques = np.empty((samples, n)), np.empty(samples)

@@ -19,14 +19,10 @@ rk4_step, _torque = _form.rk4_step_within, _form.torque
 def course(x, voltage, p, dt, substeps, states, torques, scratch):
     """:func:`~pam_antagonist.model.integration.course` of several models.
 
-    Args:
-        x: states (n, LANES) at the first sample; changed in place to the states at the last one.
-        voltage: input (N, 2) or (N, 3) of all models [V, N m].
-        p: parameter vectors (P, LANES).
-        dt: sample period [s].
-        states: result (LANES, N, n).
-        torques: result (LANES, N) [N m].
-        scratch: (STAGES + 1, n, LANES) for a step, (CHUNK, n, LANES) and (CHUNK, LANES) for the last samples.
+    `x`: states (n, LANES) at the first sample; changed in place to the states at the last one. `voltage`: input (N, 2)
+    or (N, 3) of all models [V, N m]. `p`: parameter vectors (P, LANES). `dt`: sample period [s]. `states`: result
+    (LANES, N, n). `torques`: result (LANES, N) [N m]. `scratch`: (STAGES + 1, n, LANES) for a step, (CHUNK, n, LANES)
+    and (CHUNK, LANES) for the last samples.
     """
     stages, recent, recent_torques = scratch
     for begin in range(0, states.shape[1], CHUNK):

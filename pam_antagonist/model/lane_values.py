@@ -44,65 +44,51 @@ _DOUBLE, _BIT, _INDEX = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
 _LANES, _MASK = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_BIT, LANES)
 
 
-class _LanesType(types.Type):  # type: ignore[misc]
+class _Wide(types.Type):  # type: ignore[misc]
+    """LANES numbers, or LANES truth values."""
+
+    def __init__(self, name: str, of: Any, single: Any) -> None:
+        super().__init__(name=name)
+        self.of, self.single = of, single  # kind of a value that goes into each lane, and its type for one lane
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        """A number, or a truth value, is the same in each lane."""
+        return typingctx.can_convert(other, self.single) if isinstance(other, self.of) else None
+
+    def unify(self, typingctx: Any, other: Any) -> Any:
+        """A variable that is lanes in one branch and a number in the other is lanes after both; likewise a mask."""
+        return self if isinstance(other, self.of) else None
+
+
+class _LanesType(_Wide):
     """LANES float64."""
 
-    def __init__(self) -> None:
-        super().__init__(name="lanes")
 
-    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
-        """A number is the same in each lane."""
-        return typingctx.can_convert(other, types.float64) if isinstance(other, types.Number) else None
-
-    def unify(self, typingctx: Any, other: Any) -> Any:
-        """A variable that is lanes in one branch and a number in the other is lanes after both."""
-        return self if isinstance(other, types.Number) else None
-
-
-class _MaskType(types.Type):  # type: ignore[misc]
+class _MaskType(_Wide):
     """LANES truth values."""
 
-    def __init__(self) -> None:
-        super().__init__(name="mask")
 
-    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
-        """A truth value is the same in each lane."""
-        return typingctx.can_convert(other, types.boolean) if isinstance(other, types.Boolean) else None
-
-    def unify(self, typingctx: Any, other: Any) -> Any:
-        """A variable that is a mask in one branch and a truth value in the other is a mask after both."""
-        return self if isinstance(other, types.Boolean) else None
+lanes = _LanesType("lanes", types.Number, types.float64)
+mask = _MaskType("mask", types.Boolean, types.boolean)
 
 
-lanes, mask = _LanesType(), _MaskType()
+def _in_registers(kind: _Wide, whole: Any) -> None:
+    """Tell numba how lanes or a mask are kept, and how one value is spread over the lanes."""
+
+    @register_model(type(kind))
+    class _Model(models.PrimitiveModel):  # type: ignore[misc]
+        def __init__(self, dmm: Any, fe_type: Any) -> None:
+            super().__init__(dmm, fe_type, whole)
+
+    @lower_cast(kind.of, kind)
+    def spread(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
+        nothing, each = ir.Constant(whole, ir.Undefined), ir.Constant(ir.VectorType(_INDEX, LANES), None)
+        one = builder.insert_element(nothing, context.cast(builder, value, fromty, kind.single), _INDEX(0))
+        return builder.shuffle_vector(one, nothing, each)
 
 
-@register_model(_LanesType)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
-    def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _LANES)
-
-
-@register_model(_MaskType)
-class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
-    def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _MASK)
-
-
-def _spread(builder: Any, value: Any, of: Any) -> Any:
-    """A number in each lane."""
-    one = builder.insert_element(ir.Constant(of, ir.Undefined), value, _INDEX(0))
-    return builder.shuffle_vector(one, ir.Constant(of, ir.Undefined), ir.Constant(ir.VectorType(_INDEX, LANES), None))
-
-
-@lower_cast(types.Number, lanes)
-def _lanes_of_number(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
-    return _spread(builder, context.cast(builder, value, fromty, types.float64), _LANES)
-
-
-@lower_cast(types.Boolean, mask)
-def _mask_of_truth(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
-    return _spread(builder, context.cast(builder, value, fromty, types.boolean), _MASK)
+_in_registers(lanes, _LANES)
+_in_registers(mask, _MASK)
 
 
 def _any_lanes(*args: Any) -> bool:
@@ -110,8 +96,8 @@ def _any_lanes(*args: Any) -> bool:
     return lanes in args and all(arg is lanes or isinstance(arg, types.Number) for arg in args)
 
 
-def _operator(function: Callable[..., Any], result: Any, build: Callable[..., Any], count: int = 2) -> None:
-    """Define a function of numbers for lanes."""
+def _define(function: Callable[..., Any], count: int, result: Any, lowered: Callable[..., Any]) -> None:
+    """Define a function of one or two numbers for lanes. `lowered`: makes its code from arguments that are lanes."""
 
     @type_callable(function)
     def typed(context: Any) -> Any:
@@ -119,15 +105,17 @@ def _operator(function: Callable[..., Any], result: Any, build: Callable[..., An
             return lambda a: result if a is lanes else None
         return lambda a, b: result if _any_lanes(a, b) else None
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return build(builder, *(context.cast(builder, v, t, lanes) for v, t in zip(args, sig.args, strict=True)))
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        given = (context.cast(builder, v, t, lanes) for v, t in zip(args, sig.args, strict=True))
+        return lowered(context, builder, *given)
 
-    if count == 1:
-        lower_builtin(function, lanes)(lowered)
-    else:
-        lower_builtin(function, lanes, lanes)(lowered)
-        lower_builtin(function, lanes, types.Number)(lowered)
-        lower_builtin(function, types.Number, lanes)(lowered)
+    for kinds in [(lanes,)] if count == 1 else [(lanes, lanes), (lanes, types.Number), (types.Number, lanes)]:
+        lower_builtin(function, *kinds)(lower)
+
+
+def _operator(function: Callable[..., Any], result: Any, build: Callable[..., Any], count: int = 2) -> None:
+    """Define a function that has an instruction for lanes."""
+    _define(function, count, result, lambda context, builder, *given: build(builder, *given))
 
 
 for _function, _name in (
@@ -170,27 +158,15 @@ _operator(math.sqrt, lanes, _by_llvm("sqrt"), 1)
 def _one_by_one(function: Callable[..., Any], count: int) -> None:
     """Define a function without an instruction for lanes: it is called for one lane after another."""
 
-    @type_callable(function)
-    def typed(context: Any) -> Any:
-        if count == 1:
-            return lambda a: lanes if a is lanes else None
-        return lambda a, b: lanes if _any_lanes(a, b) else None
-
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def lowered(context: Any, builder: Any, *given: Any) -> Any:
         each = context.get_function(function, signature(types.float64, *[types.float64] * count))
-        given = [context.cast(builder, v, t, lanes) for v, t in zip(args, sig.args, strict=True)]
         out = ir.Constant(_LANES, ir.Undefined)
         for k in range(LANES):
             value = each(builder, [builder.extract_element(x, _INDEX(k)) for x in given])
             out = builder.insert_element(out, value, _INDEX(k))
         return out
 
-    if count == 1:
-        lower_builtin(function, lanes)(lowered)
-    else:
-        lower_builtin(function, lanes, lanes)(lowered)
-        lower_builtin(function, lanes, types.Number)(lowered)
-        lower_builtin(function, types.Number, lanes)(lowered)
+    _define(function, count, lanes, lowered)
 
 
 for _of_one in (math.exp, math.log, math.sin, math.cos, math.tan, math.tanh, math.atan):

@@ -24,14 +24,9 @@ def courses(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """:func:`~pam_antagonist.model.integration.course` of many models on the same inputs, with the same bits.
 
-    Args:
-        starts: state (n,) of each model at the first sample; n may differ.
-        voltage: input (N, 2) or (N, 3), as for one course.
-        vectors: parameter vector (P,) of each model.
-        dt: sample period [s].
-
-    Returns:
-        States (N, n) and torques (N,) [N m] of each model.
+    `starts`: state (n,) of each model at the first sample; n may differ. `voltage`: input (N, 2) or (N, 3), as for one
+    course. `vectors`: parameter vector (P,) of each model. `dt`: sample period [s]. Returns states (N, n) and torques
+    (N,) [N m] of each model.
     """
     out: list[Any] = [None] * len(vectors)
     for group in groups([[p] for p in vectors]):

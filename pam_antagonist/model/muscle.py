@@ -36,12 +36,8 @@ _UNIT_PRESSURE = 1e5
 def length(muscle, sine, p):
     """Muscle length, equation (2).
 
-    Args:
-        muscle: 0 or 1.
-        sine: travel over r, sin ψ for a lever (:func:`~pam_antagonist.model.lever_arm.leverage`).
-
-    Returns:
-        l_i [m]: L_0 − r sin ψ for the first muscle, L_0 + r sin ψ for the second.
+    `sine`: travel over r, sin ψ for a lever (:func:`~pam_antagonist.model.lever_arm.leverage`). Returns l_i [m]: L_0 −
+    r sin ψ for the first muscle, L_0 + r sin ψ for the second.
     """
     shift = p[RADIUS] * sine
     return p[LENGTH] - shift if muscle == 0 else p[LENGTH] + shift
@@ -51,11 +47,7 @@ def length(muscle, sine, p):
 def length_rate(muscle, cosine, velocity, p):
     """Time derivative of equation (2) [m/s].
 
-    Args:
-        muscle: 0 or 1.
-        cosine: lever arm over r, cos ψ for a lever [-].
-        velocity: ψ̇ [rad/s].
-        p: parameter vector (m,).
+    `cosine`: lever arm over r, cos ψ for a lever [-]. `velocity`: ψ̇ [rad/s].
     """
     rate = p[RADIUS] * cosine * velocity
     return -rate if muscle == 0 else rate
@@ -65,13 +57,7 @@ def length_rate(muscle, cosine, velocity, p):
 def volume(muscle, muscle_length, p):
     """Muscle volume and its derivative with respect to length, equation (3).
 
-    Args:
-        muscle: 0 or 1.
-        muscle_length: l_i [m].
-        p: parameter vector (m,).
-
-    Returns:
-        V_i [m³] and dV_i/dl_i [m²].
+    `muscle_length`: l_i [m]. Returns V_i [m³] and dV_i/dl_i [m²].
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
     d1 = p[base + D1]
@@ -84,11 +70,7 @@ def volume(muscle, muscle_length, p):
 def linear_force(muscle, muscle_length, pressure, p):
     """Contraction force [N], equations (6) and (7): F = v(l) P + w(l).
 
-    Args:
-        muscle: 0 or 1.
-        muscle_length: l_i [m].
-        pressure: P_i [Pa].
-        p: parameter vector (m,).
+    `muscle_length`: l_i [m]. `pressure`: P_i [Pa].
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
     slope = p[base + V1] * muscle_length + p[base + V2]
@@ -110,11 +92,7 @@ def force(muscle, muscle_length, pressure, p):
     * ``sarosi`` (Sárosi et al. 2010): (c1 q + c2) exp(c3 k) + c4 k q + c5 q + c6;
     * ``polynomial`` (of second degree in both): c1 + c2 k + c3 q + c4 k² + c5 k q + c6 q².
 
-    Args:
-        muscle: 0 or 1.
-        muscle_length: l_i [m].
-        pressure: P_i [Pa].
-        p: parameter vector (m,).
+    `muscle_length`: l_i [m]. `pressure`: P_i [Pa].
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
     if p[FORCE_FORM] != 0.0:
@@ -142,11 +120,7 @@ def _compared_force(base, muscle_length, pressure, p):
 def force_length_slope(muscle, muscle_length, pressure, p):
     """∂F/∂l [N/m] of :func:`force`.
 
-    Args:
-        muscle: 0 or 1.
-        muscle_length: l_i [m].
-        pressure: P_i [Pa].
-        p: parameter vector (m,).
+    `muscle_length`: l_i [m]. `pressure`: P_i [Pa].
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
     form = p[FORCE_FORM]

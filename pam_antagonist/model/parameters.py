@@ -205,11 +205,8 @@ def _copy_laws(p: np.ndarray) -> None:
 def set_curve(p: np.ndarray, valve: int, voltage: np.ndarray, open_rate: np.ndarray) -> None:
     """Write the curve α = κ(u) of one valve into the vector.
 
-    Args:
-        p: parameter vector (SIZE,), changed in place.
-        valve: 0 or 1.
-        voltage: knots (K,) [V], increasing, at most ``MAX_KNOTS``.
-        open_rate: open rates (K,) [-] at the knots.
+    `p`: parameter vector (SIZE,), changed in place. `voltage`: knots (K,) [V], increasing, at most ``MAX_KNOTS``.
+    `open_rate`: open rates (K,) [-] at the knots.
     """
     start = CURVE + valve * CURVE_SIZE
     knots = len(voltage)

@@ -12,10 +12,7 @@ from pam_antagonist.model.composition import sensor_inverse, sensor_reading
 def reading(muscle, pressure, p):
     """Reading of a pressure sensor [Pa].
 
-    Args:
-        muscle: 0 or 1.
-        pressure: P_i [Pa].
-        p: parameter vector (m,).
+    `pressure`: P_i [Pa].
     """
     return sensor_reading(pressure, muscle, p)
 
@@ -24,10 +21,7 @@ def reading(muscle, pressure, p):
 def pressure_behind(muscle, shown, p):
     """The pressure behind a reading [Pa]; the inverse of :func:`reading`.
 
-    Args:
-        muscle: 0 or 1.
-        shown: reading of the sensor [Pa].
-        p: parameter vector (m,).
+    `shown`: reading of the sensor [Pa].
     """
     return sensor_inverse(shown, muscle, p)
 

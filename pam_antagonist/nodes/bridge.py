@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from sensor_msgs.msg import FluidPressure, JointState
 from std_srvs.srv import Trigger
 from typing_extensions import override
 
@@ -21,14 +20,12 @@ from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.hardware.serial_device import SerialDevice
 from pam_antagonist.hardware.transport import SerialTransport
 from pam_antagonist.nodes import wire
-from pam_antagonist.nodes.health import Health, Level, Rate
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import ANGLE_SENSORS, FRAME, JOINT_NAME, RIG, VALVE_OWNER, Parameter
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import ValvePort
-from pam_antagonist.recording.topics import TOPICS
-from pam_antagonist.rig import load_rig
 
 DESCRIPTION = """
 Bridge to real hardware: a microcontroller on a serial port that reads two pressures and drives two valves, by the
@@ -53,18 +50,16 @@ PARAMETERS = (
     JOINT_NAME,
     FRAME,
     *VALVE_OWNER,
-    Parameter("port", "/dev/ttyACM0", "serial port of the device; better a link in /dev/serial/by-id"),
-    Parameter("baud", 921_600, "bit rate of the port; USB devices ignore it [1/s]", 9600, 20_000_000),
-    Parameter("hardware", "example", "calibration: a name in config/hardware, or path of a YAML file"),
-    Parameter(
-        "pressure_rest",
-        [0.0, 0.0],
-        "correction that is added to the pressures, as ~/measure_rest finds it [Pa]",
-        -50e3,
-        50e3,
+    Parameter("port", "/dev/ttyACM0").about("serial port of the device; better a link in /dev/serial/by-id"),
+    Parameter("baud", 921_600, 9600, 20_000_000).about("bit rate of the port; USB devices ignore it [1/s]"),
+    Parameter("hardware", "example").about("calibration: a name in config/hardware, or path of a YAML file"),
+    Parameter("pressure_rest", [0.0, 0.0], -50e3, 50e3).about(
+        "correction that is added to the pressures, as ~/measure_rest finds it [Pa]"
     ),
-    Parameter("angle_sensor", "none", "encoder: publishes the encoder's angle as angle_sensor", choices=ANGLE_SENSORS),
-    Parameter("device_timeout", 3.0, "time that the device may take to answer the greeting [s]", 0.1, 30.0),
+    Parameter("angle_sensor", "none", choices=ANGLE_SENSORS).about(
+        "encoder: publishes the encoder's angle as angle_sensor"
+    ),
+    Parameter("device_timeout", 3.0, 0.1, 30.0).about("time that the device may take to answer the greeting [s]"),
 )
 
 
@@ -76,80 +71,10 @@ _TROUBLE = (
 )
 """Counters of a device that cause a warning when they rise."""
 
-
-class BridgeHealth:
-    """Parts ``device`` and ``clock``."""
-
-    def __init__(self, link: Link, device: Device) -> None:
-        self._link = link
-        self._device = device
-        self._rate = Rate()
-        self._before: dict[str, float] = {}
-
-    def parts(self, steady_ns: int) -> Mapping[str, Health]:
-        """The health of both parts; called every ``diagnostics_period`` with the steady time [ns]."""
-        return {"device": self._of_device(steady_ns), "clock": self._of_clock()}
-
-    def _of_device(self, steady_ns: int) -> Health:
-        link, counts = self._link, self._link.counts
-        info, trouble = link.info, link.trouble
-        counters = dict(self._device.counters())
-        watched = {name: counters[name] for name in _TROUBLE if name in counters and math.isfinite(counters[name])}
-        watched["samples lost"] = float(counts.lost)
-        watched["devices lost"] = float(counts.lost_devices)
-        # The first value of a counter is only the baseline: the device may have counted before.
-        more = {name: value - self._before.get(name, value) for name, value in watched.items()}
-        self._before = watched
-        risen = [f"{name}: {change:g} more" for name, change in more.items() if change > 0]
-        if trouble:
-            level, message = Level.ERROR, f"no device: {trouble}"
-        elif info is not None and info.watchdog_ns is None:
-            level, message = Level.WARN, "this device does not become safe by itself when this process dies"
-        elif risen:
-            level, message = Level.WARN, ", ".join(risen)
-        else:
-            level, message = Level.OK, "running"
-        values: dict[str, object] = {
-            "name": "none" if info is None else info.name,
-            "rate [Hz]": f"{self._rate.take(counts.samples, steady_ns):.1f}",
-            "samples": counts.samples,
-            "samples lost": counts.lost,
-            "samples before the clocks were known": counts.without_stamp,
-            "samples with the device's own safe voltages": counts.safe_by_itself,
-            "devices lost": counts.lost_devices,
-        }
-        values |= {name: f"{value:.6g}" for name, value in counters.items()}
-        return Health(level, message, values)
-
-    def _of_clock(self) -> Health:
-        link = self._link
-        clock = link.clock
-        values: dict[str, object] = {
-            "drift [ppm]": f"{clock.drift * 1e6:.2f}",
-            "samples left out, backwards": link.counts.backwards,
-            "restarts of the map": link.clock_restarts + clock.restarts,
-            "steps of the host's clock": link.counts.clock_steps,
-        }
-        if link.info is None:
-            return Health(Level.WARN, "no device", values)
-        if not clock.ready:
-            return Health(Level.WARN, "listens to the device's clock before it stamps", values)
-        values["offset [s]"] = f"{clock.offset_s:.6f}"
-        return Health(Level.OK, "mapped to ROS time", values)
-
-
 _DEVICE_STOPS = (
     (Status.STOPPED, "the emergency stop at the device"),
     (Status.OUTPUT_FAULT, "the device could not put the voltages on the valves"),
 )
-
-
-_Conversion = Callable[[tuple[float, float]], tuple[float, float]]
-
-
-def _unchanged(command: tuple[float, float]) -> tuple[float, float]:
-    """For a joint with valves, commands are the device's voltages."""
-    return command
 
 
 class _SharedPort(ValvePort):
@@ -160,9 +85,9 @@ class _SharedPort(ValvePort):
         super().__init__(*others)
 
     @override
-    def _on_clear(self, request: Any, response: Any) -> Any:
+    def _clear(self, request: Any) -> str:
         with self._lock:
-            return super()._on_clear(request, response)
+            return super()._clear(request)
 
     @override
     def stop(self, reason: str) -> None:
@@ -191,47 +116,38 @@ class BridgeNode(PamNode):
 
     @override
     def configure(self) -> None:
-        values = self.values
         if self.get_parameter("use_sim_time").value:
             raise BadInput(
                 "use_sim_time is true, but hardware does not follow simulated time: set it to false, or replay a bag "
                 "without a bridge"
             )
-        rig = load_rig(values["rig"], regulators=True)
-        values = self.with_rig(rig)
+        rig = self.load_rig()
+        values = self.values
         first, second = values["pressure_rest"]
         self._converter = Converter(load_calibration(values["hardware"]), (first, second))
+        self._converter.adapt(rig.drive)
         self.port = _SharedPort(self._lock, self, rig)
-        drive = self.port.drive
         # The device's outputs are voltages; for a rig with regulators all other commands are pressures.
-        self._output: _Conversion = _unchanged
-        self._asked: _Conversion = _unchanged
-        action = drive.action
-        self._converter.suits(rig.drive)
-        if rig.drive == "regulator":
-            self._output, self._asked = self._converter.output, self._converter.asked
-            action = self._converter.action(action)
-        low, high = (self._output((limit, limit)) for limit in (drive.limits.minimum, drive.limits.maximum))
+        limits, action = self.port.drive.limits, self._converter.action(self.port.drive.action)
+        low, high = (self._converter.output((limit, limit)) for limit in (limits.minimum, limits.maximum))
         wanted = Wanted(round(rig.sample_period * 1e9), min(low), max(high), action)
         self._device = self._make_device()
         self._link = Link(self._device, self._converter, wanted, self.now_ns, self._deliver, self._attend)
-        self._health = BridgeHealth(self._link, self._device)
-        self._variance = rig.sensors.pressure_std**2
+        self._rate, self._rises = Rate(), Rises(None)
         self._period_ns = wanted.period_ns
         self._sent_ns = self._commands_sent = 0
         self._session = 0
         self._logged = ""
         self._rest = ZeroPressureMeasurement(self._converter)
-        self._pressures = tuple(
-            wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
-            for i in ((1, 2) if self._converter.measures_pressures else ())
+        self._samples = wire.SampleOutput(
+            self,
+            rig,
+            pressures=self._converter.measures_pressures,
+            variance=rig.sensors.pressure_std**2,
+            encoder=values["angle_sensor"] == "encoder",
         )
-        topics = drive.topics
-        self._valves = wire.Outgoing(self, topics.message, topics.state, topics.frame_id, wire.VALVES)
-        self._joint = JointOutput(self, values["joint_name"], values["frame_id"], values["angle_sensor"])
-        self.create_service(Trigger, "~/measure_rest", self._on_measure_rest)
+        self.serve(Trigger, "~/measure_rest", self._measure_rest)
         announce(self, rig)
-        self.start_diagnostics(values["joint_name"])
 
     @override
     def activate(self) -> None:
@@ -267,15 +183,13 @@ class BridgeNode(PamNode):
                 return
             voltage = self.port.output(now).voltage
         self._commands_sent, self._sent_ns = commands, now
-        self._device.command(self._output(voltage))
+        self._device.command(self._converter.output(voltage))
 
     def _deliver(self, sample: Sample) -> None:
-        for output, pressure in zip(self._pressures, sample.pressure, strict=False):
-            output.send(sample.stamp_ns, pressure, self._variance)
-        self._valves.send(sample.stamp_ns, *self._asked(sample.voltage))
-        self._joint.send(sample)
+        asked = self._converter.asked(sample.voltage)
+        self._samples.send(sample.stamp_ns, sample.pressure, asked, sample.angle, sample.torque, sample.angle)
         with self._lock:
-            if self._pressures:
+            if self._samples.pressures:
                 self.port.supervise(sample.stamp_ns, *sample.pressure)
             for flag, reason in _DEVICE_STOPS:
                 if sample.status & flag:
@@ -284,19 +198,14 @@ class BridgeNode(PamNode):
 
     # ---------------------------------------------------------------- thread of the executor
 
-    def _on_measure_rest(self, _request: Any, response: Any) -> Any:
+    def _measure_rest(self, _request: Any) -> str:
         with self._lock:
-            try:
-                first, second = self._rest.result()
-            except BadInput as error:
-                response.success, response.message = False, str(error)
-                return response
+            first, second = self._rest.result()
             self._converter.rest = (first, second)
             self._rest.clear()
-        response.success = True
-        response.message = f"in use now; keep it as parameter pressure_rest: [{first:.1f}, {second:.1f}]"
-        self.get_logger().warning(f"sensors at rest: {response.message}")
-        return response
+        words = f"in use now; keep it as parameter pressure_rest: [{first:.1f}, {second:.1f}]"
+        self.get_logger().warning(f"sensors at rest: {words}")
+        return words
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
@@ -304,7 +213,7 @@ class BridgeNode(PamNode):
         self._log_trouble(self._link.trouble)
         with self._lock:
             port = self.port.health(steady_ns)
-        return {**self._health.parts(steady_ns), **port}
+        return {"device": self._device_health(steady_ns), "clock": self._clock_health(), **port}
 
     def _log_trouble(self, trouble: str) -> None:
         """Log each problem once."""
@@ -316,35 +225,45 @@ class BridgeNode(PamNode):
         else:
             self.get_logger().info("the device is there")
 
+    def _device_health(self, steady_ns: int) -> Health:
+        counts, info, trouble = self._link.counts, self._link.info, self._link.trouble
+        counters = dict(self._device.counters())
+        watched = {name: counters[name] for name in _TROUBLE if name in counters and math.isfinite(counters[name])}
+        watched |= {"samples lost": float(counts.lost), "devices lost": float(counts.lost_devices)}
+        risen = [f"{name}: {more:g} more" for name, more in self._rises.take(**watched).items() if more > 0]
+        values: dict[str, object] = {
+            "name": "none" if info is None else info.name,
+            "rate [Hz]": f"{self._rate.take(counts.samples, steady_ns):.1f}",
+            "samples": counts.samples,
+            "samples lost": counts.lost,
+            "samples before the clocks were known": counts.without_stamp,
+            "samples with the device's own safe voltages": counts.safe_by_itself,
+            "devices lost": counts.lost_devices,
+        }
+        unwatched = info is not None and info.watchdog_ns is None
+        return judged(
+            values | {name: f"{value:.6g}" for name, value in counters.items()},
+            "running",
+            (trouble, Level.ERROR, f"no device: {trouble}"),
+            (unwatched, Level.WARN, "this device does not become safe by itself when this process dies"),
+            (risen, Level.WARN, ", ".join(risen)),
+        )
 
-class JointOutput:
-    """Publishes ``measured/joint_states`` with the available channels, and ``angle_sensor`` if wanted.
-
-    `angle_sensor`: ``encoder`` publishes the angle as ``angle_sensor`` as well.
-    """
-
-    def __init__(self, node: PamNode, name: str, frame_id: str, angle_sensor: str) -> None:
-        self._encoder: wire.Outgoing | None = None
-        if angle_sensor == "encoder":
-            body, self._position = wire.joint_position(name)
-            self._encoder = wire.Outgoing(node, JointState, TOPICS["angle_sensor"].relative, frame_id, body)
-        body, self._values = wire.joint_state(name, velocity=False)
-        self._both = wire.Outgoing(node, JointState, TOPICS["measured_joint_states"].relative, frame_id, body)
-        self._message = JointState()
-        self._message.header.frame_id = frame_id
-        self._message.name = [name]
-
-    def send(self, sample: Sample) -> None:
-        """Publish angle and torque of a sample."""
-        if self._encoder is not None and sample.angle is not None:
-            self._encoder.send(sample.stamp_ns, *self._position(sample.angle))
-        if sample.angle is not None and sample.torque is not None:
-            self._both.send(sample.stamp_ns, *self._values(sample.angle, sample.torque))
-        elif sample.angle is not None or sample.torque is not None:
-            wire.set_stamp(self._message.header.stamp, sample.stamp_ns)
-            self._message.position = [] if sample.angle is None else [sample.angle]
-            self._message.effort = [] if sample.torque is None else [sample.torque]
-            self._both.publisher.publish(self._message)
+    def _clock_health(self) -> Health:
+        link, clock = self._link, self._link.clock
+        values: dict[str, object] = {
+            "drift [ppm]": f"{clock.drift * 1e6:.2f}",
+            "samples left out, backwards": link.counts.backwards,
+            "restarts of the map": link.clock_restarts + clock.restarts,
+            "steps of the host's clock": link.counts.clock_steps,
+            **({"offset [s]": f"{clock.offset_s:.6f}"} if link.info is not None and clock.ready else {}),
+        }
+        return judged(
+            values,
+            "mapped to ROS time",
+            (link.info is None, Level.WARN, "no device"),
+            (not clock.ready, Level.WARN, "listens to the device's clock before it stamps"),
+        )
 
 
 def main(argv: list[str] | None = None, device: Callable[[], Device] | None = None) -> int:

@@ -6,7 +6,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -16,23 +16,26 @@ from numpy.typing import NDArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import FluidPressure, JointState
 from typing_extensions import override
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level
 from pam_antagonist.nodes.spin import client_node
+from pam_antagonist.nodes.wire import message_class, take
 from pam_antagonist.recording.topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, TOPICS
 from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
-from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
+from pam_antagonist_msgs.msg import JointReference
 
 _SUBSCRIBERS = 2
 """Expected subscribers of a client's topic: the node that obeys, and the recorder."""
-_TICK = 0.004  # between two commands [s]; the valves take the last one until then
-_PROGRESS_PERIOD = 0.2  # between two reports of progress [s]
-_ESTIMATE: Mapping[str, type] = {"joint_estimate": JointEstimate}
-_COMMANDS: Mapping[str, type] = {"valve": ValveCommand, "regulator": PressureCommand}
+_PROGRESS_S = 0.2  # between two reports of progress
+_PRESSURES = ("pressure_1", "pressure_2")
+_FIELDS = {"valve": "voltage", "regulator": "pressure"}
+
+Floats = NDArray[np.float64]
+Command = Callable[[float, Floats, float], tuple[float, float] | None]
+"""Voltages [V] for a time [s], measured pressures (2,) [Pa] and angle [rad]; None at the end."""
 _Self = TypeVar("_Self", bound="PipelineClient")
 
 
@@ -42,18 +45,20 @@ class PipelineClient:
     Use it as a context manager. Inside, SIGINT and SIGTERM raise a ``KeyboardInterrupt`` in the next method call, or at
     the end. Raised during a call into rclpy, it would be replaced by another exception.
 
-    `published`: logical name, message type and quality of service of the published topic.
+    `subscribed`, `published`: logical names of topics. `profile`: quality of service of the published topic.
     """
 
     def __init__(
-        self, name: str, namespace: str, subscribed: Mapping[str, type], published: tuple[str, type, QoSProfile]
+        self, name: str, namespace: str, subscribed: Sequence[str], published: str, profile: QoSProfile
     ) -> None:
         self._node = client_node(name, namespace)
-        self._published, kind, profile = published
-        self._publisher = self._node.create_publisher(kind, TOPICS[self._published].relative, profile)
+        self._topic = TOPICS[published].relative
+        self._publisher = self._node.create_publisher(message_class(published), self._topic, profile)
         self._topics = {
-            topic: self._node.create_subscription(kind, TOPICS[topic].relative, lambda message: None, qos.GLANCE)
-            for topic, kind in subscribed.items()
+            topic: self._node.create_subscription(
+                message_class(topic), TOPICS[topic].relative, lambda message: None, qos.GLANCE
+            )
+            for topic in subscribed
         }
         self._latest: dict[str, Any] = {}
 
@@ -83,11 +88,8 @@ class PipelineClient:
     def latest(self, topic: str) -> Any:
         """The newest message of a topic (logical name); None before the first."""
         self._check()
-        subscription = self._topics[topic]
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, False)
-        if taken is not None:
-            self._latest[topic] = taken[0]
+        for message, _ in take(self._topics[topic]):
+            self._latest[topic] = message
         return self._latest.get(topic)
 
     @property
@@ -100,7 +102,7 @@ class PipelineClient:
         """Topics without messages or subscribers, in words; empty when the pipeline is complete."""
         parts = [f"no message on {TOPICS[topic].relative}" for topic in self._topics if self.latest(topic) is None]
         if self.listeners < _SUBSCRIBERS:
-            parts.append(f"no node subscribes to {TOPICS[self._published].relative}")
+            parts.append(f"no node subscribes to {self._topic}")
         return ", ".join(parts)
 
     def _publish(self, message: Any) -> None:
@@ -108,41 +110,6 @@ class PipelineClient:
         self._check()
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
-
-
-class VoltageClient(PipelineClient):
-    """Commands valve voltages, or pressures of regulators, in a pipeline that has no controller.
-
-    `drive`: of the joint's rig: ``valve`` or ``regulator``.
-    """
-
-    def __init__(
-        self, namespace: str = DEFAULT_NAMESPACE, name: str = "drive", subscribed: Mapping[str, type] = _ESTIMATE,
-        drive: str = "valve",
-    ) -> None:  # fmt: skip
-        self._field = {"valve": "voltage", "regulator": "pressure"}[drive]
-        super().__init__(name, namespace, subscribed, (COMMAND_TOPICS[drive], _COMMANDS[drive], qos.COMMAND))
-        self._message = _COMMANDS[drive]
-
-    def send(self, voltage: NDArray[np.float64]) -> None:
-        """Command two voltages [V], or pressures [Pa], now."""
-        self._publish(self._message(**{self._field: [float(value) for value in voltage]}))
-
-    def follow(
-        self, voltage: NDArray[np.float64], period: float, check: Callable[[], None], progress: Callable[[float], None]
-    ) -> None:
-        """Command a profile in real time.
-
-        `voltage`: (N, 2) [V], one row for each period. `progress`: called with the time since the start [s].
-        """
-        start, reported = time.monotonic(), 0.0
-        while (elapsed := time.monotonic() - start) < len(voltage) * period:
-            self.send(voltage[min(int(elapsed / period), len(voltage) - 1)])
-            if elapsed - reported > _PROGRESS_PERIOD:
-                check()
-                progress(elapsed)
-                reported = elapsed
-            time.sleep(_TICK)
 
 
 class ReferenceClient(PipelineClient):
@@ -153,13 +120,8 @@ class ReferenceClient(PipelineClient):
     """
 
     def __init__(self, namespace: str = DEFAULT_NAMESPACE, listening: bool = True, drive: str = "valve") -> None:
-        subscribed = {
-            "joint_estimate": JointEstimate,
-            "measured_joint_states": JointState,
-            COMMAND_TOPICS[drive]: _COMMANDS[drive],
-        }
-        subscribed = subscribed if listening else {}
-        super().__init__("watch", namespace, subscribed, ("reference", JointReference, qos.REFERENCE))
+        subscribed = ("joint_estimate", "measured_joint_states", COMMAND_TOPICS[drive]) if listening else ()
+        super().__init__("watch", namespace, subscribed, "reference", qos.REFERENCE)
         self._plant = self._node.create_client(SetParameters, "plant/set_parameters")
 
     def send(self, mode: Mode, value: float, stiffness: float = math.nan, damping: float = math.nan) -> None:
@@ -185,15 +147,96 @@ class ReferenceClient(PipelineClient):
     def read(self, mode: Mode) -> tuple[float, float]:
         """Estimate and measurement now, [rad] or [N m]; NaN before the first message."""
         estimate, measured = self.latest("joint_estimate"), self.latest("measured_joint_states")
-        if mode.quantity is Mode.ANGLE:
-            return (
-                estimate.angle if estimate is not None else math.nan,
-                measured.position[0] if measured is not None else math.nan,
-            )
+        ours, theirs = ("angle", "position") if mode.quantity is Mode.ANGLE else ("torque", "effort")
         return (
-            estimate.torque if estimate is not None else math.nan,
-            measured.effort[0] if measured is not None else math.nan,
+            math.nan if estimate is None else getattr(estimate, ours),
+            math.nan if measured is None else getattr(measured, theirs)[0],
         )
+
+
+class DriveClient(PipelineClient):
+    """Commands valves or regulators in a pipeline without a controller, and watches the sensors.
+
+    `drive`: of the joint's rig: ``valve`` or ``regulator``. `also`: topics (logical names) that have to have messages
+    before the pipeline is complete.
+    """
+
+    def __init__(self, namespace: str = DEFAULT_NAMESPACE, drive: str = "valve", also: Sequence[str] = ()) -> None:
+        topic = COMMAND_TOPICS[drive]
+        self._field, self._message = _FIELDS[drive], message_class(topic)
+        super().__init__("excite", namespace, (*_PRESSURES, "measured_joint_states", *also), topic, qos.COMMAND)
+
+    def now_ns(self) -> int:
+        """Time of the clock that stamps samples [ns]."""
+        return int(self._node.get_clock().now().nanoseconds)
+
+    @override
+    def missing(self) -> str:
+        return ", ".join(part for part in super().missing().split(", ") if "joint_states" not in part)
+
+    def send(self, voltage: Floats) -> None:
+        """Command two voltages [V], or pressures [Pa], now."""
+        self._publish(self._message(**{self._field: [float(value) for value in voltage]}))
+
+    def seen(self) -> tuple[Floats, float]:
+        """Measured pressures (2,) [Pa] and angle [rad] now; NaN before the first message."""
+        messages = [self.latest(topic) for topic in _PRESSURES]
+        pressures = np.array([math.nan if one is None else one.fluid_pressure for one in messages])
+        joint = self.latest("measured_joint_states")
+        return pressures, joint.position[0] if joint is not None and joint.position else math.nan
+
+    def settle(self, rest: Floats, within: Callable[[Floats], bool], check: Callable[[], None], longest: float) -> None:
+        """Hold the resting voltages (2,) [V] until the pressures are in the range where a plan may begin.
+
+        `within`: whether pressures (2,) [Pa] are in this range. `longest`: time after which the plan begins anyway [s].
+        """
+        end = time.monotonic() + longest
+        while time.monotonic() < end and not within(self.seen()[0]):
+            check()
+            self.hold(rest)
+
+    def follow(
+        self,
+        command: Command,
+        seconds: float,
+        rest: Floats,
+        broken: Callable[[Floats, float], str],
+        check: Callable[[], None],
+        progress: Callable[[float], None],
+    ) -> str:
+        """Command voltages in real time; when a limit is exceeded, hold the resting voltages, end and say why.
+
+        Args:
+            command: gives the voltages.
+            seconds: length at most [s].
+            rest: resting voltages (2,) [V].
+            broken: which limit pressures (2,) [Pa] or angle [rad] exceed, in words; empty for none.
+            progress: called with the time since the last call [s].
+        """
+        begin, reported, lookout = time.monotonic(), 0.0, Lookout()
+        while (elapsed := time.monotonic() - begin) < seconds:
+            pressures, angle = self.seen()
+            voltage = command(elapsed, pressures, angle)
+            if voltage is None:
+                break
+            self.send(np.array(voltage))
+            if reason := lookout.ends(broken(pressures, angle)):
+                self.hold(rest, RETREAT)
+                return f"after {elapsed:.1f} s {reason}"
+            if elapsed - reported > _PROGRESS_S:
+                check()
+                progress(elapsed - reported)
+                reported = elapsed
+            time.sleep(TICK)
+        progress(elapsed - reported)
+        return ""
+
+    def hold(self, voltage: Floats, seconds: float = _PROGRESS_S) -> None:
+        """Command voltages (2,) [V] for a time [s]."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.send(voltage)
+            time.sleep(TICK)
 
 
 STATUS = "step"
@@ -210,7 +253,7 @@ class Announcer:
     def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
         self._node = client_node(name, namespace)
         self._publisher = DiagnosticsPublisher(self._node, namespace)
-        self._said: tuple[str, float, float | None] | None = None
+        self._step: tuple[str, float, float | None] | None = None  # text, when it began, how long it takes [s]
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._go_on, daemon=True)
 
@@ -218,9 +261,7 @@ class Announcer:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._thread.join()
         self._node.destroy_node()
@@ -228,142 +269,12 @@ class Announcer:
 
     def say(self, text: str, seconds: float | None = None) -> None:
         """Begin a step of the command. `seconds`: its duration [s]; None: not known."""
-        self._said = text, time.monotonic(), seconds
+        self._step = text, time.monotonic(), seconds
 
     def _go_on(self) -> None:
         while not self._ended.wait(_PERIOD):
-            if self._said is not None:
-                self._publisher.publish({STATUS: _health(*self._said, time.monotonic())})
-
-
-def _health(text: str, begun: float, seconds: float | None, now: float) -> Health:
-    for_long = now - begun
-    so_far = f"{for_long:.0f} s" if seconds is None else f"{min(for_long, seconds):.0f} of {seconds:.0f} s"
-    return Health(Level.OK, f"{text}, {so_far}", {})
-
-
-Floats = NDArray[np.float64]
-
-_PROGRESS_S = 0.2
-_PRESSURES = ("pressure_1", "pressure_2")
-
-
-class DriveClient(VoltageClient):
-    """Commands valves or regulators in a pipeline without a controller, and watches the sensors.
-
-    `drive`: as of :class:`VoltageClient`.
-    """
-
-    def __init__(self, namespace: str = DEFAULT_NAMESPACE, drive: str = "valve") -> None:
-        subscribed = {**dict.fromkeys(_PRESSURES, FluidPressure), "measured_joint_states": JointState}
-        super().__init__(namespace, "excite", subscribed, drive)
-
-    def now_ns(self) -> int:
-        """Time of the clock that stamps samples [ns]."""
-        return int(self._node.get_clock().now().nanoseconds)
-
-    @override
-    def missing(self) -> str:
-        return ", ".join(part for part in super().missing().split(", ") if "joint_states" not in part)
-
-    def seen(self) -> tuple[Floats, float]:
-        """Measured pressures (2,) [Pa] and angle [rad] now; NaN before the first message."""
-        messages = [self.latest(topic) for topic in _PRESSURES]
-        pressures = np.array([math.nan if one is None else one.fluid_pressure for one in messages])
-        joint = self.latest("measured_joint_states")
-        return pressures, joint.position[0] if joint is not None and joint.position else math.nan
-
-    def settle(self, rest: Floats, within: Callable[[Floats], bool], check: Callable[[], None], longest: float) -> None:
-        """Hold the resting voltages until the pressures are in the range where a plan may begin.
-
-        Args:
-            rest: voltages (2,) [V].
-            within: whether pressures (2,) [Pa] are in this range.
-            longest: time after which the plan begins in any case [s].
-        """
-        end = time.monotonic() + longest
-        while time.monotonic() < end and not within(self.seen()[0]):
-            check()
-            self._hold(rest, _PROGRESS_S)
-
-    def drive(
-        self,
-        voltage: Floats,
-        period: float,
-        rest: Floats,
-        broken: Callable[[Floats, float], str],
-        check: Callable[[], None],
-        progress: Callable[[float], None],
-    ) -> str:
-        """Command a plan in real time; when a limit is exceeded, hold the resting voltages and end.
-
-        Args:
-            voltage: (N, 2) [V], one row for each period.
-            period: [s].
-            rest: resting voltages (2,) [V].
-            broken: returns which limit the pressures (2,) [Pa] or the angle [rad] exceed, in words; empty for none.
-            progress: called with the time since the last call [s].
-        """
-
-        def row(elapsed: float, _pressures: Floats, _angle: float) -> tuple[float, float]:
-            first, second = voltage[min(int(elapsed / period), len(voltage) - 1)]
-            return first, second
-
-        return self._follow(row, len(voltage) * period, rest, broken, check, progress)
-
-    def explore(
-        self,
-        command: Callable[[float, Floats, float], tuple[float, float] | None],
-        seconds: float,
-        rest: Floats,
-        broken: Callable[[Floats, float], str],
-        check: Callable[[], None],
-        progress: Callable[[float], None],
-    ) -> str:
-        """Command what follows from the measurements, in real time; at the end, the resting voltages.
-
-        Args:
-            command: returns the voltages [V] for the time [s], pressures (2,) [Pa] and angle [rad]; None at the end.
-            seconds: length at most [s].
-            rest: resting voltages (2,) [V].
-            broken: as for :meth:`drive`.
-            progress: called with the time since the last call [s].
-        """
-        if reason := self._follow(command, seconds, rest, broken, check, progress):
-            return reason
-        self._hold(rest, _PROGRESS_S)
-        return ""
-
-    def _follow(
-        self,
-        command: Callable[[float, Floats, float], tuple[float, float] | None],
-        seconds: float,
-        rest: Floats,
-        broken: Callable[[Floats, float], str],
-        check: Callable[[], None],
-        progress: Callable[[float], None],
-    ) -> str:
-        """Send commands in real time, as :meth:`explore`, but leave the last one at the end."""
-        begin, reported, lookout = time.monotonic(), 0.0, Lookout()
-        while (elapsed := time.monotonic() - begin) < seconds:
-            pressures, angle = self.seen()
-            voltage = command(elapsed, pressures, angle)
-            if voltage is None:
-                break
-            self.send(np.array(voltage))
-            if reason := lookout.ends(broken(pressures, angle)):
-                self._hold(rest, RETREAT)
-                return f"after {elapsed:.1f} s {reason}"
-            if elapsed - reported > _PROGRESS_S:
-                check()
-                progress(elapsed - reported)
-                reported = elapsed
-            time.sleep(TICK)
-        progress(elapsed - reported)
-        return ""
-
-    def _hold(self, voltage: Floats, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.send(voltage)
-            time.sleep(TICK)
+            if self._step is not None:
+                text, begun, seconds = self._step
+                passed = time.monotonic() - begun
+                so_far = f"{passed:.0f} s" if seconds is None else f"{min(passed, seconds):.0f} of {seconds:.0f} s"
+                self._publisher.publish({STATUS: Health(Level.OK, f"{text}, {so_far}")})

@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import override
 
-from pam_antagonist._jit import COMPILING
-from pam_antagonist.control import Command, Seen, Status
+from pam_antagonist.control.command import Command, Status
+from pam_antagonist.control.model_law import Seen
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.nodes import qos, wire
-from pam_antagonist.nodes.health import Health, Level, Rate, Window
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.laws import PARAMETERS, described, make_laws, retune
-from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import by_rig, check_pressure_sensors
 from pam_antagonist.nodes.references import ReferenceInput
 from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import drive_of
-from pam_antagonist.recording.topics import TOPICS
-from pam_antagonist.rig import load_rig
+from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
 from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist_msgs.msg import JointEstimate
 
@@ -48,32 +46,26 @@ publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig; reference, w
 services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 
-_GAIN_NAMES = tuple(parameter.name for parameter in PARAMETERS if not parameter.read_only)
 _CHECKS = 4  # checks of the estimates' time-out and of the valves, within ``max_age``
 
 
 class ControllerNode(PamNode):
     """Sends one command for each estimate; safe voltages without a valid estimate or reference.
 
-    `linked`: whether the estimator is in the same process and calls :meth:`estimate`; then the node does not subscribe
-    to ``joint_estimate``. `options`: as :class:`PamNode`.
+    Linked with the estimator, which calls :meth:`estimate`, it does not subscribe to ``joint_estimate``. ``deliver`` is
+    called with each command: stamp [ns], voltages (2,) [V].
     """
 
     stopped = ""
-    # called with each command: stamp [ns], voltages (2,) [V]; None: not called.
-    deliver: Callable[[int, tuple[float, float]], None] | None = None
 
-    def __init__(self, *, linked: bool = False, **options: Any) -> None:
-        self._linked = linked
+    def __init__(self, **options: Any) -> None:
         super().__init__("controller", PARAMETERS, **options)
 
     @override
     def configure(self) -> None:
+        self._rig = rig = self.load_rig()
         values = self.values
-        COMPILING.tell = self.get_logger().info
-        self._rig = rig = load_rig(values["rig"], regulators=True)
-        values = self.with_rig(rig)
-        self._drive = drive = drive_of(rig, values)
+        drive = drive_of(rig, values)
         self._limits, self._action = drive.limits, drive.action
         self._laws = make_laws(values, rig, self._limits, self._action.hold)
         check_pressure_sensors(values["pressure_sensors"], rig)
@@ -98,33 +90,33 @@ class ControllerNode(PamNode):
         self._voltage = self._action.hold
         self._following = Following(self._action.hold, drive.astray, rig.sample_period)
         self._silent = False
-        self._commands = self._jumps = self._jumps_before = self._astray_before = 0
+        self._commands = self._jumps = 0
         self._statuses = dict.fromkeys(Status, 0)
         self._last = Status.NO_REFERENCE
-        self._latency, self._rate = Window(), Rate()
-        topics = drive.topics
-        self._output = wire.Outgoing(self, topics.message, topics.command, topics.frame_id, wire.VALVES)
-        self._estimate, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
-        self.add_on_set_parameters_callback(self._on_parameters)
-        self.create_service(SetBool, "~/enable", self._on_enable)
-        self.create_service(Trigger, "~/clear_stop", self._on_clear)
+        self._latency, self._rate, self._rises = Window(), Rate(), Rises()
+        self._output = wire.Outgoing(self, COMMAND_TOPICS[rig.drive], wire.FRAMES[rig.drive], wire.VALVES)
+        self._decode, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
+        self.serve(SetBool, "~/enable", self._enable)
+        self.serve(Trigger, "~/clear_stop", self._clear)
         self._rigs = RigWatch(self, announce(self, rig), self.stop)
-        self.start_diagnostics(values["joint_name"])
 
     @override
-    def cleanup(self) -> None:
-        self.remove_on_set_parameters_callback(self._on_parameters)
+    def change(self, changed: Mapping[str, Any]) -> None:
+        values = by_rig({**self.given, **changed}, self._rig)
+        retune(self._laws, self.values, values, self._references.mode)  # without a bump
+        self.values = values
 
     @override
     def activate(self) -> None:
         self._heard_ns = None
         self._laws.stop()
         self._supervision.reset()
-        if not self._linked:
+        if not self.linked:
             name = TOPICS["joint_estimate"].relative
-            self.create_subscription(JointEstimate, name, self._on_estimate, qos.STREAM, raw=True)
+            self.create_subscription(JointEstimate, name, self.take_message, qos.STREAM, raw=True)
         self.input.listen()
-        self._valve_state = self.collect(self._drive.topics.message, self._drive.topics.state, qos.GLANCE)
+        state = STATE_TOPICS[self._rig.drive]
+        self._valve_state = self.collect(wire.message_class(state), TOPICS[state].relative, qos.GLANCE)
         self.steady_timer(self.values["max_age"] / _CHECKS, self._watch)
 
     @override
@@ -139,39 +131,35 @@ class ControllerNode(PamNode):
 
     # ---------------------------------------------------------------- services
 
-    def _on_enable(self, request: Any, response: Any) -> Any:
+    def _enable(self, request: Any) -> str:
         """Start commanding from the voltages on the valves, or stop commanding so that another node may."""
-        wanted = bool(request.data)
-        response.success = True
         if not self.active:
-            response.success, response.message = False, "the node is not active: activate it first"
-            return response
-        response.message = f"it is {'enabled' if wanted else 'disabled'} already"
-        if wanted and not self._enabled:
+            raise BadInput("the node is not active: activate it first")
+        wanted = bool(request.data)
+        if wanted == self._enabled:
+            return f"it is {'enabled' if wanted else 'disabled'} already"
+        if wanted:
             self._from_the_valves()
             self._supervision.reset()
             self._enabled = True
-            response.message = f"enabled, from {self._voltage[0]:.3f} and {self._voltage[1]:.3f} {self._limits.unit}"
-        elif not wanted and self._enabled:
-            self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
-            self._enabled = False
-            response.message = "disabled: safe voltages once, then silent"
-        return response
+            return f"enabled, from {self._voltage[0]:.3f} and {self._voltage[1]:.3f} {self._limits.unit}"
+        self.deactivate()
+        self._enabled = False
+        return "disabled: safe voltages once, then silent"
 
-    def _on_clear(self, _request: Any, response: Any) -> Any:
+    def _clear(self, _request: Any) -> str:
         self._rigs.forget_the_gone()
         recent = self._heard_ns is not None and self.now_ns() - self._heard_ns <= self._max_age
-        response.success, response.message = True, "there is no stop to clear"
         present = self._rigs.present or (recent and self._supervision.present)
-        if self.stopped and present:
-            response.success, response.message = False, f"not cleared, since the cause is still present: {present}"
-        elif self.stopped:
-            response.message = f"cleared: {self.stopped}"
-            self.stopped = ""
-            self._supervision.reset()
-            self._from_the_valves()
-            self.get_logger().warning(response.message)
-        return response
+        if not self.stopped:
+            return "there is no stop to clear"
+        if present:
+            raise BadInput(f"not cleared, since the cause is still present: {present}")
+        words, self.stopped = f"cleared: {self.stopped}", ""
+        self._supervision.reset()
+        self._from_the_valves()
+        self.get_logger().warning(words)
+        return words
 
     def stop(self, reason: str) -> None:
         """Safe voltages until ``clear_stop``."""
@@ -183,7 +171,7 @@ class ControllerNode(PamNode):
         """Read the voltages on the valves; only while active."""
         if not self.active:
             return
-        for data, _ in take(self._valve_state):
+        for data, _ in wire.take(self._valve_state):
             _, first, second = self._valves(data)
             if math.isfinite(first) and math.isfinite(second):
                 self._following.saw((self._limits.clip(first), self._limits.clip(second)), time.monotonic_ns())
@@ -196,14 +184,12 @@ class ControllerNode(PamNode):
 
     # ---------------------------------------------------------------- samples
 
-    def _on_estimate(self, data: bytes) -> None:
-        self.estimate(*self._estimate(data))
+    def take_message(self, data: bytes) -> None:
+        """Take a serialised estimate."""
+        self.estimate(*self._decode(data))
 
     def estimate(self, stamp: int, *values: float) -> None:
-        """Send the command for an estimate.
-
-        `stamp`: of the sample [ns]. `values`: as in ``wire.ESTIMATE_FOR_CONTROL``.
-        """
+        """Send the command for an estimate with a stamp [ns]. `values`: as in ``wire.ESTIMATE_FOR_CONTROL``."""
         if not self.active:
             return
         now = self.now_ns()
@@ -279,68 +265,40 @@ class ControllerNode(PamNode):
         self._statuses[command.status] += 1
         self._last = command.status
 
-    def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
-        """Apply new gains without a bump, either all or none."""
-        given = dict(self.given)
-        try:
-            for parameter in changed:
-                if parameter.name in _GAIN_NAMES:
-                    entry = next(item for item in PARAMETERS if item.name == parameter.name)
-                    given[parameter.name] = entry.check(parameter.value)
-            values = by_rig(given, self._rig)
-            retune(self._laws, self.values, values, self._references.mode)
-        except BadInput as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        self.given, self.values = given, values
-        return SetParametersResult(successful=True)
-
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        rate = self._rate.take(self._commands, steady_ns)
         statuses, self._statuses = self._statuses, dict.fromkeys(Status, 0)
         safe = sum(count for status, count in statuses.items() if status.safe)
-        jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps
-        astray, self._astray_before = self._following.astray_count - self._astray_before, self._following.astray_count
-        if self.stopped:
-            output = Health(Level.ERROR, f"stopped: {self.stopped}; clear_stop clears it")
-        elif not self._enabled:
-            output = Health(Level.WARN, "disabled: silent")
-        elif jumps:
-            output = Health(Level.WARN, "the stamps jumped backwards: started again")
-        elif astray:
-            output = Health(
+        risen = self._rises.take(jumps=self._jumps, astray=self._following.astray_count)
+        values = {
+            "rate [Hz]": f"{self._rate.take(self._commands, steady_ns):.1f}",
+            "commands": self._commands,
+            **described(self._laws),
+            "cause of a stop is there": self._supervision.present or self._rigs.present or "no",
+            "jumps backwards": self._jumps,
+            "times not obeyed": self._following.astray_count,
+            **{status.value: count for status, count in statuses.items() if count},
+            **self._latency.take().as_values("age of the estimate", "ms", 1e6),
+        }
+        complaint = self._references.complaint
+        commands = judged(
+            values,
+            self._last.value,
+            (self.stopped, Level.ERROR, f"stopped: {self.stopped}; clear_stop clears it"),
+            (not self._enabled, Level.WARN, "disabled: silent"),
+            (risen["jumps"], Level.WARN, "the stamps jumped backwards: started again"),
+            (
+                risen["astray"],
                 Level.ERROR,
                 "the valves do not get what is commanded: the node that owns them is stopped, or it obeys another "
                 "commander",
-            )
-        elif self._heard_ns is None:
-            output = Health(Level.WARN, "no estimate has come yet")
-        elif self._silent:
-            output = Health(Level.ERROR, "estimates have stopped: safe voltages")
-        elif self._references.complaint:
-            output = Health(Level.ERROR, f"{self._references.complaint}: safe voltages")
-        elif safe:
-            output = Health(Level.WARN, self._last.value if self._last.safe else f"{safe} commands at safe voltages")
-        else:
-            output = Health(Level.OK, self._last.value)
-        return {
-            "rig": self._rigs.health(),
-            "reference": self.input.health(),
-            "commands": Health(
-                output.level,
-                output.message,
-                {
-                    "rate [Hz]": f"{rate:.1f}",
-                    "commands": self._commands,
-                    **described(self._laws),
-                    "cause of a stop is there": self._supervision.present or self._rigs.present or "no",
-                    "jumps backwards": self._jumps,
-                    "times not obeyed": self._following.astray_count,
-                    **{status.value: count for status, count in statuses.items() if count},
-                    **self._latency.take().as_values("age of the estimate", "ms", 1e6),
-                },
             ),
-        }
+            (self._heard_ns is None, Level.WARN, "no estimate has come yet"),
+            (self._silent, Level.ERROR, "estimates have stopped: safe voltages"),
+            (complaint, Level.ERROR, f"{complaint}: safe voltages"),
+            (safe, Level.WARN, self._last.value if self._last.safe else f"{safe} commands at safe voltages"),
+        )
+        return {"rig": self._rigs.health(), "reference": self.input.health(), "commands": commands}
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.exceptions import ParameterException
-from rclpy.qos import (
-    InvalidQoSProfileException,
-    QoSCompatibility,
-    QoSProfile,
-    qos_check_compatible,
-)
-from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.subscription import Subscription
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 
 if TYPE_CHECKING:
@@ -44,33 +36,35 @@ class Health:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Median, 99th percentile and maximum of some values; NaN without values."""
+def judged(values: Mapping[str, object], well: str, *cases: tuple[object, Level, str]) -> Health:
+    """The health of a part by the first of the cases that holds; without one all is ``well``."""
+    level, message = next(((level, words) for holds, level, words in cases if holds), (Level.OK, well))
+    return Health(level, message, values)
 
-    count: int
+
+class Spread(NamedTuple):
+    """Statistics of some values; NaN without values."""
+
+    size: int
     median: float
     p99: float  # 99th percentile
     largest: float
 
     def as_values(self, name: str, unit: str, scale: float = 1.0) -> dict[str, str]:
         """Entries for ``Health.values``."""
-        return {
-            f"{name} median [{unit}]": f"{self.median / scale:.3f}",
-            f"{name} 99th percentile [{unit}]": f"{self.p99 / scale:.3f}",
-            f"{name} largest [{unit}]": f"{self.largest / scale:.3f}",
-        }
+        words = ("median", "99th percentile", "largest")
+        return {f"{name} {word} [{unit}]": f"{value / scale:.3f}" for word, value in zip(words, self[1:], strict=True)}
 
 
 class Window:
-    """Collects values between two reports."""
+    """Collects values between two reports; those beyond the limit are left out."""
 
     def __init__(self, limit: int = 20_000) -> None:
         self._values: list[float] = []
         self._limit = limit
 
     def add(self, value: float) -> None:
-        """Add a value; values beyond the limit are left out."""
+        """Add a value."""
         if len(self._values) < self._limit:
             self._values.append(value)
 
@@ -78,9 +72,9 @@ class Window:
         """Statistics of the values since the last call."""
         values = sorted(self._values)
         self._values.clear()
-        if not values:
-            return Spread(0, math.nan, math.nan, math.nan)
         last = len(values) - 1
+        if last < 0:
+            return Spread(0, math.nan, math.nan, math.nan)
         return Spread(len(values), values[last // 2], values[math.ceil(0.99 * last)], values[last])
 
 
@@ -93,12 +87,28 @@ class Rate:
 
     def take(self, count: int, now_ns: int) -> float:
         """Rate [1/s] since the last call; NaN at the first. `now_ns`: steady time [ns]."""
-        if self._since is None or now_ns <= self._since:
-            rate = math.nan
-        else:
+        rate = math.nan
+        if self._since is not None and now_ns > self._since:
             rate = (count - self._count) / (now_ns - self._since) * 1e9
         self._count, self._since = count, now_ns
         return rate
+
+
+class Rises:
+    """By how much counters have risen since the last report.
+
+    `first`: what the first values are compared with; None: with themselves, for counters that began before.
+    """
+
+    def __init__(self, first: float | None = 0) -> None:
+        self._first = first
+        self._before: dict[str, float] = {}
+
+    def take(self, **counters: float) -> dict[str, float]:
+        """The rise of each counter."""
+        before = counters if self._first is None else dict.fromkeys(counters, self._first)
+        before, self._before = before | self._before, counters
+        return {name: value - before[name] for name, value in counters.items()}
 
 
 class DiagnosticsPublisher:
@@ -106,7 +116,7 @@ class DiagnosticsPublisher:
 
     def __init__(self, node: Node, hardware_id: str) -> None:
         self._node = node
-        self._name = f"{node.get_namespace()}/{node.get_name()}".replace("//", "/").lstrip("/")
+        self._name = full_name(node.get_namespace(), node.get_name()).lstrip("/")
         self._hardware_id = hardware_id
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
 
@@ -127,105 +137,59 @@ class DiagnosticsPublisher:
         self._publisher.publish(message)
 
 
-OVERRIDES = QoSOverridingOptions.with_default_policies()
-"""Policies that ``qos_overrides`` may change: reliability, history and depth. Durability is fixed, because an old
-command must not reach the valves, and an old reference must not count as new."""
-
-_FIXED = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
-
-QOS_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidQoSProfileException, RuntimeError, ValueError)
-"""Exceptions of rclpy for invalid overrides."""
+def full_name(namespace: str, name: str) -> str:
+    """Name of a node with its namespace."""
+    return f"{namespace}/{name}".replace("//", "/")
 
 
-def overridable(topic: str, profile: Any, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """A copied profile and rclpy's options for a topic whose quality of service a user may change.
-
-    `topic`: name of the topic; ``/diagnostics`` and the topics of ROS itself cannot be changed.
-    """
-    if topic in _FIXED or not isinstance(profile, QoSProfile):
-        return profile, options
-    return copy.copy(profile), {"qos_overriding_options": OVERRIDES, **options}
+def publishers_of(node: Node, topic: str) -> list[str]:
+    """Full names of the nodes that publish a topic, sorted."""
+    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    return sorted(full_name(info.node_namespace, info.node_name) for info in found)
 
 
-def refused(topic: str, error: Exception) -> Exception:
-    """A ``BadInput`` for an invalid override; other errors are returned unchanged."""
-    if type(error).__name__ == "RCLError" or (isinstance(error, RuntimeError) and "QoS override" not in str(error)):
-        return error
-    return BadInput(f"qos_overrides of {topic}: {error}; expected reliability, history or depth as in ROS 2")
+def connections(node: Node, entities: Iterable[Any]) -> Health:
+    """Part ``connections``: nodes that quality of service keeps from the node's publishers and subscriptions."""
+    problems = [words for entity in entities for words in _unconnected(node, entity)]
+    more = f", and {len(problems) - 1} more" if len(problems) > 1 else ""
+    values = {f"not connected, {k + 1}": words for k, words in enumerate(problems)}
+    return judged(values, "quality of service matches", (problems, Level.ERROR, f"{''.join(problems[:1])}{more}"))
 
 
-@dataclass(frozen=True)
-class _Entity:
-    topic: str
-    entity: Any
-    profile: QoSProfile
-    subscribes: bool
-
-
-class Connections:
-    """The publishers and subscriptions of a node, and their missing connections."""
-
-    def __init__(self) -> None:
-        self._entities: dict[int, _Entity] = {}
-
-    def add(self, topic: str, entity: Any, profile: Any, subscribes: bool) -> None:
-        """Watch a publisher or a subscription."""
-        if isinstance(profile, QoSProfile):
-            self._entities[id(entity)] = _Entity(topic, entity, profile, subscribes)
-
-    def remove(self, entity: Any) -> None:
-        """Stop watching an entity that is destroyed."""
-        self._entities.pop(id(entity), None)
-
-    def problems(self, node: Node) -> list[str]:
-        """Nodes that are not connected because of quality of service, in words."""
-        return [words for item in list(self._entities.values()) for words in self._of(node, item)]
-
-    def _of(self, node: Node, item: _Entity) -> list[str]:
-        if item.subscribes:
-            if item.entity.get_publisher_count() >= node.count_publishers(item.topic):
-                return []
-            found = node.get_publishers_info_by_topic(item.topic)
-        else:
-            if item.entity.get_subscription_count() >= node.count_subscribers(item.topic):
-                return []
-            found = node.get_subscriptions_info_by_topic(item.topic)
-        words = []
-        for info in found:
-            offered, asked = (info.qos_profile, item.profile) if item.subscribes else (item.profile, info.qos_profile)
-            compatible, _ = qos_check_compatible(offered, asked)
-            if compatible != QoSCompatibility.ERROR:
-                continue
-            role, side = ("publisher", "subscription") if item.subscribes else ("subscriber", "publisher")
-            words.append(
-                f"{role} {_who(info)} of {item.topic} is not connected: {_difference(offered, asked, item.topic, side)}"
-            )
-        return words
-
-    def health(self, node: Node) -> Health:
-        """Part ``connections`` for ``/diagnostics``."""
-        problems = self.problems(node)
-        values = {f"not connected, {k + 1}": words for k, words in enumerate(problems)}
-        if problems:
-            more = f", and {len(problems) - 1} more" if len(problems) > 1 else ""
-            return Health(Level.ERROR, f"{problems[0]}{more}", values)
-        return Health(Level.OK, "quality of service matches", values)
+def _unconnected(node: Node, entity: Any) -> Iterator[str]:
+    topic, subscribes = entity.topic_name, isinstance(entity, Subscription)
+    if subscribes:
+        if entity.get_publisher_count() >= node.count_publishers(topic):
+            return
+        found, words = node.get_publishers_info_by_topic(topic), ("publisher", "subscription")
+    else:
+        if entity.get_subscription_count() >= node.count_subscribers(topic):
+            return
+        found, words = node.get_subscriptions_info_by_topic(topic), ("subscriber", "publisher")
+    for info in found:
+        here, there = entity.qos_profile, info.qos_profile
+        offered, asked = (there, here) if subscribes else (here, there)
+        compatible, _ = qos_check_compatible(offered, asked)
+        if compatible == QoSCompatibility.ERROR:
+            difference = _difference(offered, asked, topic, words[1])
+            yield f"{words[0]} {_who(info)} of {topic} is not connected: {difference}"
 
 
 def _who(info: Any) -> str:
     """The node of an endpoint, whose name may come a moment after the endpoint."""
     if "_UNKNOWN_" in info.node_name:
         return "(of a node whose name has not come yet)"
-    return f"{info.node_namespace}/{info.node_name}".replace("//", "/")
+    return full_name(info.node_namespace, info.node_name)
 
 
 def _difference(offered: QoSProfile, asked: QoSProfile, topic: str, side: str) -> str:
     """The difference of two profiles, and how to correct it."""
-    if offered.reliability != asked.reliability:
-        pair = f"{offered.reliability.name} offered, {asked.reliability.name} asked for".lower().replace("_", " ")
-        better = "best_effort" if side == "subscription" else "reliable"
-        return f"{pair}; set qos_overrides.{topic}.{side}.reliability to {better}, or change the other side"
-    if offered.durability != asked.durability:
-        pair = f"{offered.durability.name} offered, {asked.durability.name} asked for".lower().replace("_", " ")
-        return f"{pair}; change the other side"
+    for policy in ("reliability", "durability"):
+        one, other = getattr(offered, policy).name, getattr(asked, policy).name
+        if one != other:
+            pair = f"{one} offered, {other} asked for".lower().replace("_", " ")
+            if policy == "durability":
+                return f"{pair}; change the other side"
+            better = "best_effort" if side == "subscription" else "reliable"
+            return f"{pair}; set qos_overrides.{topic}.{side}.reliability to {better}, or change the other side"
     return "deadline or liveliness differ; change the other side"

@@ -15,11 +15,12 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import bridge, estimator, laws, plant
 from pam_antagonist.nodes.controller import ControllerNode
 from pam_antagonist.nodes.estimator import EstimatorNode
-from pam_antagonist.nodes.health import Health, Level
+from pam_antagonist.nodes.health import Health, Level, judged
 from pam_antagonist.nodes.node import PamNode, SharedTimers
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.plant import PlantNode
 from pam_antagonist.nodes.spin import run_node
+from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.recording.topics import normalize_namespace
 
 DESCRIPTION = """
@@ -38,12 +39,9 @@ services:    ~/stop_all (std_srvs/Trigger: stops the valves of every joint until
 """
 
 PARAMETERS = (
-    Parameter("joints", ["pam"], "namespaces of the joints, such as [left/elbow, left/wrist]"),
-    Parameter(
-        "source",
-        "plant",
-        "what each joint has: plant, the simulated joint; bridge, a way to hardware; none: it is started elsewhere",
-        choices=("plant", "bridge", "none"),
+    Parameter("joints", ["pam"]).about("namespaces of the joints, such as [left/elbow, left/wrist]"),
+    Parameter("source", "plant", choices=("plant", "bridge", "none")).about(
+        "what each joint has: plant, the simulated joint; bridge, a way to hardware; none: it is started elsewhere"
     ),
 )
 
@@ -80,6 +78,11 @@ class Joint(NamedTuple):
         here = (self.controller, self.estimator)
         return here if self.source is None else (*here, self.source)
 
+    @property
+    def port(self) -> ValvePort | None:
+        """The valves' port; None where they are owned elsewhere, or before their node is configured."""
+        return getattr(self.source, "port", None)
+
 
 def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
     """Make plant or bridge, estimator and controller of one joint, linked by direct calls.
@@ -94,15 +97,15 @@ def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
     estimator_node = EstimatorNode(linked=source == "plant", **options)
     controller_node = ControllerNode(linked=True, **options)
     estimator_node.deliver = controller_node.estimate
+    owner: PlantNode | bridge.BridgeNode | None = None
     if source == "plant":
-        plant_node = PlantNode(linked=True, **options)
-        plant_node.deliver = estimator_node.sample
-        controller_node.deliver = plant_node.command
-        return Joint(namespace, plant_node, estimator_node, controller_node)
-    if source == "none":
-        return Joint(namespace, None, estimator_node, controller_node)
-    # A bridge has a thread of its own, so commands and samples go through the middleware, which is thread-safe.
-    return Joint(namespace, bridge.BridgeNode(**options), estimator_node, controller_node)
+        owner = PlantNode(linked=True, **options)
+        owner.deliver = estimator_node.sample
+        controller_node.deliver = owner.command
+    elif source == "bridge":
+        # A bridge has a thread of its own, so commands and samples go through the middleware, which is thread-safe.
+        owner = bridge.BridgeNode(**options)
+    return Joint(namespace, owner, estimator_node, controller_node)
 
 
 class JointsNode(PamNode):
@@ -119,7 +122,7 @@ class JointsNode(PamNode):
         # Made in every state of this node: its joints have life cycles of their own, and can be stopped at any time.
         self._make({**{name: value for name, value in options.items() if name != "namespace"}, "timers": timers})
         self.members = [node for joint in self.joints for node in joint.nodes]
-        self.create_service(Trigger, "~/stop_all", self._on_stop_all)
+        self.serve(Trigger, "~/stop_all", self._stop_all)
 
     @override
     def configure(self) -> None:
@@ -150,38 +153,35 @@ class JointsNode(PamNode):
                 if node.values["joint_name"] != name:
                     raise BadInput(f"{joint.namespace}: {node.get_name()} and controller have different joint_names")
 
-    def _on_stop_all(self, _request: Any, response: Any) -> Any:
+    def _stop_all(self, _request: Any) -> str:
         """Stop the valves of every joint; where another process owns them, stop the controller."""
         by_controller = []
         for joint in self.joints:
-            port = getattr(joint.source, "port", None)
-            if port is not None:
-                port.stop("stop_all")
-            else:
-                joint.controller.stop("stop_all")
-                by_controller.append(joint.namespace)
-        response.success = True
-        response.message = f"stopped: {', '.join(joint.namespace for joint in self.joints)}"
+            port = joint.port
+            (joint.controller if port is None else port).stop("stop_all")
+            by_controller += [joint.namespace] if port is None else []
+        words = f"stopped: {', '.join(joint.namespace for joint in self.joints)}"
         if by_controller:
-            response.message += f"; of {', '.join(by_controller)} the controller, since the valves are not owned here"
-        self.get_logger().error(response.message)
-        return response
+            words += f"; of {', '.join(by_controller)} the controller, since the valves are not owned here"
+        self.get_logger().error(words)
+        return words
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         states = {joint.namespace: _state(joint) for joint in self.joints}
         stopped = [name for name, words in states.items() if words.startswith("stopped")]
-        if stopped:
-            return {"joints": Health(Level.ERROR, f"stopped: {', '.join(stopped)}", states)}
         waiting = [name for name, words in states.items() if words != "active"]
-        if waiting:
-            return {"joints": Health(Level.WARN, f"not active: {', '.join(waiting)}", states)}
-        return {"joints": Health(Level.OK, f"{len(states)} joints are active", states)}
+        health = judged(
+            states,
+            f"{len(states)} joints are active",
+            (stopped, Level.ERROR, f"stopped: {', '.join(stopped)}"),
+            (waiting, Level.WARN, f"not active: {', '.join(waiting)}"),
+        )
+        return {"joints": health}
 
 
 def _state(joint: Joint) -> str:
-    port = getattr(joint.source, "port", None)
-    stopped = port.guard.stopped if port is not None else ""
+    stopped = "" if joint.port is None else joint.port.guard.stopped
     if stopped or joint.controller.stopped:
         return f"stopped: {stopped or joint.controller.stopped}"
     idle = [node.get_name() for node in joint.nodes if not node.active]

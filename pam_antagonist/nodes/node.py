@@ -6,26 +6,22 @@ import gc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
 
+from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.health import (
-    QOS_ERRORS,
-    Connections,
-    DiagnosticsPublisher,
-    Health,
-    Level,
-    overridable,
-    refused,
-)
+from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level, connections
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, by_rig, declare
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
-from pam_antagonist.rig import Rig
+from pam_antagonist.rig import Rig, load_rig
 
 _EARLY = 500_000  # [ns] by which a call may come early; otherwise it would come up to a tick late
 
@@ -42,8 +38,7 @@ class Entry:
 class SharedTimers:
     """Calls each timer when its period has passed. Missed periods are skipped, as in ROS.
 
-    Args:
-        clock: steady time [ns].
+    `clock`: steady time [ns].
 
     Example:
         >>> now, calls = [0], []
@@ -102,13 +97,9 @@ class _Gate:
         self.callback = callback
         self.open = True
 
-    def message(self, message: Any) -> None:
+    def __call__(self, *message: Any) -> None:
         if self.open:
-            self.callback(message)
-
-    def tick(self) -> None:
-        if self.open:
-            self.callback()
+            self.callback(*message)
 
 
 class _Owned(NamedTuple):
@@ -135,43 +126,42 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     check its state again for each of 4000 messages a second.
 
     Args:
+        linked: whether the node that this one listens to is in the same process and calls it, in place of a topic.
         timers: gets the node's steady timers; None: they belong to the executor.
         also_known: names of other nodes' parameters, which are accepted and ignored.
         options: of ``rclpy.node.Node``, such as ``namespace``, ``context``, ``cli_args`` or ``parameter_overrides``.
-
-    Attributes:
-        values: the same; what is left to the rig file is filled in by :meth:`with_rig`.
-        about_rig: name and fingerprint of the rig for ``/diagnostics``.
-        finished: set when the node has finished, or was shut down by its lifecycle service.
-        members: nodes in the same executor that start and end with this one.
     """
 
-    finished = False
-    active = False
+    finished = False  # set when the node has finished, or was shut down by its lifecycle service
+    active = configured = False
     members: Sequence[PamNode] = ()  # nodes in the same executor that start and end with this one
+    deliver: Callable[..., None] | None = None  # the next node of the same process is called with each result
 
     def __init__(
         self,
         name: str,
         table: Sequence[Parameter],
         *,
+        linked: bool = False,
         timers: SharedTimers | None = None,
         also_known: Sequence[str] = (),
         **options: Any,
     ) -> None:
+        self.linked = linked
         self._timers_shared = timers
         self._collected: dict[str, Subscription] = getattr(self, "_collected", {})
         self._owned: list[_Owned] = []
-        self._connections = Connections()
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
-        self.about_rig: dict[str, str] = {}
+        self.about_rig: dict[str, str] = {}  # name and fingerprint of the rig for ``/diagnostics``
         super().__init__(name, **{"namespace": DEFAULT_NAMESPACE, **options})
         known = (*SHARED_PARAMETERS, *JOINTS_PARAMETERS, *also_known)
-        self.given: dict[str, Any] = declare(self, (*table, AUTOSTART, DIAGNOSTICS_PERIOD), known)
-        self.values = dict(self.given)
+        self._table = {parameter.name: parameter for parameter in (*table, AUTOSTART, DIAGNOSTICS_PERIOD)}
+        self.given: dict[str, Any] = declare(self, tuple(self._table.values()), known)
+        self.values = dict(self.given)  # the same, and filled in what is left to the rig file
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ros_clock = self.get_clock()
+        self.add_on_set_parameters_callback(self._on_parameters)
         if self.values["autostart"]:
             self._require(self.trigger_configure)
 
@@ -195,18 +185,22 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     def close(self) -> None:
         """Send last messages while the context still exists. Called once, before the node is destroyed."""
 
+    def change(self, changed: Mapping[str, Any]) -> None:
+        """Apply parameters that were changed while the node is configured, all or none."""
+
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of each part; called every ``diagnostics_period`` after :meth:`start_diagnostics`.
 
-        Args:
-            steady_ns: steady time [ns].
+        `steady_ns`: steady time [ns].
         """
         raise NotImplementedError
 
-    def with_rig(self, rig: Rig) -> dict[str, Any]:
-        """The parameters, what they leave to the rig file filled in; also :attr:`values` from now on."""
+    def load_rig(self) -> Rig:
+        """The rig of the parameters; what they leave to it is filled in in :attr:`values`."""
+        COMPILING.tell = self.get_logger().info
+        rig = load_rig(self.given["rig"], regulators=True)
         self.values = by_rig(self.given, rig)
-        return self.values
+        return rig
 
     def start_diagnostics(self, hardware_id: str) -> None:
         """Publish :meth:`health` periodically from now on."""
@@ -217,11 +211,11 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         """Make a timer on the steady clock, with a period [s]."""
         if self._timers_shared is not None:
             gate = _Gate(callback)
-            return self._own(self._timers_shared.remove, self._timers_shared.add(period, gate.tick), gate)
+            return self._own(self._timers_shared.remove, self._timers_shared.add(period, gate), gate)
         return self.create_timer(period, callback, clock=self._steady)
 
     def collect(self, kind: Any, topic: str, profile: Any) -> Subscription:
-        """Make a subscription that does not wake the executor; :func:`take` returns its serialised messages.
+        """Make a subscription that does not wake the executor; :func:`wire.take` returns its serialised messages.
 
         This costs less than a callback, and is the only way to get the middleware's information about a message: with a
         callback for it, the ``EventsExecutor`` of rclpy 7.1 fails with "SystemError: null argument".
@@ -242,33 +236,35 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def create_publisher(self, kind: Any, topic: str, profile: Any, **options: Any) -> Any:
         """As rclpy; the opposite transition destroys the publisher. Supports ``qos_overrides``."""
-        profile, options = overridable(topic, profile, options)
-        try:
-            publisher = super().create_publisher(kind, topic, profile, **options)
-        except QOS_ERRORS as error:
-            raise refused(topic, error) from None
-        self._connections.add(publisher.topic_name, publisher, profile, subscribes=False)
-        return self._own(self._unpublish, publisher)
+        make = partial(super().create_publisher, kind, topic)
+        return self._own(self.destroy_publisher, qos.overridable(make, topic, profile, options))
 
     def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any, **options: Any) -> Any:
         """As rclpy; the opposite transition destroys the subscription. Supports ``qos_overrides``."""
         gate = _Gate(callback)
-        profile, options = overridable(topic, profile, options)
-        try:
-            entity = super().create_subscription(kind, topic, gate.message, profile, **options)
-        except QOS_ERRORS as error:
-            raise refused(topic, error) from None
-        self._connections.add(entity.topic_name, entity, profile, subscribes=True)
-        return self._own(self._unsubscribe, entity, gate)
+        make = partial(super().create_subscription, kind, topic, gate)
+        return self._own(self._unsubscribe, qos.overridable(make, topic, profile, options), gate)
 
     def create_timer(self, period: float, callback: Any, *args: Any, **options: Any) -> Any:
         """As rclpy; the opposite transition destroys the timer."""
         gate = _Gate(callback)
-        return self._own(self.destroy_timer, super().create_timer(period, gate.tick, *args, **options), gate)
+        return self._own(self.destroy_timer, super().create_timer(period, gate, *args, **options), gate)
 
     def create_service(self, *args: Any, **options: Any) -> Any:
         """As rclpy; the opposite transition destroys the service."""
         return self._own(self.destroy_service, super().create_service(*args, **options))
+
+    def serve(self, kind: Any, name: str, answer: Callable[[Any], str]) -> None:
+        """Make a service whose answer is a message in words; ``BadInput`` means that it was not done."""
+
+        def callback(request: Any, response: Any) -> Any:
+            try:
+                response.message, response.success = answer(request), True
+            except BadInput as error:
+                response.message, response.success = str(error), False
+            return response
+
+        self.create_service(kind, name, callback)
 
     # ---------------------------------------------------------------- transitions
 
@@ -285,7 +281,9 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Reach ``inactive`` by :meth:`configure`."""
-        return self._reach("configured", self.configure, super().on_configure, state)
+        outcome = self._reach("configured", self.configure, super().on_configure, state)
+        self.configured = outcome is TransitionCallbackReturn.SUCCESS
+        return outcome
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Reach ``active`` by :meth:`activate`."""
@@ -298,23 +296,23 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Leave ``active``; the entities of :meth:`activate` are destroyed."""
-        self._leave("active")
+        self._leave_active()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Leave ``inactive``; the entities of :meth:`configure` are destroyed."""
-        self._leave("configured")
+        if self.configured:
+            self.cleanup()
+            self.configured = False
+        self._dispose("configured")
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Shut down from any state; the process ends."""
-        self._leave("active")
+        self._leave_active()
         # Delayed, so that the caller gets an answer, and subscribers get the last messages.
-        self.create_timer(_ANSWER, self._finish, clock=self._steady)
+        self.create_timer(_ANSWER, partial(setattr, self, "finished", True), clock=self._steady)
         return super().on_shutdown(state)
-
-    def _finish(self) -> None:
-        self.finished = True
 
     def _reach(
         self, stage: str, ours: Callable[[], None], base: Callable[[Any], Any], state: LifecycleState
@@ -337,14 +335,11 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
             self._reaching = None
         return base(state)
 
-    def _leave(self, stage: str) -> None:
-        """Undo a stage, if it was reached."""
-        if stage == "active" and self.active:
+    def _leave_active(self) -> None:
+        if self.active:
             self.deactivate()
             self.active = False
-        elif stage == "configured" and any(owned.stage == stage for owned in self._owned):
-            self.cleanup()
-        self._dispose(stage)
+        self._dispose("active")
 
     def _dispose(self, stage: str) -> None:
         gone = [owned for owned in self._owned if owned.stage == stage]
@@ -361,30 +356,34 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def _unsubscribe(self, subscription: Subscription) -> None:
         self._collected = {name: item for name, item in self._collected.items() if item is not subscription}
-        self._connections.remove(subscription)
         self.destroy_subscription(subscription)
 
-    def _unpublish(self, publisher: Any) -> None:
-        self._connections.remove(publisher)
-        self.destroy_publisher(publisher)
+    def _on_parameters(self, changed: Sequence[Any]) -> SetParametersResult:
+        """Check and apply parameters, either all or none; without a range rclpy does not check them."""
+        try:
+            known = {
+                item.name: self._table[item.name].check(item.value) for item in changed if item.name in self._table
+            }
+            if known and self.configured:
+                self.change(known)
+        except BadInput as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.given |= known
+        return SetParametersResult(successful=True)
 
     def _diagnose(self) -> None:
         parts = dict(self.health(time.monotonic_ns()))
         level, state = (Level.OK, "active") if self.active else (Level.WARN, "not active")
-        parts["connections"] = self._connections.health(self)
+        parts["connections"] = self.connections()
         parts["lifecycle"] = Health(level, state, self.about_rig)
         self._diagnostics.publish(parts)
         # Automatic collection is off, and objects from before the first sample are frozen (see spin.py), so this takes
         # only microseconds.
         gc.collect()
 
-
-def take(subscription: Subscription) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
-    """Messages of a subscription of :meth:`PamNode.collect`, oldest first, each with the middleware's information."""
-    handle = subscription.handle
-    with handle:
-        while (taken := handle.take_message(subscription.msg_type, True)) is not None:
-            yield taken
+    def connections(self) -> Health:
+        """Part ``connections``: which nodes quality of service keeps from this one's topics."""
+        return connections(self, (*self.publishers, *super().subscriptions))
 
 
 def _never(_message: bytes) -> None:

@@ -21,6 +21,7 @@ PRESSURE_1, PRESSURE_2, VALVES, ANGLE = range(4)
 
 _FIRST = (0, 1, 2, 4)  # where each topic's values start in a sample
 _BITS = 5  # index of the bit mask of received topics, after the values
+_RESTART = 500_000_000  # a message older than the last final sample by more than this restarts the pairing [ns]
 _LIMIT = 5000  # largest number of waiting samples; only invalid stamps lead to more
 
 
@@ -51,7 +52,6 @@ class SamplePairing:
 
     Args:
         timeout: how long a sample waits for a topic [s].
-        restart_after: a message that is older than the last final sample by more than this restarts the pairing [s].
         clock: current time [ns], for the waiting time.
     """
 
@@ -59,14 +59,12 @@ class SamplePairing:
         self,
         timeout: float,
         clock: Callable[[], int],
-        restart_after: float = 0.5,
         topics: Sequence[int] = (PRESSURE_1, PRESSURE_2, VALVES),
     ) -> None:
         self._topics = tuple(topics)
         self._complete = sum(1 << topic for topic in self._topics)
         self.counts = PairingCounts()
         self._timeout = round(timeout * 1e9)
-        self._restart = round(restart_after * 1e9)
         self._clock = clock
         self.reset()
 
@@ -86,7 +84,7 @@ class SamplePairing:
             values: one pressure [Pa], two voltages [V], or one angle [rad].
         """
         if self._final is not None and stamp_ns <= self._final:
-            if self._final - stamp_ns <= self._restart:
+            if self._final - stamp_ns <= _RESTART:
                 self.counts.late += 1
                 return []
             self.counts.restarts += 1
@@ -112,7 +110,7 @@ class SamplePairing:
     def whole(self, sample: Sample) -> list[Sample]:
         """Add a sample that was not split into messages; values may be NaN. Do not combine with :meth:`add`."""
         if self._final is not None and sample.stamp_ns <= self._final:
-            if self._final - sample.stamp_ns <= self._restart:
+            if self._final - sample.stamp_ns <= _RESTART:
                 self.counts.late += 1
                 return []
             self.counts.restarts += 1

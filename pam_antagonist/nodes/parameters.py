@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
@@ -31,7 +31,6 @@ class Parameter:
 
     name: str  # as in ``-p name:=value``
     default: Value
-    description: str
     low: float | None = None  # lowest value, also of each element of a list; None: no bound
     high: float | None = None
     length: int = 2
@@ -40,13 +39,23 @@ class Parameter:
     read_only: bool = True
     # value by which a parameter is left to the rig file (:func:`by_rig`), beside the range; None: none.
     left: float | None = None
+    description: str = ""
+
+    def about(self, description: str) -> Parameter:
+        """The parameter with its description."""
+        return replace(self, description=description)
+
+    @property
+    def _item(self) -> type:
+        """Type of a value, or of each item of a list."""
+        return type(self.default[0]) if isinstance(self.default, list) else type(self.default)
 
     @property
     def expected(self) -> str:
         """The allowed values, in words."""
         text = _TYPES[type(self.default)]
         if isinstance(self.default, list):
-            text = "a list of texts" if self._texts else f"a list of {self.length} numbers"
+            text = "a list of texts" if self._item is str else f"a list of {self.length} numbers"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.solid:
@@ -59,91 +68,59 @@ class Parameter:
 
     def check(self, value: Any) -> Value:
         """The value in this parameter's type."""
-        kind = type(self.default)
-        if kind is float and type(value) is int:
+        kind, item = type(self.default), self._item
+        if kind is list and hasattr(value, "__len__") and not isinstance(value, (str, bytes)):
+            value = [float(one) if item is float and isinstance(one, (int, float)) else one for one in value]
+        elif kind is list and item is str and isinstance(value, str):
+            value = [value]
+        elif kind is float and type(value) is int:
             value = float(value)
-        if self._texts:
-            return self._check_texts(value)
-        if kind is list and not isinstance(value, (str, bytes)) and hasattr(value, "__len__"):
-            value = [float(item) if isinstance(item, (int, float)) else item for item in value]
-        good = type(value) is kind and (not self.choices or value in self.choices)
-        if good and isinstance(value, list):
-            good = len(value) == self.length and all(isinstance(item, float) and self._within(item) for item in value)
-        elif good and isinstance(value, (int, float)) and not isinstance(value, bool):
-            good = self._within(value)
-        elif good and isinstance(value, str) and self.solid:
-            good = bool(value) and value.isprintable() and " " not in value
-        if not good:
+        items = value if isinstance(value, list) else [value]
+        good = type(value) is kind and all(type(one) is item and self._allows(one) for one in items)
+        if not good or (kind is list and item is float and len(items) != self.length):
             raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
         return value  # type: ignore[no-any-return]
 
-    @property
-    def _texts(self) -> bool:
-        return isinstance(self.default, list) and (not self.default or isinstance(self.default[0], str))
-
-    def _check_texts(self, value: Any) -> list[str]:
-        texts = [value] if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
-        if not all(isinstance(item, str) and item for item in texts):
-            raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
-        return texts
-
-    def _within(self, value: float) -> bool:
+    def _allows(self, value: Any) -> bool:
+        if isinstance(value, str):
+            solid = bool(value) and value.isprintable() and " " not in value
+            named = bool(value) or not isinstance(self.default, list)
+            return named and (not self.choices or value in self.choices) and (solid or not self.solid)
         low = -float("inf") if self.low is None else self.low
         high = float("inf") if self.high is None else self.high
         return low <= value <= high or value == self.left  # False for NaN
 
 
-RIG = Parameter("rig", "shin2022", "name of a rig in config/rigs, or path of a rig's YAML file")
-JOINT = Parameter("joint", "free", "whether the joint moves or is held", choices=("free", "locked"))
-LOCK_ANGLE = Parameter("lock_angle", 0.0, "angle at which a locked joint is held [rad]", -1.6, 1.6)
-JOINT_NAME = Parameter("joint_name", "joint", "name of the joint in messages and diagnostics", solid=True)
-FRAME = Parameter("frame_id", "joint", "frame of the joint in the messages")
-SAFE_VOLTAGE = Parameter(
-    "safe_voltage",
-    [-1.0, -1.0],
+RIG = Parameter("rig", "shin2022").about("name of a rig in config/rigs, or path of a rig's YAML file")
+JOINT = Parameter("joint", "free", choices=("free", "locked")).about("whether the joint moves or is held")
+LOCK_ANGLE = Parameter("lock_angle", 0.0, -1.6, 1.6).about("angle at which a locked joint is held [rad]")
+JOINT_NAME = Parameter("joint_name", "joint", solid=True).about("name of the joint in messages and diagnostics")
+FRAME = Parameter("frame_id", "joint").about("frame of the joint in the messages")
+SIMULATED_JOINT = (RIG, JOINT, LOCK_ANGLE, JOINT_NAME, FRAME)
+"""Parameters of a node that knows the equations of the joint."""
+SAFE_VOLTAGE = Parameter("safe_voltage", [-1.0, -1.0], 0.0, 10.0, left=-1.0).about(
     "voltages of both valves while no valid command comes [V]; -1: at which they keep the pressure at rest, by the rig "
-    "file",
-    0.0,
-    10.0,
-    left=-1.0,
+    "file"
 )
-SAFE_ACTION = Parameter(
-    "safe_action",
-    "hold",
+SAFE_ACTION = Parameter("safe_action", "hold", choices=("hold", "vent")).about(
     "what the valves get while no valid command comes: hold keeps safe_voltage; vent moves slowly from there to "
-    "vent_voltage",
-    choices=("hold", "vent"),
+    "vent_voltage"
 )
-VENT_VOLTAGE = Parameter(
-    "vent_voltage",
-    [-1.0, -1.0],
-    "voltages at which both valves let the air out [V]; -1: the lowest of the rig file",
-    0.0,
-    10.0,
-    left=-1.0,
+VENT_VOLTAGE = Parameter("vent_voltage", [-1.0, -1.0], 0.0, 10.0, left=-1.0).about(
+    "voltages at which both valves let the air out [V]; -1: the lowest of the rig file"
 )
-VENT_RATE = Parameter("vent_rate", 1.0, "largest change of each voltage on the way to vent_voltage [V/s]", 0.01, 1e3)
-SAFE_PRESSURE = Parameter(
-    "safe_pressure",
-    [0.0, 0.0],
+VENT_RATE = Parameter("vent_rate", 1.0, 0.01, 1e3).about(
+    "largest change of each voltage on the way to vent_voltage [V/s]"
+)
+SAFE_PRESSURE = Parameter("safe_pressure", [0.0, 0.0], 0.0, 2e6).about(
     "rig with regulators: absolute pressures that both are commanded to hold while no valid command comes; 0: the "
-    "middle of their range [Pa]",
-    0.0,
-    2e6,
+    "middle of their range [Pa]"
 )
-VENT_PRESSURE = Parameter(
-    "vent_pressure",
-    [0.0, 0.0],
-    "rig with regulators: absolute pressures at which vent ends; 0: the lower end of their range [Pa]",
-    0.0,
-    2e6,
+VENT_PRESSURE = Parameter("vent_pressure", [0.0, 0.0], 0.0, 2e6).about(
+    "rig with regulators: absolute pressures at which vent ends; 0: the lower end of their range [Pa]"
 )
-VENT_PRESSURE_RATE = Parameter(
-    "vent_pressure_rate",
-    20e3,
-    "rig with regulators: largest change of each pressure on the way to vent_pressure [Pa/s]",
-    1.0,
-    1e7,
+VENT_PRESSURE_RATE = Parameter("vent_pressure_rate", 20e3, 1.0, 1e7).about(
+    "rig with regulators: largest change of each pressure on the way to vent_pressure [Pa/s]"
 )
 SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE, SAFE_PRESSURE, VENT_PRESSURE, VENT_PRESSURE_RATE)
 """Parameters of every node that may apply safe voltages."""
@@ -152,53 +129,28 @@ SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE, SAFE_PRESSURE, VEN
 # and a single wrong command moves a valve by at most a fifth of its range.
 VALVE_OWNER = (
     *SAFETY,
-    Parameter(
-        "command_timeout",
-        0.0,
-        "time without a command until the valves become safe [s]; 0: three samples of the rig, at least 0.02",
-        0.002,
-        1.0,
-        left=0.0,
+    Parameter("command_timeout", 0.0, 0.002, 1.0, left=0.0).about(
+        "time without a command until the valves become safe [s]; 0: three samples of the rig, at least 0.02"
     ),
-    Parameter(
-        "max_command_age",
-        0.05,
+    Parameter("max_command_age", 0.05, 0.005, 10.0).about(
         "a command is ignored if the sample that it answers is older than this [s]; a command with stamp 0 is not "
-        "checked",
-        0.005,
-        10.0,
+        "checked"
     ),
-    Parameter("max_slew", 2000.0, "largest change of a valve's voltage by commands [V/s]", 1.0, 1e6),
+    Parameter("max_slew", 2000.0, 1.0, 1e6).about("largest change of a valve's voltage by commands [V/s]"),
     # The whole range in 30 ms, faster than a regulator; a single wrong command moves it by at most 20 kPa at 1 kHz.
-    Parameter(
-        "max_pressure_slew",
-        2e7,
-        "rig with regulators: largest change of a regulator's pressure by commands [Pa/s]",
-        1e3,
-        1e10,
+    Parameter("max_pressure_slew", 2e7, 1e3, 1e10).about(
+        "rig with regulators: largest change of a regulator's pressure by commands [Pa/s]"
     ),
-    Parameter(
-        "max_pressure",
-        [0.0, 0.0],
-        "absolute pressure of each muscle above which the valves stop; 0: 1.1 times the rig's supply pressure [Pa]",
-        0.0,
-        1e7,
+    Parameter("max_pressure", [0.0, 0.0], 0.0, 1e7).about(
+        "absolute pressure of each muscle above which the valves stop; 0: 1.1 times the rig's supply pressure [Pa]"
     ),
-    Parameter("over_pressure_time", 0.005, "time above max_pressure after which the valves stop [s]", 0.001, 1.0),
-    Parameter(
-        "missing_time",
-        0.02,
-        "time for which a pressure may be missing or not finite before the valves stop [s]",
-        0.001,
-        1.0,
+    Parameter("over_pressure_time", 0.005, 0.001, 1.0).about("time above max_pressure after which the valves stop [s]"),
+    Parameter("missing_time", 0.02, 0.001, 1.0).about(
+        "time for which a pressure may be missing or not finite before the valves stop [s]"
     ),
-    Parameter(
-        "frozen_time",
-        0.0,
+    Parameter("frozen_time", 0.0, 0.0, 60.0).about(
         "time for which a pressure may keep exactly the same value before the valves stop [s]; 0: computed from the "
-        "sensor's noise, at least 0.02",
-        0.0,
-        60.0,
+        "sensor's noise, at least 0.02"
     ),
 )
 """Parameters of a node that owns the valves, the plant or a bridge; see docs/how-to/safety.md."""
@@ -242,10 +194,12 @@ def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
         )
 
 
-AUTOSTART = Parameter(
-    "autostart", True, "whether the node configures and activates itself, without a lifecycle manager"
+AUTOSTART = Parameter("autostart", True).about(
+    "whether the node configures and activates itself, without a lifecycle manager"
 )
-DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, "time between two messages on /diagnostics [s]", 0.05, 60.0)
+DIAGNOSTICS_PERIOD = Parameter("diagnostics_period", 1.0, 0.05, 60.0).about(
+    "time between two messages on /diagnostics [s]"
+)
 
 
 def declare(node: Node, table: Sequence[Parameter], known_elsewhere: Sequence[str] = ()) -> dict[str, Any]:

@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.msg import SetParametersResult
-from sensor_msgs.msg import FluidPressure, JointState
 from typing_extensions import override
 
-from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes import wire
-from pam_antagonist.nodes.health import Health, Level, Rate, Window
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
-    FRAME,
-    JOINT,
-    JOINT_NAME,
-    LOCK_ANGLE,
     PRESSURE_SENSORS,
-    RIG,
+    SIMULATED_JOINT,
     VALVE_OWNER,
     Parameter,
     check_pressure_sensors,
@@ -32,8 +24,7 @@ from pam_antagonist.nodes.parameters import (
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import ValvePort
-from pam_antagonist.recording.topics import TOPICS
-from pam_antagonist.rig import NO_ENCODER, load_rig
+from pam_antagonist.rig import NO_ENCODER
 from pam_antagonist.simulation.plant import Plant
 
 DESCRIPTION = """
@@ -54,45 +45,26 @@ services:    ~/stop, ~/clear_stop (std_srvs/Trigger), and those of a lifecycle n
 """
 
 PARAMETERS = (
-    RIG,
-    JOINT,
-    LOCK_ANGLE,
-    JOINT_NAME,
-    FRAME,
+    *SIMULATED_JOINT,
     *VALVE_OWNER,
-    Parameter("seed", 0, "seed of the parameters' mismatch and of the sensor noise [-]", 0, 2**31 - 1),
-    Parameter("mismatch", 0.0, "relative standard deviation of the parameters from the rig's [-]", 0.0, 0.29),
-    Parameter("noise", True, "whether the sensors have noise and steps"),
-    Parameter(
-        "angle_sensor",
-        "none",
-        "encoder: publishes angle_sensor, by the rig file's encoder",
-        choices=ANGLE_SENSORS,
+    Parameter("seed", 0, 0, 2**31 - 1).about("seed of the parameters' mismatch and of the sensor noise [-]"),
+    Parameter("mismatch", 0.0, 0.0, 0.29).about("relative standard deviation of the parameters from the rig's [-]"),
+    Parameter("noise", True).about("whether the sensors have noise and steps"),
+    Parameter("angle_sensor", "none", choices=ANGLE_SENSORS).about(
+        "encoder: publishes angle_sensor, by the rig file's encoder"
     ),
-    Parameter(
-        "pressure_sensors",
-        "measured",
-        "none: publishes no pressures, like a joint without pressure sensors; for a rig with drive: regulator",
-        choices=PRESSURE_SENSORS,
+    Parameter("pressure_sensors", "measured", choices=PRESSURE_SENSORS).about(
+        "none: publishes no pressures, like a joint without pressure sensors; for a rig with drive: regulator"
     ),
-    Parameter(
-        "push",
-        0.0,
-        "torque with which somebody pushes the joint, about +z [N m]",
-        -10.0,
-        10.0,
-        read_only=False,
+    Parameter("push", 0.0, -10.0, 10.0, read_only=False).about(
+        "torque with which somebody pushes the joint, about +z [N m]"
     ),
-    Parameter("substeps", 4, "integration steps a sample [-]", 1, 64),
-    Parameter(
-        "initial_pressure", [0.0, 0.0], "pressures at the start, absolute [Pa]; 0: at rest, by the rig file", 0.0, 2e6
+    Parameter("substeps", 4, 1, 64).about("integration steps a sample [-]"),
+    Parameter("initial_pressure", [0.0, 0.0], 0.0, 2e6).about(
+        "pressures at the start, absolute [Pa]; 0: at rest, by the rig file"
     ),
-    Parameter(
-        "wait_for_subscribers",
-        0,
-        "subscribers of each sample topic that the first sample waits for [-]",
-        0,
-        16,
+    Parameter("wait_for_subscribers", 0, 0, 16).about(
+        "subscribers of each sample topic that the first sample waits for [-]"
     ),
 )
 
@@ -109,85 +81,47 @@ class PlantNode(PamNode):
     Sample k is stamped start + k T, without drift, and is published when the clock reaches this time. After a stall all
     missed samples are published, as by a device that runs independently.
 
-    `linked`: whether the controller is in the same process and calls :meth:`command`; then the node does not subscribe
-    to ``valve_command``. `options`: as :class:`PamNode`.
+    Linked with the controller, which calls :meth:`command`, it does not subscribe to ``valve_command``. ``deliver`` is
+    called with each sample: stamp [ns], two pressures [Pa], two voltages [V], and the encoder's angle [rad], NaN where
+    none is published.
     """
 
-    # called with each sample: stamp [ns], two pressures [Pa], two voltages [V], and the encoder's angle [rad], NaN
-    # where none is published; None: not called.
-    deliver: Callable[[int, float, float, float, float, float], None] | None = None
-
-    def __init__(self, *, linked: bool = False, **options: Any) -> None:
-        self._linked = linked
+    def __init__(self, **options: Any) -> None:
         super().__init__("plant", PARAMETERS, **options)
 
     @override
     def configure(self) -> None:
+        rig = self.load_rig()
         values = self.values
-        COMPILING.tell = self.get_logger().info
-        rig = load_rig(values["rig"], regulators=True)
-        values = self.with_rig(rig)
         self._period = round(rig.sample_period * 1e9)
-        self.port = ValvePort(self, rig, noisy=values["noise"], linked=self._linked)
-        self._plant = Plant(
-            rig,
-            joint=values["joint"],
-            lock_angle=values["lock_angle"],
-            seed=values["seed"],
-            substeps=values["substeps"],
-            mismatch=values["mismatch"],
-            noise=values["noise"],
-            initial_pressure=tuple(values["initial_pressure"]),
-        )
+        self.port = ValvePort(self, rig, noisy=values["noise"])
+        held = {"joint": values["joint"], "lock_angle": values["lock_angle"]}
+        given = {name: values[name] for name in ("seed", "substeps", "mismatch", "noise")}
+        self._plant = Plant(rig, **held, **given, initial_pressure=tuple(values["initial_pressure"]))
         # Compiles or loads the code of a step; uses another plant, so that this one starts at rest.
-        Plant(rig, joint=values["joint"], lock_angle=values["lock_angle"]).step(self.port.drive.action.hold)
+        Plant(rig, **held).step(self.port.drive.action.hold)
+        check_pressure_sensors(values["pressure_sensors"], rig)
+        encoder = values["angle_sensor"] == "encoder"
+        if encoder and rig.encoder is None:
+            raise BadInput(f"angle_sensor encoder: {NO_ENCODER.format(rig=rig.name)}")
         self._next: int | None = None
         self._now: int | None = None  # present time while samples are made [ns]
         self._found_ns: int | None = None
-        self._samples = self._jumps = self._jumps_before = 0
-        self._lateness, self._rate = Window(), Rate()
-        self._variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
-        body, self._joint_values = wire.joint_state(values["joint_name"], velocity=False)
-        check_pressure_sensors(values["pressure_sensors"], rig)
-        self._pressures = tuple(
-            wire.Outgoing(self, FluidPressure, TOPICS[f"pressure_{i}"].relative, f"muscle_{i}", wire.PRESSURE)
-            for i in ((1, 2) if values["pressure_sensors"] == "measured" else ())
-        )
-        topics = self.port.drive.topics
-        self._valves = wire.Outgoing(self, topics.message, topics.state, topics.frame_id, wire.VALVES)
-        name = TOPICS["measured_joint_states"].relative
-        self._joint = wire.Outgoing(self, JointState, name, values["frame_id"], body)
-        self._encoder: wire.Outgoing | None = None
-        if values["angle_sensor"] == "encoder":
-            if rig.encoder is None:
-                raise BadInput(f"angle_sensor encoder: {NO_ENCODER.format(rig=rig.name)}")
-            body, self._position = wire.joint_position(values["joint_name"])
-            name = TOPICS["angle_sensor"].relative
-            self._encoder = wire.Outgoing(self, JointState, name, values["frame_id"], body)
+        self._samples = self._jumps = 0
+        self._lateness, self._rate, self._rises = Window(), Rate(), Rises()
+        variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
+        measured = values["pressure_sensors"] == "measured"
+        self._output = wire.SampleOutput(self, rig, pressures=measured, variance=variance, encoder=encoder)
         self._push: float = values["push"]
         self._pushed: wire.Outgoing | None = None
         if DISTURBANCE in rig.effects:
-            name = TOPICS["measured_external_torque"].relative
-            self._pushed = wire.Outgoing(self, WrenchStamped, name, values["frame_id"], wire.WRENCH)
-        self.add_on_set_parameters_callback(self._on_parameters)
+            self._pushed = wire.Outgoing(self, "measured_external_torque", values["frame_id"], wire.WRENCH)
         self.steady_timer(self._period * 1e-9, self._tick)
         announce(self, rig)
-        self.start_diagnostics(values["joint_name"])
 
     @override
-    def cleanup(self) -> None:
-        self.remove_on_set_parameters_callback(self._on_parameters)
-
-    def _on_parameters(self, changed: list[Any]) -> SetParametersResult:
-        """Apply a new push from the next sample on."""
-        entry = next(item for item in PARAMETERS if item.name == "push")
-        try:
-            for parameter in changed:
-                if parameter.name == entry.name:
-                    self._push = float(entry.check(parameter.value))  # type: ignore[arg-type]
-        except BadInput as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+    def change(self, changed: Mapping[str, Any]) -> None:
+        self._push = changed.get("push", self._push)  # from the next sample on
 
     @override
     def activate(self) -> None:
@@ -226,7 +160,7 @@ class PlantNode(PamNode):
         wanted: int = self.values["wait_for_subscribers"]
         if wanted == 0:
             return True
-        outputs = (*self._pressures, self._valves)
+        outputs = (*self._output.pressures, self._output.valves)
         if any(output.publisher.get_subscription_count() < wanted for output in outputs):
             self._found_ns = None
             return False
@@ -238,52 +172,37 @@ class PlantNode(PamNode):
         """Advance by one period, which ends at the stamp, and publish."""
         push = self._push
         sample = self._plant.step(self.port.output(stamp_ns).voltage, push)
-        if self._pressures:
-            self.port.supervise(stamp_ns, *sample.pressure)
+        pressure = sample.pressure if self._output.pressures else (math.nan, math.nan)
+        if self._output.pressures:
+            self.port.supervise(stamp_ns, *pressure)
         self._samples += 1
         if not self.active:
             return
-        for output, pressure in zip(self._pressures, sample.pressure, strict=False):
-            output.send(stamp_ns, pressure, self._variance)
-        self._valves.send(stamp_ns, *sample.voltage)
-        self._joint.send(stamp_ns, *self._joint_values(sample.angle, sample.torque))
+        self._output.send(stamp_ns, pressure, sample.voltage, sample.angle, sample.torque, sample.encoder)
         if self._pushed is not None:
             self._pushed.send(stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0, push)
-        encoder = math.nan
-        if self._encoder is not None:
-            encoder = sample.encoder
-            self._encoder.send(stamp_ns, *self._position(encoder))
         if self.deliver is not None:
-            (p1, p2), (u1, u2) = sample.pressure if self._pressures else (math.nan, math.nan), sample.voltage
-            self.deliver(stamp_ns, p1, p2, u1, u2, encoder)
+            encoder = math.nan if self._output.encoder is None else sample.encoder
+            self.deliver(stamp_ns, *pressure, *sample.voltage, encoder)
 
     def command(self, stamp_ns: int, voltage: tuple[float, float]) -> None:
-        """Take a command of the controller in the same process.
-
-        `stamp_ns`: of the command's sample [ns]. `voltage`: command (2,) [V].
-        """
+        """Take a command (2,) [V] of the controller in the same process. `stamp_ns`: of the command's sample [ns]."""
         self.port.command(stamp_ns, voltage, self.now_ns() if self._now is None else self._now)
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
-        lateness = self._lateness.take()
-        rate = self._rate.take(self._samples, steady_ns)
-        jumps, self._jumps_before = self._jumps - self._jumps_before, self._jumps
-        if self._next is None:
-            level, message = Level.WARN, "waits for the clock or for subscribers"
-        elif jumps:
-            level, message = Level.WARN, "the clock jumped: the samples went on from it"
-        else:
-            level, message = Level.OK, "running"
-        sampling = Health(
-            level,
-            message,
-            {
-                "rate [Hz]": f"{rate:.1f}",
-                "samples": self._samples,
-                "clock jumps": self._jumps,
-                **lateness.as_values("lateness", "ms", 1e6),
-            },
+        values = {
+            "rate [Hz]": f"{self._rate.take(self._samples, steady_ns):.1f}",
+            "samples": self._samples,
+            "clock jumps": self._jumps,
+            **self._lateness.take().as_values("lateness", "ms", 1e6),
+        }
+        jumped = self._rises.take(jumps=self._jumps)["jumps"]
+        sampling = judged(
+            values,
+            "running",
+            (self._next is None, Level.WARN, "waits for the clock or for subscribers"),
+            (jumped, Level.WARN, "the clock jumped: the samples went on from it"),
         )
         return {"sampling": sampling, **self.port.health(steady_ns)}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import re
@@ -13,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from pam_antagonist.nodes.spin import PARENT_VARIABLE, PRIORITY_VARIABLE
 
@@ -90,14 +90,9 @@ def ros_arguments(parameters: Mapping[str, object], remappings: Mapping[str, str
 
 
 def _yaml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_yaml(float(item)) for item in value) + "]"
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return f'"{escaped}"'
-    return repr(value)
+    """A value as YAML, of which JSON is a part; numbers of a list are written as floats."""
+    value = [float(item) for item in value] if isinstance(value, (list, tuple)) else value
+    return json.dumps(value, ensure_ascii=False)
 
 
 class Processes:
@@ -117,9 +112,7 @@ class Processes:
     def __enter__(self) -> Processes:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def start(

@@ -1,4 +1,4 @@
-"""Quality of service of every topic.
+"""Quality of service of every topic, and what a user may change of it.
 
 * ``STREAM``: publishers and subscribers of the 1 kHz topics. Reliable, with a depth of one second: stalls of 100 to
   300 ms happen on any shared machine, and messages from this time should arrive late and flagged rather than never.
@@ -15,17 +15,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import copy
+from collections.abc import Callable
+from typing import Any
 
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.exceptions import ParameterException
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, InvalidQoSProfileException, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
-if TYPE_CHECKING:
-    pass
+from pam_antagonist.errors import BadInput
 
 
 def _profile(depth: int, reliable: bool = True, kept: bool = False) -> QoSProfile:
@@ -45,3 +43,22 @@ GLANCE = _profile(1, reliable=False)
 LATCHED = _profile(10, kept=True)
 LAST_ONE = _profile(1, kept=True)
 DIAGNOSTICS = _profile(10)
+
+# Durability is fixed: an old command must not reach the valves, and an old reference must not count as new.
+_OVERRIDES = QoSOverridingOptions.with_default_policies()  # reliability, history and depth
+_FIXED = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
+_INVALID = (InvalidQosOverridesError, ParameterException, InvalidQoSProfileException, RuntimeError, ValueError)
+
+
+def overridable(make: Callable[..., Any], topic: str, profile: Any, options: dict[str, Any]) -> Any:
+    """``make(profile, **options)``: a publisher or subscription that obeys ``qos_overrides`` of its topic."""
+    if topic in _FIXED or not isinstance(profile, QoSProfile):
+        return make(profile, **options)
+    try:
+        return make(copy.copy(profile), **{"qos_overriding_options": _OVERRIDES, **options})
+    except _INVALID as error:
+        if type(error).__name__ == "RCLError" or (isinstance(error, RuntimeError) and "QoS override" not in str(error)):
+            raise
+        raise BadInput(
+            f"qos_overrides of {topic}: {error}; expected reliability, history or depth as in ROS 2"
+        ) from None

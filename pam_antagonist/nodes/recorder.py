@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import math
 import re
 import shutil
@@ -20,11 +19,11 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.health import Health, Level, Rate
-from pam_antagonist.nodes.node import PamNode, take
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, judged
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
-from pam_antagonist.nodes.wire import Gaps, number_of
+from pam_antagonist.nodes.wire import Gaps, message_class, number_of, take
 from pam_antagonist.program import typed
 from pam_antagonist.recording.bag_files import Limits
 from pam_antagonist.recording.topics import TOPICS, Topic, normalize_namespace
@@ -103,12 +102,6 @@ _BACKLOG = 256 << 20  # [bytes] that may wait for a slow disk: five minutes of a
 _LITTLE_SPACE = 600.0  # [s] of recording that must fit on the disk; with less, there is a warning
 
 
-def message_class(name: str) -> Any:
-    """The class of a message type such as ``sensor_msgs/msg/JointState``."""
-    package, _, kind = name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), kind)
-
-
 class RecorderNode(PamNode):
     """Collects serialised messages in bulk, and hands them to the bag's thread.
 
@@ -127,7 +120,7 @@ class RecorderNode(PamNode):
         self._reason: str | None = None  # why nothing more can be written
         self._ended = False
         self._rate, self._bytes_rate = Rate(), Rate()
-        self._lost_before = 0
+        self._rises = Rises()
         self._since = time.monotonic()
         self._until = math.inf
         # Shown only on a terminal; /diagnostics reports the progress as well.
@@ -158,7 +151,7 @@ class RecorderNode(PamNode):
     def activate(self) -> None:
         for name, topic in self._wanted():
             profile = qos.LATCHED if topic.name in _KEPT else qos.RECORD
-            self._topics[name] = self.collect(message_class(topic.type), name, profile)
+            self._topics[name] = self.collect(message_class(topic.name), name, profile)
         self._since = time.monotonic()
         if self._options.duration is not None:
             self._until = self._since + self._options.duration
@@ -250,18 +243,8 @@ class RecorderNode(PamNode):
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         total, size, lost = sum(self._counts.values()), self._bag.size, self.lost
         rate, growth = self._rate.take(total, steady_ns), self._bytes_rate.take(size, steady_ns)
-        lost_now, self._lost_before = lost - self._lost_before, lost
-        free = self._free()
-        if self._reason is not None:
-            state = (Level.ERROR, f"the recording has ended: {self._reason}")
-        elif lost_now:
-            state = (Level.WARN, f"{lost_now} messages lost")
-        elif total == 0:
-            state = (Level.WARN, "no message has come yet")
-        elif growth > 0.0 and free < _LITTLE_SPACE * growth:
-            state = (Level.WARN, f"the disk will be full in {free / growth:.0f} s")
-        else:
-            state = (Level.OK, "recording")
+        risen, free = self._rises.take(lost=lost)["lost"], self._free()
+        left = free / growth if growth > 0.0 else math.inf
         values = {
             "rate [Hz]": f"{rate:.1f}",
             "messages": total,
@@ -273,7 +256,15 @@ class RecorderNode(PamNode):
             "free on the disk [MB]": f"{free / 1e6:.0f}",
             **self._counts,
         }
-        return {"bag": Health(*state, values)}
+        bag = judged(
+            values,
+            "recording",
+            (self._reason is not None, Level.ERROR, f"the recording has ended: {self._reason}"),
+            (risen, Level.WARN, f"{risen} messages lost"),
+            (total == 0, Level.WARN, "no message has come yet"),
+            (left < _LITTLE_SPACE, Level.WARN, f"the disk will be full in {left:.0f} s"),
+        )
+        return {"bag": bag}
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 from rclpy.serialization import deserialize_message
@@ -12,12 +11,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from pam_antagonist.control import Mode, Nearest, References, Rules, Trajectory
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.reference import Nearest, References, Rules, Trajectory
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.health import Health, Level
-from pam_antagonist.nodes.node import PamNode, take
-from pam_antagonist.nodes.wire import number_of
+from pam_antagonist.nodes.health import Health, Level, Rises, judged, publishers_of
+from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.wire import number_of, take
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.safety import ReferenceOwner
 from pam_antagonist_msgs.msg import JointReference
@@ -51,33 +51,29 @@ class ReferenceInput:
             ),
             nearest,
         )
-        self._source: str = values["reference_source"]
         self._joint: str = values["joint_name"]
         self._array = (MODES[values["commands_mode"]], int(values["commands_index"]))
-        self._kind, self._topic, self._accept = self._interface()
+        self._kind, self._topic, self._accept = {
+            "reference": (JointReference, TOPICS["reference"].relative, self.reference),
+            "joint_command": (JointState, "joint_command", self.joint_command),
+            "commands": (Float64MultiArray, "commands", self.commands),
+            "joint_trajectory": (JointTrajectory, "joint_trajectory", self.trajectory),
+        }[values["reference_source"]]
         self._owner = ReferenceOwner()
-        self._refused_before = 0
+        self._rises = Rises()
         self._logged = ""
         self._heard_ns: int | None = None
         self._repeated_ns = 0
         self._subscription: Any = None
         self._echo = None
-        if self._source != "reference":  # repeat the reference as a JointReference for bags and displays
+        if values["reference_source"] != "reference":  # repeat the reference as a JointReference for bags and displays
             self._echo = node.create_publisher(JointReference, TOPICS["reference"].relative, qos.REFERENCE)
-
-    def _interface(self) -> tuple[Any, str, Callable[[Any], None]]:
-        return {
-            "reference": (JointReference, TOPICS["reference"].relative, self.reference),
-            "joint_command": (JointState, "joint_command", self.joint_command),
-            "commands": (Float64MultiArray, "commands", self.commands),
-            "joint_trajectory": (JointTrajectory, "joint_trajectory", self.trajectory),
-        }[self._source]
 
     def listen(self) -> None:
         """Take references from now on; earlier ones are forgotten."""
         self.references.forget()
         self._owner = ReferenceOwner()
-        self._refused_before, self._logged, self._heard_ns = 0, "", None
+        self._rises, self._logged, self._heard_ns = Rises(), "", None
         self._subscription = self._node.collect(self._kind, self._topic, qos.REFERENCE)
         self._node.steady_timer(_LOOK, self.poll)
 
@@ -90,7 +86,9 @@ class ReferenceInput:
                 self._heard_ns = now
                 self._log(self.references.complaint or self.references.limited)
             else:
-                self._log(f"a second publisher's reference is refused: {', '.join(self._publishers())}")
+                self._log(
+                    f"a second publisher's reference is refused: {', '.join(publishers_of(self._node, self._topic))}"
+                )
 
     def _log(self, words: str) -> None:
         if words and words != self._logged:
@@ -179,32 +177,13 @@ class ReferenceInput:
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         self._echo.publish(message)
 
-    def _publishers(self) -> list[str]:
-        """Names of the publishers of references, also while this node is not active."""
-        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
-        return sorted(f"{info.node_namespace}/{info.node_name}".replace("//", "/") for info in found)
-
     def health(self) -> Health:
         """Part ``reference`` for ``/diagnostics``."""
         references = self.references
-        refused, self._refused_before = self._owner.refused - self._refused_before, self._owner.refused
-        publishers = self._publishers()
+        refused = self._rises.take(refused=self._owner.refused)["refused"]
+        publishers = publishers_of(self._node, self._topic)
         names = ", ".join(publishers) or "none"
         age = math.nan if self._heard_ns is None else (time.monotonic_ns() - self._heard_ns) * 1e-9
-        if refused:
-            state = Health(Level.ERROR, f"{refused} references of a second publisher refused: {names}")
-        elif references.complaint:
-            state = Health(Level.ERROR, f"{references.complaint}: safe voltages")
-        elif references.lost:
-            state = Health(Level.ERROR, f"the reference timed out: {self._when_lost()}")
-        elif len(publishers) > 1:
-            state = Health(Level.WARN, f"{len(publishers)} publishers of references: {names}")
-        elif references.limited:
-            state = Health(Level.WARN, references.limited)
-        elif references.mode is None:
-            state = Health(Level.WARN, "no reference has come yet")
-        else:
-            state = Health(Level.OK, "followed")
         values = {
             "source": f"{self._node.resolve_topic_name(self._topic)} ({self._kind.__name__})",
             MODE: references.mode.name.lower() if references.mode is not None else "none",
@@ -216,11 +195,18 @@ class ReferenceInput:
             "refused, second publisher": self._owner.refused,
             "publishers": names,
         }
-        return Health(state.level, state.message, values)
-
-    def _when_lost(self) -> str:
         holds = self._node.values["reference_lost"] == "hold"
-        return "the angle estimated at that moment is held" if holds else "safe voltages"
+        then = "the angle estimated at that moment is held" if holds else "safe voltages"
+        return judged(
+            values,
+            "followed",
+            (refused, Level.ERROR, f"{refused} references of a second publisher refused: {names}"),
+            (references.complaint, Level.ERROR, f"{references.complaint}: safe voltages"),
+            (references.lost, Level.ERROR, f"the reference timed out: {then}"),
+            (len(publishers) > 1, Level.WARN, f"{len(publishers)} publishers of references: {names}"),
+            (references.limited, Level.WARN, references.limited),
+            (references.mode is None, Level.WARN, "no reference has come yet"),
+        )
 
 
 def _trajectory(points: Any, index: int, start_ns: int) -> Trajectory:

@@ -12,20 +12,21 @@ from std_msgs.msg import String
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.health import Health, Level
+from pam_antagonist.nodes.health import Health, Level, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig import Rig, RigIdentity, differences
 
 _SOURCES = ("plant", "bridge")
+_TOPIC = TOPICS["rig"].relative
 
 
 def announce(node: PamNode, rig: Rig) -> RigIdentity:
-    """Publish a node's rig on the topic ``rig``, also for late subscribers."""
+    """Publish a node's rig on the topic ``rig``, also for late subscribers, and its health from now on."""
     identity = RigIdentity.of(rig, node.get_name())
-    publisher = node.create_publisher(String, TOPICS["rig"].relative, qos.LATCHED)
-    publisher.publish(String(data=identity.text()))
+    node.create_publisher(String, _TOPIC, qos.LATCHED).publish(String(data=identity.text()))
     node.about_rig = {"rig": identity.name, "fingerprint of the rig": identity.fingerprint}
+    node.start_diagnostics(node.values["joint_name"])
     return identity
 
 
@@ -40,7 +41,7 @@ class RigWatch:
         self._own = own
         self._disagree = disagree
         self._others: dict[str, RigIdentity] = {}
-        node.create_subscription(String, TOPICS["rig"].relative, self._on_rig, qos.LATCHED)
+        node.create_subscription(String, _TOPIC, self._on_rig, qos.LATCHED)
 
     def _on_rig(self, message: String) -> None:
         try:
@@ -54,8 +55,7 @@ class RigWatch:
             for source in _SOURCES:
                 self._others.pop(source, None)
         self._others[other.node] = other
-        problem = self._problem(other)
-        if problem:
+        if problem := self._problem(other):
             self._disagree(problem)
 
     def _problem(self, other: RigIdentity) -> str:
@@ -72,7 +72,7 @@ class RigWatch:
 
     def forget_the_gone(self) -> None:
         """Forget the rigs of nodes that are gone."""
-        topic = self._node.resolve_topic_name(TOPICS["rig"].relative)
+        topic = self._node.resolve_topic_name(_TOPIC)
         there = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         self._others = {name: other for name, other in self._others.items() if name in there}
 
@@ -80,12 +80,11 @@ class RigWatch:
         """Part ``rig`` for ``/diagnostics``."""
         values: dict[str, Any] = {self._own.node: str(self._own)}
         values |= {name: str(other) for name, other in sorted(self._others.items())}
-        others = [other for other in self._others.values() if other.fingerprint != self._own.fingerprint]
-        if self.present:
-            return Health(Level.ERROR, self.present, values)
-        if others:
-            names = " and ".join(sorted(other.node for other in others))
-            return Health(Level.OK, f"the same joint; {names} with other values than the controller", values)
-        if not self._others:
-            return Health(Level.OK, "no other node has published its rig yet", values)
-        return Health(Level.OK, "the same for all", values)
+        unlike = sorted(other.node for other in self._others.values() if other.fingerprint != self._own.fingerprint)
+        return judged(
+            values,
+            "the same for all",
+            (self.present, Level.ERROR, self.present),
+            (unlike, Level.OK, f"the same joint; {' and '.join(unlike)} with other values than the controller"),
+            (not self._others, Level.OK, "no other node has published its rig yet"),
+        )

@@ -13,7 +13,9 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
@@ -72,9 +74,6 @@ def secured(environment: MutableMapping[str, str] = os.environ) -> bool:
     return environment.get("ROS_SECURITY_ENABLE", "").lower() == "true"
 
 
-_FLAGS = ("-p", "--param")
-
-
 def own_parameters(arguments: Sequence[str]) -> list[str]:
     """The arguments of a node (``cli_args``) that repeat the parameters of its command line.
 
@@ -82,19 +81,13 @@ def own_parameters(arguments: Sequence[str]) -> list[str]:
         >>> own_parameters(["--out", "bag", "--ros-args", "-p", "seed:=3", "--params-file", "a.yaml"])
         ['--ros-args', '-p', 'seed:=3']
     """
-    rules = [word for rule in _rules(arguments) for word in ("-p", rule)]
-    return ["--ros-args", *rules] if rules else []
-
-
-def _rules(arguments: Sequence[str]) -> Iterator[str]:
+    rules: list[str] = []
     inside = False
-    for before, word in zip(("", *arguments), arguments, strict=False):
-        if word == "--ros-args":
-            inside = True
-        elif word == "--":
-            inside = False
-        elif inside and before in _FLAGS:
-            yield word
+    for before, word in pairwise(("", *arguments)):
+        inside = word == "--ros-args" or (inside and word != "--")
+        if inside and before in ("-p", "--param"):
+            rules += ["-p", word]
+    return ["--ros-args", *rules] if rules else []
 
 
 PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
@@ -104,6 +97,7 @@ PRIORITY_VARIABLE = "PAM_ANTAGONIST_PRIORITY"
 """Environment variable with the real-time priority (1 to 99) that a node requests."""
 
 _PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _WAIT = 0.1  # [s] longest time until a signal is noticed
 _FAREWELL = 0.15  # [s] from the last message to the end of its publisher: three heartbeats of config/fastdds.xml
 _MOMENT = 0.05  # [s] for a signal to be passed from another thread of the process to the main thread
@@ -166,10 +160,13 @@ def run_node(
             return 0
         try:
             check(arguments)
-            return _run(create, arguments, name, options)
+            _run(create, arguments, name, options)
         except BadInput as error:
             print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
             return 2
+        except _Interrupted:  # nothing has been published or subscribed
+            pass
+        return 0
 
     return piped(work)
 
@@ -184,33 +181,27 @@ def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
     )
 
 
-def _run(create: Callable[..., PamNode], arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> int:
+def _run(create: Callable[..., PamNode], arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> None:
     stop = _Stop()
-    handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.signal(number, stop) for number in _SIGNALS}
     needs_ros(name)
     import rclpy
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import remove_ros_args
 
     try:
         stay_on_this_machine()
         alone = local_only()
         tune_middleware()
-        given = _initialise(arguments, name, options)
         try:
-            stop.waits = False
-            node = create(*(() if given is None else (given,)), cli_args=own_parameters(arguments))
-            stop.waits = True
-        except _Interrupted:
-            return 0  # nothing has been published or subscribed
+            others = remove_ros_args(args=arguments)
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         except Exception as error:
-            stop.waits = True
-            time.sleep(_MOMENT)
-            if stop.signal is not None:
-                return 0  # the signal was raised in a callback of the compiler, which failed with another error
-            if secured() and "secur" in str(error).lower():
-                raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
-            if type(error).__name__ == "RCLError":  # by the environment or the arguments: none of this package's
-                raise BadInput(f"{name}: {_first_sentence(error)}") from None
-            raise
+            raise BadInput(f"{name}: {_first_sentence(error)}") from None
+        given = options(others)
+        node = _made(
+            partial(create, *(() if given is None else (given,)), cli_args=own_parameters(arguments)), name, stop
+        )
         if alone:
             node.get_logger().info("discovery is limited to this machine (ROS_AUTOMATIC_DISCOVERY_RANGE)")
         try:
@@ -227,21 +218,25 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         rclpy.try_shutdown()
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    return 0
 
 
-def _initialise(arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> Any:
-    """Initialise ROS with its arguments; returns the others, as read by ``options``."""
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-    from rclpy.utilities import remove_ros_args
-
+def _made(create: Callable[[], PamNode], name: str, stop: _Stop) -> PamNode:
+    """The node; a signal meanwhile raises ``_Interrupted``."""
     try:
-        left = remove_ros_args(args=arguments)
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        stop.waits = False
+        node = create()
+        stop.waits = True
+        return node
     except Exception as error:
-        raise BadInput(f"{name}: {_first_sentence(error)}") from None
-    return options(left)
+        stop.waits = True
+        time.sleep(_MOMENT)
+        if stop.signal is not None:
+            raise _Interrupted from None  # raised in a callback of the compiler, which failed with another error
+        if secured() and "secur" in str(error).lower():
+            raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
+        if type(error).__name__ == "RCLError":  # by the environment or the arguments: none of this package's
+            raise BadInput(f"{name}: {_first_sentence(error)}") from None
+        raise
 
 
 def client_node(name: str, namespace: str) -> Node:
@@ -261,8 +256,8 @@ def client_node(name: str, namespace: str) -> Node:
 
 
 def _first_sentence(error: BaseException) -> str:
-    """Text of an error of ROS, without the places in rcl's source code."""
-    return re.sub(r",? at /\S+:\d+", "", one_line(error))
+    """Text of an error of ROS in one line, without the places in rcl's source code."""
+    return re.sub(r",? at /\S+:\d+", "", " ".join(str(error).split())[:300])
 
 
 def tune_middleware() -> None:
@@ -289,7 +284,7 @@ def spin(node: PamNode, stop: _Stop) -> None:
 
     executor = make_executor(node)
     # asio, inside the executor, has installed its own handlers.
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _SIGNALS:
         signal.signal(number, stop)
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))
     # All present objects live as long as the node, so the garbage collector need not check them again.
@@ -342,8 +337,3 @@ def make_executor(node: PamNode) -> Any:
     for one in (node, *node.members):
         executor.add_node(one)
     return executor
-
-
-def one_line(error: BaseException) -> str:
-    """An error of a library in one line."""
-    return " ".join(str(error).split())[:300]

@@ -23,75 +23,48 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from std_srvs.srv import Trigger
 
-from pam_antagonist.control import VoltageLimits
+from pam_antagonist.control.command import VoltageLimits
+from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
-from pam_antagonist.nodes.health import Health, Level, Rate
-from pam_antagonist.nodes.node import PamNode, take
-from pam_antagonist.nodes.wire import number_of
-from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, full_name, judged
+from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.wire import number_of, take
+from pam_antagonist.recording.topics import COMMAND_TOPICS, TOPICS
 from pam_antagonist.rig import Rig
-from pam_antagonist.safety import (
-    Decision,
-    PressureSupervision,
-    SafeAction,
-    ValveGuard,
-    Verdict,
-    frozen_time,
-    safe_action,
-)
-from pam_antagonist_msgs.msg import PressureCommand, ValveCommand
+from pam_antagonist.safety import PressureSupervision, SafeAction, ValveGuard
+from pam_antagonist.safety.authority import Verdict
+from pam_antagonist.safety.guard import Decision, safe_action
+from pam_antagonist.safety.supervision import frozen_time
 
 if TYPE_CHECKING:
     from rclpy.subscription import Subscription
 
 _ASTRAY_VOLTAGE, _ASTRAY_PRESSURE = 0.25, 25e3
 """[V], [Pa] Largest normal difference between command and output; commands of consecutive samples differ by less."""
-
-
-class Topics(NamedTuple):
-    """Topics of the commands and of the outputs."""
-
-    message: type
-    command: str
-    state: str  # topic of the voltages or pressures that valves or regulators got, relative
-    frame_id: str
+_SUPPLY_MARGIN = 1.1  # valves cannot exceed the supply pressure; a fast motion may compress the air by a tenth
 
 
 class Drive(NamedTuple):
     """Limits of the commands, in V for valves or Pa for regulators."""
 
-    topics: Topics
     limits: VoltageLimits
     action: SafeAction
     slew: float  # largest change of each command [V/s] or [Pa/s]
     astray: float  # largest normal difference between command and output [V] or [Pa]
 
 
-def topics_of(rig: Rig) -> Topics:
-    """Topics of a rig's commands."""
-    message, frame_id = (ValveCommand, "valves") if rig.drive == "valve" else (PressureCommand, "regulators")
-    command, state = (TOPICS[names[rig.drive]].relative for names in (COMMAND_TOPICS, STATE_TOPICS))
-    return Topics(message, command, state, frame_id)
-
-
 def drive_of(rig: Rig, values: Mapping[str, Any]) -> Drive:
     """Limits of the commands of a rig. `values`: the node's parameters by name, including ``SAFETY``."""
-    topics = topics_of(rig)
     low, high = rig.command_limits
     if rig.drive == "valve":
-        limits = VoltageLimits(low, high)
-        action = safe_action(
-            values["safe_action"], limits, values["safe_voltage"], values["vent_voltage"], values["vent_rate"]
-        )
-        return Drive(topics, limits, action, values.get("max_slew", 0.0), _ASTRAY_VOLTAGE)
+        limits, hold, vent = VoltageLimits(low, high), values["safe_voltage"], values["vent_voltage"]
+        action = safe_action(values["safe_action"], limits, hold, vent, values["vent_rate"])
+        return Drive(limits, action, values.get("max_slew", 0.0), _ASTRAY_VOLTAGE)
     limits = VoltageLimits(low, high, "Pa")
     hold = tuple(value or 0.5 * (low + high) for value in values["safe_pressure"])
     vent = tuple(value or low for value in values["vent_pressure"])
     action = safe_action(values["safe_action"], limits, hold, vent, values["vent_pressure_rate"])
-    return Drive(topics, limits, action, values.get("max_pressure_slew", 0.0), _ASTRAY_PRESSURE)
-
-
-_SUPPLY_MARGIN = 1.1  # valves cannot exceed the supply pressure; a fast motion may compress the air by a tenth
+    return Drive(limits, action, values.get("max_pressure_slew", 0.0), _ASTRAY_PRESSURE)
 
 
 class ValvePort:
@@ -100,15 +73,15 @@ class ValvePort:
     The port offers the services ``~/stop`` and ``~/clear_stop``; the latter fails while the cause of a stop is present.
 
     Args:
-        node: owner of the valves, with the parameters ``VALVE_OWNER`` in ``values``.
+        node: owner of the valves, with the parameters ``VALVE_OWNER`` in ``values``. If it is linked, the controller is
+            in the same process and calls :meth:`command`; others are then ignored.
         noisy: whether the pressures have the rig's noise; without noise they may be constant.
-        linked: whether the controller is in the same process and calls :meth:`command`; others are then ignored.
 
     Attributes:
         drive: limits of the commands: voltages of valves, or pressures of regulators.
     """
 
-    def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True, linked: bool = False) -> None:
+    def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True) -> None:
         values = node.values
         self.drive = drive_of(rig, values)
         self.guard = ValveGuard(self.drive.limits, self.drive.action, self.drive.slew, values["command_timeout"])
@@ -119,24 +92,24 @@ class ValvePort:
         self.supervision = PressureSupervision(
             (first, second), values["over_pressure_time"], values["missing_time"], frozen, rig.sample_period
         )
-        self._frozen = frozen
+        self._frozen = "not watched" if frozen is None else f"{frozen:g}"
         self._max_age = round(values["max_command_age"] * 1e9)
         self._node = node
-        self._topic = self.drive.topics.command
+        topic = COMMAND_TOPICS[rig.drive]
+        self._kind, self._topic = wire.message_class(topic), TOPICS[topic].relative
         self._unpack = wire.Incoming(wire.VALVES)
-        self._linked = linked
         self._subscription: Subscription | None = None
         self._holder: str | None = None  # identifier of the publisher that is obeyed, where that is certain
-        self._rate = Rate()
-        self._without = self._samples = 0
-        self._refused_before = self._late_before = 0
-        node.create_service(Trigger, "~/clear_stop", self._on_clear)
-        node.create_service(Trigger, "~/stop", self._on_stop)
+        self._rate, self._rises = Rate(), Rises()
+        self._without = 0
+        self._refused_before = 0
+        node.serve(Trigger, "~/clear_stop", self._clear)
+        node.serve(Trigger, "~/stop", self._stop)
 
     def listen(self) -> None:
         """Take commands from now on. The subscription ends with the node's transition."""
-        if not self._linked:
-            self._subscription = self._node.collect(self.drive.topics.message, self._topic, qos.COMMAND)
+        if not self._node.linked:
+            self._subscription = self._node.collect(self._kind, self._topic, qos.COMMAND)
         self.guard.set_active(True)
 
     def rest(self) -> None:
@@ -145,23 +118,14 @@ class ValvePort:
         self.guard.set_active(False)
 
     def poll(self, now_ns: int) -> None:
-        """Take the commands that have come.
-
-        Args:
-            now_ns: time on the same clock as for :meth:`output` [ns].
-        """
+        """Take the commands that have come. `now_ns`: time on the same clock as for :meth:`output` [ns]."""
         if self._subscription is None:
             return
         for data, info in take(self._subscription):
             self.accept(data, now_ns, number_of(info), self._subscription.get_publisher_count())
 
     def accept(self, data: bytes, now_ns: int, sequence: int | None = None, publishers: int = 1) -> Verdict:
-        """Take one command, serialised; see :meth:`ValveGuard.command`.
-
-        Args:
-            now_ns: time of reception on the steady clock [ns].
-            sequence: the message's number at its publisher, None where the middleware gives none.
-        """
+        """Take one command, serialised; see :meth:`ValveGuard.command`."""
         stamp_ns, first, second = self._unpack(data)
         was_stopped, refused = self.guard.stopped, self.guard.authority.refused
         late = stamp_ns > 0 and self._node.now_ns() - stamp_ns > self._max_age
@@ -175,29 +139,17 @@ class ValvePort:
         return verdict
 
     def command(self, stamp_ns: int, voltage: tuple[float, float], now_ns: int) -> None:
-        """Take a command of the controller in the same process.
-
-        Args:
-            stamp_ns: of the command's sample [ns].
-            voltage: command (2,) [V].
-            now_ns: time on the same clock as for :meth:`output` [ns].
-        """
+        """Take a command of the controller in the same process. `stamp_ns`: of the command's sample [ns]."""
         self.guard.command(voltage, now_ns, late=stamp_ns > 0 and now_ns - stamp_ns > self._max_age)
 
     def output(self, now_ns: int) -> Decision:
         """Voltages of the valves over the sample that ends now [ns]."""
         decision = self.guard.output(now_ns)
-        self._samples += 1
         self._without += decision.state.safe
         return decision
 
     def supervise(self, stamp_ns: int, pressure_1: float, pressure_2: float) -> None:
-        """Stop the valves if the measured pressures of a sample require it.
-
-        Args:
-            stamp_ns: of the sample [ns].
-            pressure_1: absolute, NaN where missing [Pa].
-        """
+        """Stop the valves if the measured pressures of a sample require it; absolute [Pa], NaN where missing."""
         reason = self.supervision.check(stamp_ns, pressure_1, pressure_2)
         if reason:
             self.stop(reason)
@@ -207,34 +159,25 @@ class ValvePort:
         if self.guard.stop(reason):
             self._node.get_logger().error(f"stopped: {reason}")
 
-    def _on_stop(self, _request: Any, response: Any) -> Any:
-        """Stop on request."""
+    def _stop(self, _request: Any) -> str:
         before = self.guard.stopped
         self.stop("on request")
-        response.success, response.message = True, f"was stopped: {before}" if before else "stopped"
-        return response
+        return f"was stopped: {before}" if before else "stopped"
 
-    def _on_clear(self, _request: Any, response: Any) -> Any:
+    def _clear(self, _request: Any) -> str:
         if not self.guard.stopped:
-            response.success, response.message = True, "there is no stop to clear"
-        elif self.supervision.present:
-            response.success, response.message = (
-                False,
-                f"not cleared, since the cause is still present: {self.supervision.present}",
-            )
-        else:
-            response.success, response.message = True, f"cleared: {self.guard.clear()}"
-            self.supervision.reset()
-            self._node.get_logger().warning(response.message)
-        return response
+            return "there is no stop to clear"
+        if self.supervision.present:
+            raise BadInput(f"not cleared, since the cause is still present: {self.supervision.present}")
+        words = f"cleared: {self.guard.clear()}"
+        self.supervision.reset()
+        self._node.get_logger().warning(words)
+        return words
 
     def _commanders(self) -> dict[str, str]:
         """Identifier -> node of each publisher of commands."""
         found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
-        return {
-            bytes(info.endpoint_gid).hex(): f"{info.node_namespace}/{info.node_name}".replace("//", "/")
-            for info in found
-        }
+        return {bytes(info.endpoint_gid).hex(): full_name(info.node_namespace, info.node_name) for info in found}
 
     def _conflict(self) -> str:
         commanders = self._commanders()
@@ -245,45 +188,42 @@ class ValvePort:
 
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Parts ``commands`` and ``safety``; called every ``diagnostics_period`` with the steady time [ns]."""
-        counts, authority = self.guard.counts, self.guard.authority
+        counts, self._refused_before = self.guard.counts, self.guard.authority.refused
         commanders = self._commanders()
-        refused, self._refused_before = authority.refused - self._refused_before, authority.refused
+        names = ", ".join(sorted(commanders.values()))
+        rises = self._rises.take(refused=self._refused_before, late=counts.late)
         if len(commanders) == 1:
             (self._holder,) = commanders
         without, self._without = self._without, 0
-        late, self._late_before = counts.late - self._late_before, counts.late
-        level = Level.OK if not without else Level.WARN
-        message = "obeyed" if not without else f"safe voltages for {without} samples: no command in time"
-        if late:
-            level, message = Level.WARN, f"{message}; {late} came too late"
-        if refused:
-            level, message = Level.ERROR, f"{refused} commands refused: {self._conflict()}"
-        if self._linked and len(commanders) > 1:
-            names = ", ".join(sorted(commanders.values()))
-            level, message = Level.ERROR, f"the controller of this process alone is obeyed; commands come from {names}"
-        commands = Health(
-            level,
-            message,
-            {
-                "rate [Hz]": f"{self._rate.take(counts.commands, steady_ns):.1f}",
-                "samples at safe voltages": without,
-                "refused, not finite": counts.not_finite,
-                "refused, too late": counts.late,
-                "refused, second commander": authority.refused,
-                "clamped": counts.clamped,
-                "samples slew-limited": counts.slewed,
-                "commanders": len(commanders),
-                "publishers": ", ".join(sorted(commanders.values())),
-            },
-        )
-        return {"commands": commands, "safety": self._safety()}
-
-    def _safety(self) -> Health:
+        given = f"safe voltages for {without} samples: no command in time" if without else "obeyed"
         values = {
-            "stopped": self.guard.stopped or "no",
-            "cause is there": self.supervision.present or "no",
-            "frozen sensor [s]": "not watched" if self._frozen is None else f"{self._frozen:g}",
+            "rate [Hz]": f"{self._rate.take(counts.commands, steady_ns):.1f}",
+            "samples at safe voltages": without,
+            "refused, not finite": counts.not_finite,
+            "refused, too late": counts.late,
+            "refused, second commander": self._refused_before,
+            "clamped": counts.clamped,
+            "samples slew-limited": counts.slewed,
+            "commanders": len(commanders),
+            "publishers": names,
         }
-        if self.guard.stopped:
-            return Health(Level.ERROR, f"stopped: {self.guard.stopped}; clear_stop clears it", values)
-        return Health(Level.OK, "nothing to stop for", values)
+        commands = judged(
+            values,
+            given,
+            (
+                self._node.linked and len(commanders) > 1,
+                Level.ERROR,
+                f"the controller of this process alone is obeyed; commands come from {names}",
+            ),
+            (rises["refused"], Level.ERROR, f"{rises['refused']} commands refused: {self._conflict()}"),
+            (rises["late"], Level.WARN, f"{given}; {rises['late']} came too late"),
+            (without, Level.WARN, given),
+        )
+        stopped = self.guard.stopped
+        values = {
+            "stopped": stopped or "no",
+            "cause is there": self.supervision.present or "no",
+            "frozen sensor [s]": self._frozen,
+        }
+        cleared = (stopped, Level.ERROR, f"stopped: {stopped}; clear_stop clears it")
+        return {"commands": commands, "safety": judged(values, "nothing to stop for", cleared)}

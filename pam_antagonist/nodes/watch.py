@@ -9,26 +9,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import FluidPressure, JointState
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.processes import busy_domains
 from pam_antagonist.nodes.references import ASKED, MODE, MODES, STIFFNESS
 from pam_antagonist.nodes.spin import client_node, nothing_there
+from pam_antagonist.nodes.wire import message_class, take
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS, normalize_namespace
 from pam_antagonist.rig import RigIdentity
-from pam_antagonist_msgs.msg import JointEstimate, JointReference, ValveCommand
+from pam_antagonist_msgs.msg import JointReference
 
 FIELDS = (
     *("time", "angle", "angle_std", "torque", "torque_std", "nis", "flags", "pressure_1", "pressure_2"),
@@ -36,29 +33,26 @@ FIELDS = (
     *("stiffness", "reference_stiffness", "external_torque", "external_torque_std"),
 )
 """Numbers of a frame, in this order; SI units, None where missing."""
+_OF_ESTIMATE = ("angle", "torque", "nis", "flags", "stiffness", "external_torque")
 
-_TOPICS: Mapping[str, tuple[Any, Any]] = {
-    "joint_estimate": (JointEstimate, qos.GLANCE),
-    "pressure_1": (FluidPressure, qos.GLANCE),
-    "pressure_2": (FluidPressure, qos.GLANCE),
-    "valve_state": (ValveCommand, qos.GLANCE),
-    "measured_joint_states": (JointState, qos.GLANCE),
-    "reference": (JointReference, qos.GLANCE),
-    "rig": (String, qos.LATCHED),
-    "diagnostics": (DiagnosticArray, qos.DIAGNOSTICS),
+_PROFILES = {
+    **dict.fromkeys(("joint_estimate", "pressure_1", "pressure_2", "valve_state"), qos.GLANCE),
+    **dict.fromkeys(("measured_joint_states", "reference"), qos.GLANCE),
+    "rig": qos.LATCHED,
+    "diagnostics": qos.DIAGNOSTICS,
 }
 _FRESH = 0.3
 """[s] Older values are not shown."""
 _GONE = 3.0
 """[s] A node without diagnostics for this time is shown as silent."""
+_SILENT = 3  # level of a silent node
 COMMANDS_AT_WORK = ("commission",)
 """Nodes of commands that report their progress; their silence means that they have ended, and is no fault."""
 _ANSWER = 5.0
 """[s] Longest time for a service's answer."""
 
 
-@dataclass
-class _Call:
+class _Call(NamedTuple):
     """A service call that waits for its answer."""
 
     name: str
@@ -109,9 +103,9 @@ class PipelineWatch:
     def listen(self, wanted: bool) -> None:
         """Subscribe, or unsubscribe while no page is open."""
         if wanted and not self._topics:
-            for name, (kind, profile) in _TOPICS.items():
+            for name, profile in _PROFILES.items():
                 self._topics[name] = self._node.create_subscription(
-                    kind, TOPICS[name].relative, lambda message: None, profile
+                    message_class(name), TOPICS[name].relative, lambda message: None, profile
                 )
         elif not wanted:
             for subscription in self._topics.values():
@@ -152,20 +146,18 @@ class PipelineWatch:
         values: dict[str, float] = {"time": now - self._begin}
         estimate = self._fresh("joint_estimate", now)
         if estimate is not None:
-            values |= {"angle": estimate.angle, "torque": estimate.torque, "nis": estimate.nis}
-            values |= {"flags": estimate.flags, "stiffness": estimate.stiffness}
-            values["external_torque"] = estimate.external_torque
+            values |= {name: getattr(estimate, name) for name in _OF_ESTIMATE}
             variances = {name: estimate.covariance[place] for name, place in (("angle_std", 0), ("torque_std", 8))}
             variances["external_torque_std"] = estimate.external_torque_covariance[3]
-            for name, variance in variances.items():
-                values[name] = math.sqrt(max(0.0, float(variance))) if math.isfinite(variance) else math.nan
+            values |= {
+                name: math.sqrt(max(float(variance), 0.0)) for name, variance in variances.items()
+            }  # NaN stays NaN
         for name in ("pressure_1", "pressure_2"):
             message = self._fresh(name, now)
-            if message is not None:
-                values[name] = message.fluid_pressure
+            values |= {} if message is None else {name: message.fluid_pressure}
         valves = self._fresh("valve_state", now)
         if valves is not None:
-            values["voltage_1"], values["voltage_2"] = (float(value) for value in valves.voltage)
+            values["voltage_1"], values["voltage_2"] = map(float, valves.voltage)
         values |= self._measured(self._fresh("measured_joint_states", now))
         values |= self._referred(now)
         return [_number(values.get(name)) for name in FIELDS]
@@ -175,6 +167,21 @@ class PipelineWatch:
         now = time.monotonic()
         answers, self._answers = self._answers, []
         facts = {} if self._rig is None else dict(self._rig.facts)
+        statuses, steps = [], []
+        for name, (heard, status) in sorted(self._statuses.items()):
+            silent, of_command = now - heard > _GONE, name.partition(":")[0] in COMMANDS_AT_WORK
+            if of_command and silent:
+                continue
+            if of_command:
+                steps.append(status.message)
+            statuses.append(
+                {
+                    "name": name,
+                    "level": _SILENT if silent else int.from_bytes(status.level, "little"),
+                    "text": f"silent for {now - heard:.0f} s" if silent else status.message,
+                    "values": {item.key: item.value for item in status.values},
+                }
+            )
         return {
             "namespace": self.namespace or "/",
             "rig": None if self._rig is None else self._rig.name,
@@ -183,30 +190,16 @@ class PipelineWatch:
                 "voltage": [facts.get("valves.voltage_min"), facts.get("valves.voltage_max")],
                 "angle": facts.get("joint.stop"),
             },
-            "statuses": [
-                {
-                    "name": name,
-                    "level": int.from_bytes(status.level, "little") if now - heard <= _GONE else 3,
-                    "text": status.message if now - heard <= _GONE else f"silent for {now - heard:.0f} s",
-                    "values": {item.key: item.value for item in status.values},
-                }
-                for name, (heard, status) in sorted(self._statuses.items())
-                if now - heard <= _GONE or name.partition(":")[0] not in COMMANDS_AT_WORK
-            ],
-            "at": [
-                status.message
-                for name, (heard, status) in self._statuses.items()
-                if now - heard <= _GONE and name.partition(":")[0] in COMMANDS_AT_WORK
-            ],
+            "statuses": statuses,
+            "at": steps,
             "absent": self.absent,
             "answers": answers,
         }
 
     def _take(self, now: float) -> None:
         for name, subscription in self._topics.items():
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                    self._heard(name, taken[0], now)
+            for message, _ in take(subscription):
+                self._heard(name, message, now)
         if self._caller is not None:
             self._answer(now)
 
@@ -283,9 +276,7 @@ class PipelineWatch:
         elif what == "enable":
             if not isinstance(value, bool):
                 raise BadInput("enable: expected true or false")
-            self._call(
-                "controller: enable" if value else "controller: disable", self._enable, SetBool.Request(data=value)
-            )
+            self._call(f"controller: {'enable' if value else 'disable'}", self._enable, SetBool.Request(data=value))
         elif what == "clear_stop":
             for name, client in self._clear.items():
                 if client.service_is_ready():

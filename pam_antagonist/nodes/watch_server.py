@@ -16,7 +16,7 @@ import re
 import secrets
 import socket
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import tornado.httpserver
 import tornado.ioloop
@@ -25,6 +25,9 @@ import tornado.websocket
 from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
+
+if TYPE_CHECKING:
+    from pam_antagonist.nodes.watch import PipelineWatch
 
 FRAMES = 30.0
 """Frames a second."""
@@ -38,26 +41,12 @@ _PAGE = Path(__file__).with_name("watch.html")
 _SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 
 
-class Source(Protocol):
-    """Source of the page's data: :class:`pam_antagonist.nodes.watch.PipelineWatch`, or a substitute in tests."""
-
-    def listen(self, wanted: bool) -> None:
-        """Subscribe or unsubscribe."""
-
-    def frame(self) -> list[float | None]:
-        """The newest numbers."""
-
-    def report(self) -> dict[str, Any]:
-        """Slow data, such as the nodes' reports."""
-
-    def command(self, order: dict[str, Any]) -> None:
-        """Carry out a command."""
-
-
 class Server:
     """Serves the page until it is stopped. `port`: to listen on; 0: any free port."""
 
-    def __init__(self, source: Source, host: str = "127.0.0.1", port: int = 8765, commands: bool = False) -> None:
+    def __init__(
+        self, source: PipelineWatch, host: str = "127.0.0.1", port: int = 8765, commands: bool = False
+    ) -> None:
         self.source = source
         self.pages: set[_Live] = set()
         self.key = secrets.token_urlsafe(16) if commands else ""

@@ -11,22 +11,29 @@ then the fields in order, each aligned to its size relative to the end of these 
 
 from __future__ import annotations
 
+import importlib
 import math
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.nodes import qos
+from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 
 if TYPE_CHECKING:
     from builtin_interfaces.msg import Time
     from rclpy.node import Node
+    from rclpy.subscription import Subscription
+
+    from pam_antagonist.nodes.node import PamNode
+    from pam_antagonist.rig import Rig
 
 Body = Sequence[tuple[str, int]]
 """Layout after the header: formats of :mod:`struct`, each with the alignment of its first value."""
 
 PRESSURE: Body = (("dd", 8),)
+PRESSURE_ALONE: Body = (("d", 8),)
 """``sensor_msgs/FluidPressure``: pressure, variance."""
 
 VALVES: Body = (("dd", 8),)
@@ -54,24 +61,28 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
 
 
-def joint_state(name: str, *, velocity: bool) -> tuple[Body, Callable[..., tuple[object, ...]]]:
-    """Layout of a ``sensor_msgs/JointState`` of one joint.
+def joint_state(name: str, *given: str) -> tuple[Body, Callable[..., list[object]]]:
+    """Layout of a ``sensor_msgs/JointState`` of one joint that has some of position, velocity and effort.
 
-    Returns the body, and a function that inserts (position, [velocity,] effort) between the constant parts.
+    Returns the body, and a function that inserts the given ones between the constant parts.
     """
     text = name.encode() + b"\0"
-    one = (("I", 4), ("d", 8))
-    body = (("I", 4), (f"I{len(text)}s", 4), *one, *(one if velocity else (("I", 4),)), *one)
-    if velocity:
-        return body, lambda position, speed, effort: (1, len(text), text, 1, position, 1, speed, 1, effort)
-    return body, lambda position, effort: (1, len(text), text, 1, position, 0, 1, effort)
+    constant: list[object] = [1, len(text), text]
+    body = [("I", 4), (f"I{len(text)}s", 4)]
+    places = []
+    for field in ("position", "velocity", "effort"):
+        there = field in given
+        body += [("I", 4), ("d", 8)] if there else [("I", 4)]
+        constant += [1, 0.0] if there else [0]
+        places += [len(constant) - 1] if there else []
 
+    def values(*numbers: float) -> list[object]:
+        out = constant.copy()
+        for place, number in zip(places, numbers, strict=True):
+            out[place] = number
+        return out
 
-def joint_position(name: str) -> tuple[Body, Callable[[float], tuple[object, ...]]]:
-    """Layout of a ``sensor_msgs/JointState`` of one joint with only a position."""
-    text = name.encode() + b"\0"
-    body = (("I", 4), (f"I{len(text)}s", 4), ("I", 4), ("d", 8), ("II", 4))
-    return body, lambda position: (1, len(text), text, 1, position, 0, 0)
+    return tuple(body), values
 
 
 def position_in(data: bytes, joint: str) -> tuple[int, float]:
@@ -111,11 +122,17 @@ def layout(body: Body, frame_bytes: int, order: str = "<") -> struct.Struct:
     return struct.Struct(text)
 
 
-class Outgoing:
-    """A publisher that packs its messages."""
+def message_class(topic: str) -> Any:
+    """The class of a topic's messages. `topic`: logical name."""
+    package, _, kind = TOPICS[topic].type.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), kind)
 
-    def __init__(self, node: Node, kind: Any, topic: str, frame_id: str, body: Body) -> None:
-        self.publisher = node.create_publisher(kind, topic, qos.STREAM)
+
+class Outgoing:
+    """A publisher of a topic (logical name) that packs its messages."""
+
+    def __init__(self, node: Node, topic: str, frame_id: str, body: Body) -> None:
+        self.publisher = node.create_publisher(message_class(topic), TOPICS[topic].relative, qos.STREAM)
         self._publish = self.publisher.handle.publish_raw  # as rclpy's publish, without its type check
         self._frame = frame_id.encode() + b"\0"
         self._pack = layout(tuple(body), len(self._frame)).pack
@@ -128,6 +145,55 @@ class Outgoing:
     def send(self, stamp_ns: int, *values: object) -> None:
         """Publish a message with this stamp [ns] and the values of its body."""
         self._publish(self.bytes_of(stamp_ns, *values))
+
+
+FRAMES = {"valve": "valves", "regulator": "regulators"}
+"""Drive of a joint -> frame of its commands and outputs."""
+
+
+class SampleOutput:
+    """Publishes what the node that owns the valves measures: plant or bridge.
+
+    `pressures`: whether they are measured. `variance`: of a pressure [Pa²]. `encoder`: whether its angle is published
+    for the estimator as well.
+    """
+
+    def __init__(self, node: PamNode, rig: Rig, *, pressures: bool, variance: float, encoder: bool) -> None:
+        name, frame = node.values["joint_name"], node.values["frame_id"]
+        self._variance = variance
+        self.pressures = tuple(
+            Outgoing(node, f"pressure_{i}", f"muscle_{i}", PRESSURE) for i in ((1, 2) if pressures else ())
+        )
+        self.valves = Outgoing(node, STATE_TOPICS[rig.drive], FRAMES[rig.drive], VALVES)
+        body, self._position = joint_state(name, "position")
+        self.encoder = Outgoing(node, "angle_sensor", frame, body) if encoder else None
+        body, self._state = joint_state(name, "position", "effort")
+        self.joint = Outgoing(node, "measured_joint_states", frame, body)
+        self._partial = message_class("measured_joint_states")(name=[name])  # without one of the two channels
+        self._partial.header.frame_id = frame
+
+    def send(
+        self,
+        stamp_ns: int,
+        pressure: Iterable[float],
+        voltage: Iterable[float],
+        angle: float | None,
+        torque: float | None,
+        encoder: float | None,
+    ) -> None:
+        """Publish a sample; None for a channel that is not there."""
+        for output, value in zip(self.pressures, pressure, strict=False):
+            output.send(stamp_ns, value, self._variance)
+        self.valves.send(stamp_ns, *voltage)
+        if self.encoder is not None and encoder is not None:
+            self.encoder.send(stamp_ns, *self._position(encoder))
+        if angle is not None and torque is not None:
+            self.joint.send(stamp_ns, *self._state(angle, torque))
+        elif angle is not None or torque is not None:
+            set_stamp(self._partial.header.stamp, stamp_ns)
+            self._partial.position = [] if angle is None else [angle]
+            self._partial.effort = [] if torque is None else [torque]
+            self.joint.publisher.publish(self._partial)
 
 
 class Incoming:
@@ -153,6 +219,14 @@ def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:
 def set_stamp(stamp: Time, time_ns: int) -> None:
     """Write a time [ns] into the stamp of a message object, where speed does not matter."""
     stamp.sec, stamp.nanosec = divmod(time_ns, _SECOND)
+
+
+def take(subscription: Subscription) -> Iterator[tuple[Any, Mapping[str, Any]]]:
+    """Messages of a subscription without an executor, oldest first, each with the middleware's information."""
+    handle = subscription.handle
+    with handle:
+        while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield taken
 
 
 _MOST_NUMBER = 2**63  # a larger number means that the middleware gives none

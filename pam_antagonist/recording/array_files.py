@@ -11,8 +11,9 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,16 @@ from ..optional import needs
 from .csv_text import shown
 
 Floats = NDArray[np.float64]
-Reader = Callable[[Path, list[str], int], dict[str, NDArray[Any]]]
+
+
+class _Array(NamedTuple):
+    """An array that is read when it is needed."""
+
+    shape: tuple[int, ...]
+    read: Callable[[], NDArray[Any]]
+
+
+Arrays = dict[str, _Array]
 
 _MATRIX = re.compile(r"(.+)\(:, ?(\d+)\)")
 _LISTED = 20  # names in a message
@@ -48,21 +58,18 @@ def kind_of(path: Path) -> str:
 
 
 def read_columns(path: Path, kind: str, columns: Mapping[str, int | str], most: int) -> dict[str, Floats]:
-    """Read some columns.
+    """Quantity -> numbers (N,), NaN where a value is missing, of a file of a kind that :func:`kind_of` knows.
 
-    Args:
-        kind: of :func:`kind_of`.
-        columns: quantity -> name of its column; a number where the file holds a single matrix or a table.
-
-    Returns:
-        Quantity -> numbers (N,), NaN where a value is missing.
+    `columns`: quantity -> name of its column; a number where the file holds a single matrix or a table.
     """
     what, reader = _READERS[kind]
-    with _readable(path, what):
-        shapes = reader(path, [], most)
-        names = {quantity: _name(path, quantity, column, shapes) for quantity, column in columns.items()}
-        arrays = reader(path, sorted({_MATRIX.sub(r"\1", name) for name in names.values()}), most)
-        out = {quantity: _column(path, quantity, name, arrays) for quantity, name in names.items()}
+    with _readable(path, what), contextmanager(reader)(path) as there:
+        for name, array in there.items():
+            if max(array.shape, default=0) > most:
+                rows = f"has {max(array.shape):,} rows, expected at most {most:,}: cut the file into parts"
+                raise BadInput(f"{path}: {name} {rows}")
+        names = {quantity: _name(path, quantity, column, there) for quantity, column in columns.items()}
+        out = {quantity: _column(path, quantity, name, there) for quantity, name in names.items()}
     lengths = {len(values) for values in out.values()}
     if len(lengths) > 1:
         each = ", ".join(f"{names[quantity]} {len(values)}" for quantity, values in out.items())
@@ -83,10 +90,10 @@ def _readable(path: Path, what: str) -> Iterator[None]:
         raise BadInput(f"{path}: {what} that cannot be read: {' '.join(str(error).split())[:200]}") from None
 
 
-def _name(path: Path, quantity: str, column: int | str, there: Mapping[str, Any]) -> str:
+def _name(path: Path, quantity: str, column: int | str, there: Arrays) -> str:
     """The column's name in the file."""
     if isinstance(column, int):
-        wide = [name for name, array in there.items() if array.ndim == 2 and min(array.shape) > 1]
+        wide = [name for name, array in there.items() if len(array.shape) == 2 and min(array.shape) > 1]
         if len(wide) == 1 and len(there) == 1:
             return f"{wide[0]}(:,{column})"
         if column > len(there):
@@ -115,9 +122,9 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(shown(name) for name in known[:_LISTED]) + more
 
 
-def _column(path: Path, quantity: str, name: str, arrays: Mapping[str, NDArray[Any]]) -> Floats:
+def _column(path: Path, quantity: str, name: str, arrays: Arrays) -> Floats:
     match = _MATRIX.fullmatch(name)
-    array = np.asarray(arrays[match[1] if match else name])
+    array = arrays[match[1] if match else name].read()
     if not (np.issubdtype(array.dtype, np.number) or array.dtype == bool) or np.iscomplexobj(array):
         raise BadInput(f"{path}: {quantity} ({name}) holds {array.dtype}, expected real numbers")
     if match:
@@ -134,36 +141,22 @@ def _column(path: Path, quantity: str, name: str, arrays: Mapping[str, NDArray[A
     return np.array(array.ravel(), dtype=np.float64)
 
 
-class _Shape:
-    """Shape of an array that has not been read yet."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.shape, self.ndim = shape, len(shape)
-
-
-def _check_rows(path: Path, name: str, shape: tuple[int, ...], most: int) -> None:
-    if max(shape, default=0) > most:
-        raise BadInput(f"{path}: {name} has {max(shape):,} rows, expected at most {most:,}: cut the file into parts")
-
-
-def _matlab(path: Path, names: list[str], most: int) -> dict[str, Any]:
+def _matlab(path: Path) -> Iterator[Arrays]:
     """Variables and fields of structures, of a MATLAB file up to version 7."""
     from scipy.io import loadmat, whosmat
 
-    variables = {name: (shape, kind) for name, shape, kind in whosmat(str(path))}
-    for name, (shape, _) in variables.items():
-        _check_rows(path, name, shape, most)
-    tops = sorted(
-        {name.split(".")[0] for name in names} or {name for name, (_, kind) in variables.items() if kind == "struct"}
-    )
-    loaded = loadmat(str(path), variable_names=tops, struct_as_record=False, squeeze_me=False) if tops else {}
-    out: dict[str, Any] = {}
-    for name, (shape, kind) in variables.items():
-        if kind == "struct" and name in loaded:
-            out |= dict(_fields(name, loaded[name]))
-        elif kind != "struct":
-            out[name] = loaded.get(name, _Shape(shape))
-    return out
+    def load(name: str) -> Any:
+        return loadmat(str(path), variable_names=[name], struct_as_record=False, squeeze_me=False)[name]
+
+    out: Arrays = {}
+    for name, shape, kind in whosmat(str(path)):
+        if kind == "struct":
+            out |= {
+                field: _Array(values.shape, partial(np.asarray, values)) for field, values in _fields(name, load(name))
+            }
+        else:
+            out[name] = _Array(shape, partial(load, name))
+    yield out
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -177,65 +170,55 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
         yield name, value
 
 
-def _hdf5(path: Path, names: list[str], most: int) -> dict[str, Any]:
+def _hdf5(path: Path) -> Iterator[Arrays]:
     """Data sets of MATLAB 7.3 and other HDF5 files; those of MATLAB are stored by columns and are transposed."""
     with needs("import", str(path)):
         import h5py
-    out: dict[str, Any] = {}
     with path.open("rb") as stream:
-        transposed = stream.read(6) == b"MATLAB"
+        turn = -1 if stream.read(6) == b"MATLAB" else 1
+    out: Arrays = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+            axes = tuple(range(item.ndim))[::turn]
+            out[name.replace("/", ".")] = _Array(item.shape[::turn], lambda: np.transpose(item[()], axes))
+
     with h5py.File(path, "r") as file:
-
-        def visit(name: str, item: Any) -> None:
-            dotted = name.replace("/", ".")
-            if not isinstance(item, h5py.Dataset) or name.startswith("#"):
-                return
-            _check_rows(path, dotted, item.shape, most)
-            shape = item.shape[::-1] if transposed else item.shape
-            if dotted in names:
-                values = item[()]
-                out[dotted] = values.T if transposed else values
-            elif not names:
-                out[dotted] = _Shape(shape)
-
         file.visititems(visit)
-    return out
+        yield out
 
 
-def _npz(path: Path, names: list[str], most: int) -> dict[str, Any]:
+def _npz(path: Path) -> Iterator[Arrays]:
     """Arrays of a numpy archive; numpy refuses Python objects, which could run code."""
-    out: dict[str, Any] = {}
+    heads = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     with zipfile.ZipFile(path) as archive:
-        for member in archive.namelist():
-            if not member.endswith(".npy"):
-                continue
-            name = member.removesuffix(".npy")
+
+        def load(member: str) -> NDArray[Any]:
             with archive.open(member) as stream:
-                version = np.lib.format.read_magic(stream)
-                read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-                shape, _, _ = read[version](stream)
-            _check_rows(path, name, shape, most)
-            if not names:
-                out[name] = _Shape(shape)
-            elif name in names:
+                return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+        out: Arrays = {}
+        for member in archive.namelist():
+            if member.endswith(".npy"):
                 with archive.open(member) as stream:
-                    out[name] = np.lib.format.read_array(stream, allow_pickle=False)
-    return out
+                    shape, _, _ = heads[np.lib.format.read_magic(stream)](stream)
+                out[member.removesuffix(".npy")] = _Array(shape, partial(load, member))
+        yield out
 
 
-def _parquet(path: Path, names: list[str], most: int) -> dict[str, Any]:
+def _parquet(path: Path) -> Iterator[Arrays]:
     """Columns of a table."""
     with needs("import", str(path)):
         from pyarrow import parquet
     file = parquet.ParquetFile(path)
-    _check_rows(path, "the table", (file.metadata.num_rows,), most)
-    if not names:
-        return {name: _Shape((file.metadata.num_rows,)) for name in file.schema_arrow.names}
-    table = file.read(columns=names)
-    return {name: table.column(name).to_numpy() for name in names}
+
+    def load(name: str) -> NDArray[Any]:
+        return np.asarray(file.read(columns=[name]).column(name).to_numpy())
+
+    yield {name: _Array((file.metadata.num_rows,), partial(load, name)) for name in file.schema_arrow.names}
 
 
-_READERS: dict[str, tuple[str, Reader]] = {
+_READERS: dict[str, tuple[str, Callable[[Path], Iterator[Arrays]]]] = {
     "matlab": ("a MATLAB file", _matlab),
     "hdf5": ("an HDF5 file", _hdf5),
     "npz": ("a numpy archive", _npz),

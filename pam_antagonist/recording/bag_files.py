@@ -139,15 +139,7 @@ class _File(Writer):
 
 
 class BagFiles:
-    """All files of one bag; for one thread.
-
-    Args:
-        storage: "mcap" or "sqlite3".
-        compression: see ``MODES``.
-
-    Attributes:
-        size: bytes in all files as of the last flush; may be read from any thread.
-    """
+    """All files of one bag; for one thread. ``size`` may be read from any thread: bytes as of the last flush."""
 
     def __init__(self, path: Path, storage: Storage, compression: Compression, limits: Limits, durable: bool) -> None:
         self._path, self._plugin, self._mode = path, PLUGINS[storage], MODES[compression]

@@ -45,10 +45,7 @@ class Room:
 
 
 def inflate(data: bytes | memoryview, compression: str, size: int) -> bytes:
-    """Unpack a block whose unpacked size is known.
-
-    `compression`: "", "zstd" or "lz4" (frame format). `size`: Unpacked size [bytes]; no more is ever allocated.
-    """
+    """Unpack a block of "", "zstd" or "lz4" (frame format) whose unpacked size is known; no more is ever allocated."""
     if compression == "":
         result = bytes(data)
     elif compression in ("zstd", "lz4"):
@@ -80,11 +77,7 @@ def inflate_message(data: bytes | memoryview, limit: int = MAX_MESSAGE) -> bytes
 
 
 def inflate_file(source: Path, target: Path, limit: int) -> str | None:
-    """Unpack a zstd file piece by piece.
-
-    `limit`: largest size of ``target`` [bytes]. Returns none, or how the file is damaged; ``target`` then holds the
-    data before the damage.
-    """
+    """Unpack a zstd file piece by piece, and say how it is damaged; ``target`` then holds the data before that."""
     written = 0
     decompressor = zstd.ZstdDecompressor()
     with source.open("rb") as infile, target.open("wb") as outfile:

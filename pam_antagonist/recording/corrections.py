@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -25,39 +25,61 @@ from pam_antagonist.recording.units import UNITS, canonical
 Floats = NDArray[np.float64]
 
 
+class _Typed(NamedTuple):
+    """How a number is given on the command line: name in the help, unit, factor to SI units, and bounds in SI units."""
+
+    metavar: str
+    unit: str
+    factor: float
+    low: float
+    high: float
+
+
+_DEGREES = _Typed("DEG", "deg", np.pi / 180.0, -np.pi, np.pi)
+_MILLISECONDS = _Typed("MS", "ms", 1e-3, -LARGEST_DELAY, LARGEST_DELAY)
+
+
+def _fix(default: Any, text: str, typed: _Typed | None = None) -> Any:
+    """A field of :class:`Corrections`, with the help of its option."""
+    return field(default=default, metadata={"help": text, "typed": typed})
+
+
 @dataclass(frozen=True)
 class Corrections:
-    """Changes to a recording before it is used."""
+    """Changes to a recording before it is used; numbers in SI units."""
 
-    pressure_unit: str = "Pa"
-    gauge: bool = False  # the pressures are gauge pressures; the standard atmosphere is added
-    swap_pressures: bool = False  # ``pressure_1`` belongs to muscle 2, and the other way round
-    swap_valves: bool = False  # the first voltage belongs to muscle 2's valve, and the other way round
-    angle_unit: str = "rad"
-    flip_angle: bool = False
-    unwrap_angle: bool = False  # the encoder is absolute and begins again after a turn; its jumps are removed
-    torque_unit: str = "N m"
-    flip_torque: bool = False
-    encoder_zero: float = 0.0  # by how much the encoder reads too high [rad]
-    torque_zero: float = 0.0  # by how much the torque meter reads too high [N m]
-    torque_scale: float = 1.0  # reading of the torque meter over the torque, after its zero is subtracted
-    delay_voltage: float = 0.0  # by how much the voltages are stamped too early relative to all other signals [s]
-    delay_angle: float = 0.0  # by how much the angle is stamped too early [s]
-    delay_torque: float = 0.0  # by how much the torque is stamped too early [s]
-    delay_pressure: float = 0.0  # by how much both pressures are stamped too early [s]
-    # topics with a clock of their own get the stamps of the pressures' clock, by times of reception.
-    align_clocks: bool = False
+    pressure_unit: str = _fix("Pa", "unit of the pressures in the bag (default: Pa)")
+    gauge: bool = _fix(False, "the pressures are gauge pressures: add 101.325 kPa")
+    swap_pressures: bool = _fix(False, "the pressure lines or sensors are exchanged")
+    swap_valves: bool = _fix(False, "the valves or their voltages are exchanged")
+    angle_unit: str = _fix("rad", "unit of the measured angle (default: rad)")
+    flip_angle: bool = _fix(False, "the encoder counts in the other direction")
+    unwrap_angle: bool = _fix(False, "the encoder is absolute and begins again after a turn: remove the jumps")
+    torque_unit: str = _fix("N m", "unit of the measured torque (default: N m)")
+    flip_torque: bool = _fix(False, "the torque meter counts in the other direction")
+    encoder_zero: float = _fix(0.0, "degrees by which the encoder reads too high", _DEGREES)
+    torque_zero: float = _fix(0.0, "N m by which the torque meter reads too high", _Typed("NM", "N m", 1.0, -1e3, 1e3))
+    torque_scale: float = _fix(  # of the reading after its zero is subtracted
+        1.0, "reading of the torque meter divided by the torque", _Typed("FACTOR", "", 1.0, 0.1, 10.0)
+    )
+    delay_voltage: float = _fix(0.0, "milliseconds by which the stamps of the voltages are too early", _MILLISECONDS)
+    delay_angle: float = _fix(0.0, "milliseconds by which the stamps of the angle are too early", _MILLISECONDS)
+    delay_torque: float = _fix(0.0, "milliseconds by which the stamps of the torque are too early", _MILLISECONDS)
+    delay_pressure: float = _fix(0.0, "milliseconds by which the stamps of the pressures are too early", _MILLISECONDS)
+    align_clocks: bool = _fix(
+        False, "shift the stamps of topics that another clock stamps than the pressures, by times of reception"
+    )
 
     def __post_init__(self) -> None:
         for quantity in ("pressure", "angle", "torque"):
             name = f"{quantity}_unit"
             object.__setattr__(self, name, canonical(_option(name), quantity, getattr(self, name)))
-        for name, (low, high) in _BOUNDS.items():
-            value, typed = getattr(self, name), _TYPED[name]
-            if not low <= value <= high:
+        for name, typed in _TYPED.items():
+            value = getattr(self, name)
+            if not typed.low <= value <= typed.high:
+                low, high = typed.low / typed.factor, typed.high / typed.factor
                 raise BadInput(
-                    f"{_option(name)} {value / typed.factor:g}: expected {low / typed.factor:g} to "
-                    f"{high / typed.factor:g} {typed.unit}".rstrip()
+                    f"{_option(name)} {value / typed.factor:g}: expected {low:g} to {high:g} {typed.unit}".rstrip()
                 )
 
     def pressure(self, values: Floats) -> Floats:
@@ -107,6 +129,10 @@ class Corrections:
             torque = _later(time, torque, self.delay_torque, again.get("torque"))
         return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
 
+    def replaced(self, **values: Any) -> Corrections:
+        """These corrections with other values, by name."""
+        return replace(self, **values)
+
     def applied(self, recording: Recording) -> Recording:
         """All corrections of a recording that was read without any."""
         return self.arranged(
@@ -152,43 +178,17 @@ class Corrections:
         return out
 
 
-class _Typed(NamedTuple):
-    """How a number is given on the command line: name in the help, unit, and factor to SI units."""
-
-    metavar: str
-    unit: str
-    factor: float
-
-
-_MILLISECONDS = _Typed("MS", "ms", 1e-3)
-_TYPED = {
-    "encoder_zero": _Typed("DEG", "deg", np.pi / 180.0),
-    "torque_zero": _Typed("NM", "N m", 1.0),
-    "torque_scale": _Typed("FACTOR", "", 1.0),
-    "delay_voltage": _MILLISECONDS,
-    "delay_angle": _MILLISECONDS,
-    "delay_torque": _MILLISECONDS,
-    "delay_pressure": _MILLISECONDS,
-}
-_BOUNDS = {
-    "encoder_zero": (-np.pi, np.pi),
-    "torque_zero": (-1e3, 1e3),
-    "torque_scale": (0.1, 10.0),
-    **{name: (-LARGEST_DELAY, LARGEST_DELAY) for name in _TYPED if name.startswith("delay_")},
-}
+_TYPED: dict[str, _Typed] = {one.name: one.metadata["typed"] for one in fields(Corrections) if one.metadata["typed"]}
+"""Zeros, scale and delays."""
 
 
 def _later(
     time: Floats, values: Floats, delay: float, again: NDArray[np.bool_] | None = None, hold: bool = False
 ) -> Floats:
-    """Values (N,) that are delayed by linear interpolation.
+    """Values (N,) that are delayed [s] by linear interpolation.
 
-    Args:
-        time: of the values (N,) [s].
-        values: to be delayed (N,).
-        delay: [s].
-        again: rows that only repeat the last reading of a slow sensor (N,); None: none do.
-        hold: whether the first and the last value are used outside the recording; else NaN.
+    `again`: rows that only repeat the last reading of a slow sensor (N,); None: none do. `hold`: whether the first and
+    the last value are used outside the recording; else NaN.
     """
     ends = {} if hold else {"left": np.nan, "right": np.nan}
     known = slice(None) if again is None else ~again
@@ -199,27 +199,6 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-_HELP = {
-    "pressure_unit": "unit of the pressures in the bag (default: Pa)",
-    "gauge": "the pressures are gauge pressures: add 101.325 kPa",
-    "swap_pressures": "the pressure lines or sensors are exchanged",
-    "swap_valves": "the valves or their voltages are exchanged",
-    "angle_unit": "unit of the measured angle (default: rad)",
-    "flip_angle": "the encoder counts in the other direction",
-    "unwrap_angle": "the encoder is absolute and begins again after a turn: remove the jumps",
-    "torque_unit": "unit of the measured torque (default: N m)",
-    "flip_torque": "the torque meter counts in the other direction",
-    "encoder_zero": "degrees by which the encoder reads too high",
-    "torque_zero": "N m by which the torque meter reads too high",
-    "torque_scale": "reading of the torque meter divided by the torque",
-    "delay_voltage": "milliseconds by which the stamps of the voltages are too early",
-    "delay_angle": "milliseconds by which the stamps of the angle are too early",
-    "delay_torque": "milliseconds by which the stamps of the torque are too early",
-    "delay_pressure": "milliseconds by which the stamps of the pressures are too early",
-    "align_clocks": "shift the stamps of topics that another clock stamps than the pressures, by times of reception",
-}
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of all corrections as one group."""
     group = parser.add_argument_group(
@@ -227,7 +206,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "Zeros, scale and delays that are not given are those of the rig file (calibration).",
     )
     for item in fields(Corrections):
-        option: dict[str, Any] = {"help": _HELP[item.name], "default": item.default}
+        option: dict[str, Any] = {"help": item.metadata["help"], "default": item.default}
         if isinstance(item.default, bool):
             option["action"] = "store_true"
         elif isinstance(item.default, float):

@@ -6,18 +6,22 @@ import codecs
 import contextlib
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Dict, Literal, Optional, Tuple, Union  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, StrictFloat, StrictInt, StrictStr
 
 from ..errors import BadInput
 from ..paths import config_dir
 from ..program import typed
 from ..strict_yaml import Strict, read_mapping, validated
+from .plausible import STANDARD_ATMOSPHERE, Signal
 from .units import UNITS, canonical
 
+Floats = NDArray[np.float64]
 Name = Union[StrictInt, StrictStr]  # noqa: UP007
 Delimiter = Literal[",", ";", "|", "\t", "tab", "space"]
 _SWITCHES = ("header", "sealed")
@@ -50,6 +54,11 @@ class Layout(Strict):
     )
     encoding: str = Field(default="utf-8", description="how characters are encoded")
     missing: Tuple[Union[Name, StrictFloat], ...] = Field(default=(), description="cells that mean no value")  # noqa: UP006, UP007
+
+    @property
+    def mark(self) -> str:
+        """The character between two cells."""
+        return {"tab": "\t", "space": " "}.get(self.delimiter, self.delimiter)
 
 
 class Time(Strict):
@@ -159,11 +168,6 @@ class CsvMap(Strict):
     external_torque: Optional[Column] = None  # noqa: UP045
 
     @property
-    def pressures(self) -> tuple[Pressure, Pressure]:
-        """Both pressures."""
-        return self.pressure_1, self.pressure_2
-
-    @property
     def valves(self) -> tuple[Valve, Valve]:
         """Both valves; for a joint with pressure regulators constant placeholders of 0 V."""
         none = Valve(column=None, constant=0.0, sealed=False, unit="V", scale=1.0, offset=0.0, holds="until_row")
@@ -179,23 +183,30 @@ class CsvMap(Strict):
         known = {"angle": self.angle, "torque": self.torque, "external_torque": self.external_torque}
         return {name: column for name, column in known.items() if column is not None}
 
+    def entries(self) -> dict[str, Column | Valve]:
+        """Quantity -> entry with a unit and a scale, for all that the map has but time and atmosphere."""
+        names = ("pressure_1", "pressure_2", "valve_1", "valve_2", "command_1", "command_2", *self.measured())
+        known = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return known | {f"{ALSO}{name}": entry for name, entry in self.also.items()}
+
     def columns(self) -> dict[str, Name]:
         """Quantity -> column, for everything that is read from the file."""
-        entries: dict[str, Time | Column | Valve | None] = {
-            "time": self.time, "pressure_1": self.pressure_1, "pressure_2": self.pressure_2,
-            "valve_1": self.valve_1, "valve_2": self.valve_2,
-            "command_1": self.command_1, "command_2": self.command_2, **self.measured(),
-        }  # fmt: skip
-        found = {name: entry.column for name, entry in entries.items() if entry and entry.column is not None}
-        if self.episode is not None:
-            found["episode"] = self.episode
-        return found | {f"{ALSO}{name}": entry.column for name, entry in self.also.items()}
+        given = {"time": self.time.column, **{name: entry.column for name, entry in self.entries().items()}}
+        found = {name: column for name, column in given.items() if column is not None}
+        return found if self.episode is None else found | {"episode": self.episode}
 
-    def entry(self, name: str) -> Column | Valve:
-        """The entry of a column with numbers, by its name in :meth:`columns`."""
-        found: Column | Valve
-        found = self.also[name[len(ALSO) :]] if name.startswith(ALSO) else getattr(self, name)
-        return found
+    def holds_on(self, name: str) -> bool:
+        """Whether a row's command held from the row on."""
+        return getattr(self.entries()[name], "holds", "until_row") == "from_row"
+
+    def signal(self, name: str, label: str, values: Floats) -> Signal:
+        """Numbers of an entry, with its unit."""
+        entry = self.entries()[name]
+        quantity = entry.quantity if isinstance(entry, Further) else QUANTITIES[name]
+        reference, air = getattr(entry, "reference", None) or "absolute", self.atmosphere
+        # Without gauge pressures the atmosphere is only needed to judge.
+        atmosphere = STANDARD_ATMOSPHERE if air is None else air.pressure * UNITS["pressure"][air.unit]
+        return Signal(label, quantity, values, entry.unit, reference, atmosphere, mapped=True)
 
 
 def map_names() -> list[str]:
@@ -236,24 +247,25 @@ def _locate(name: str) -> Path:
 
 def _contradictions(found: CsvMap) -> Iterator[str]:
     """Contradictions between entries, which the schema cannot check."""
-    yield from _time_contradictions(found.time)
+    regulated = found.drive == "regulator"
+    yield from _time_contradictions(found.time, found.episode is not None)
     for name, valve in (("valve_1", found.valve_1), ("valve_2", found.valve_2)):
-        if found.drive == "regulator" and valve is not None:
+        if regulated and valve is not None:
             yield f"{name} is given, but the joint has pressure regulators (drive: regulator): expected no valves"
         elif valve is not None:
             yield from _valve_contradictions(name, valve)
-        elif found.drive == "valve":
+        elif not regulated:
             yield f"{name} is missing; for a joint with pressure regulators in place of valves, give drive: regulator"
-    yield from _episode_contradictions(found)
-    for name, entry in _scaled(found):
-        if entry.scale == 0.0:
-            yield f"{name}.scale is 0: expected the factor between cells and values"
+    yield from _further_contradictions(found.also)
+    entries = found.entries()
+    for name, one in entries.items():
+        if one.scale == 0.0:
+            yield f"{name.replace('/', '.')}.scale is 0: expected the factor between cells and values"
     if (found.command_1 is None) != (found.command_2 is None):
         yield "command_1 and command_2: expected both, or neither"
-    if found.command_1 is not None and found.drive == "valve":
+    if found.command_1 is not None and not regulated:
         yield "command_1 is given, but the joint has valves; for pressure regulators give drive: regulator"
-    pressures = {name: getattr(found, name) for name in ("pressure_1", "pressure_2", "command_1", "command_2")}
-    gauges = [name for name, entry in pressures.items() if entry is not None and entry.reference == "gauge"]
+    gauges = [name.replace("/", ".") for name, one in entries.items() if getattr(one, "reference", None) == "gauge"]
     if gauges and found.atmosphere is None:
         yield (
             f"atmosphere is missing: {gauges[0]} is gauge pressure, and bags hold absolute pressure; write "
@@ -263,18 +275,17 @@ def _contradictions(found: CsvMap) -> Iterator[str]:
     yield from _file_contradictions(found)
 
 
-def _time_contradictions(time: Time) -> Iterator[str]:
+def _time_contradictions(time: Time, has_episodes: bool) -> Iterator[str]:
     if (time.column is None) == (time.rate is None):
         yield "time: expected either column (with its unit) or rate"
     if time.column is not None and time.unit is None:
         yield f"time.unit is missing: expected one of {', '.join(UNITS['time'])}"
-
-
-def _episode_contradictions(found: CsvMap) -> Iterator[str]:
-    time = found.time
-    if found.episode is not None and (time.resample is not None or time.begin or time.end is not None):
+    if has_episodes and (time.resample is not None or time.begin or time.end is not None):
         yield "time: expected no resample, begin or end in a file of episodes"
-    for name, entry in found.also.items():
+
+
+def _further_contradictions(also: Mapping[str, Further]) -> Iterator[str]:
+    for name, entry in also.items():
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             yield f"also.{name}: expected a name of letters, digits and _ that begins with a letter"
         if (entry.reference is not None) != (entry.quantity == "pressure"):
@@ -315,15 +326,6 @@ def _columns_twice(found: CsvMap) -> Iterator[str]:
         if column in seen and {name, seen[column]} != {"valve_1", "valve_2"}:
             yield f"{name} and {seen[column]} are the same column, {column!r}"
         seen[column] = name
-
-
-def _scaled(found: CsvMap) -> list[tuple[str, Column | Valve]]:
-    return [
-        ("pressure_1", found.pressure_1), ("pressure_2", found.pressure_2),
-        *((f"valve_{n}", valve) for n, valve in enumerate(found.valves, 1)), *found.measured().items(),
-        *((f"command_{n}", entry) for n, entry in ((1, found.command_1), (2, found.command_2)) if entry is not None),
-        *((f"also.{name}", entry) for name, entry in found.also.items()),
-    ]  # fmt: skip
 
 
 def _in_known_units(path: str, found: CsvMap) -> CsvMap:

@@ -16,7 +16,6 @@ from .csv_map import Layout
 _LONGEST_LINE = 1 << 20
 _SNIFFED = 4096
 _LONGEST_HEAD = 200  # lines of a LabVIEW header
-_DELIMITERS = {"tab": "\t", "space": " "}
 _BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it as CSV there",
            b"\x1f\x8b": "packed with gzip: unpack it first", b"\x89MCAP": "a bag already"}  # fmt: skip
 
@@ -89,9 +88,9 @@ def labview(path: Path, layout: Layout) -> Layout:
 
 
 class Line(NamedTuple):
-    """A line of the file."""
+    """A line of the file; ``number`` counts from 1, as editors do."""
 
-    number: int  # counted from 1, as editors do
+    number: int
     text: str
 
 
@@ -101,7 +100,7 @@ class Lines:
     def __init__(self, path: Path, layout: Layout, stream: TextIO) -> None:
         self._path, self._stream, self._layout = path, stream, layout
         self._number = 0
-        self._blank = ' \t\r\n"' + _delimiter(layout)
+        self._blank = ' \t\r\n"' + layout.mark
         self.unterminated = False
 
     def __iter__(self) -> Iterator[Line]:
@@ -142,11 +141,7 @@ class Lines:
 def other_delimiter(layout: Layout, text: str) -> str:
     """Name of another delimiter that would split the text; "" where there is none."""
     words = {";": "';'", "\t": "tab", "|": "'|'", ",": "','", " ": "space"}
-    return next((word for mark, word in words.items() if mark in text.strip() and mark != _delimiter(layout)), "")
-
-
-def _delimiter(layout: Layout) -> str:
-    return _DELIMITERS.get(layout.delimiter, layout.delimiter)
+    return next((word for mark, word in words.items() if mark in text.strip() and mark != layout.mark), "")
 
 
 def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
@@ -154,13 +149,23 @@ def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
     if layout.delimiter == "space":
         return [line.text.split() for line in lines]
     try:
-        rows = list(csv.reader((line.text for line in lines), delimiter=_delimiter(layout), skipinitialspace=True))
+        rows = list(csv.reader((line.text for line in lines), delimiter=layout.mark, skipinitialspace=True))
     except csv.Error as error:
         raise BadInput(f"{path}: between lines {lines[0].number} and {lines[-1].number}: {error}") from None
     if len(rows) != len(lines):
         odd = next((line for line in lines if line.text.count('"') % 2), lines[0])
         raise BadInput(f"{path}: line {odd.number} opens a quotation mark and does not close it: {shown(odd.text)}")
     return rows
+
+
+def number(layout: Layout, cell: str) -> float | None:
+    """The number in a cell; None where it holds none. An underscore is no part of a number in a file."""
+    if "_" in cell or (layout.decimal == "," and "." in cell):
+        return None
+    try:
+        return float(cell.replace(",", ".") if layout.decimal == "," else cell)
+    except ValueError:
+        return None
 
 
 def shown(text: str) -> str:

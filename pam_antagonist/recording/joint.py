@@ -47,11 +47,9 @@ def joint_condition(
     measured angle, or with nearly constant pressures, the setting of the live filter decides if its estimate was
     recorded. Otherwise the joint is assumed free. A free joint may stay at its stop.
 
-    Args:
-        joint: ``free`` or ``locked`` where it is known, ``auto`` to detect it.
-        stop: largest angle of the rig to both sides [rad], where it has a stop.
-        lock_angle: angle of a locked joint [rad]; default: that of the recorded estimate, else the median of the
-            measured angle to 0.1°, else 0.
+    `joint`: ``free`` or ``locked`` where it is known. `stop`: largest angle of the rig to both sides [rad].
+    `lock_angle`: of a locked joint [rad]; default: that of the recorded estimate, else the median of the measured angle
+    to 0.1°, else 0.
     """
     if joint not in ("free", "locked", "auto"):
         raise BadInput(f"joint {joint!r}: expected free, locked or auto")

@@ -1,9 +1,9 @@
 """MCAP files, read record by record (https://mcap.dev/spec).
 
-This module scans the file from front to back, unlike rosbags' indexed reader, for three reasons. A recording that was
-cut off has no index, but all messages up to the cut; and behind damage, the scan goes on at the next whole chunk. Every
-length is checked against the size of the file before memory is allocated. And a compiled kernel takes consecutive
-messages as one block. The scan never uses the index.
+rosbags reads such files by the index at their end, message by message. This module scans them from front to back, for
+three reasons. A recording that was cut off has no index, but all messages up to the cut; and behind damage, the scan
+goes on at the next whole chunk. Every length is checked against the size of the file before memory is allocated. And a
+compiled kernel takes consecutive messages as one block.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import math
 import mmap
 import re
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .cdr import Channel, Collector, Payloads, RawTopic
 from .compression import MAX_MESSAGE, CompressionError, Room, inflate
+from .raw import Payloads, RawTopic
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK = 128 << 20
@@ -40,20 +40,11 @@ _CHUNK_HEAD = re.compile(rb"(?=\x06.{5}\0\0\0)", re.DOTALL)  # a chunk record of
 _CHUNK_LEAST, _LONGEST_NAME = 44, 4  # body of a chunk, and name of its compression [bytes]
 _RUN = 1 << 16  # largest number of messages in a block
 
+Run = NDArray[np.int64]
+
 
 class Damage(Exception):
     """The file is damaged; the text says where and how."""
-
-
-@dataclass
-class McapContents:
-    """Result of a scan."""
-
-    topics: list[RawTopic]  # One entry for each channel, with payloads only of the requested message types
-    # Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before it, and
-    # those in whole chunks behind it.
-    damage: str | None
-    lost: list[Lost] = field(default_factory=list)
 
 
 @dataclass
@@ -67,34 +58,50 @@ class Lost:
     until: float = math.nan  # when the first message behind it was received [s]; NaN for none
 
 
-def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> McapContents:
-    """Read all messages of the given types.
+@dataclass
+class McapContents:
+    """Result of a scan."""
 
-    `types`: Message types whose payloads are wanted; messages of other types are only counted. `room`: Limit on
-    unpacked bytes; None for the limit of this file alone.
+    topics: list[RawTopic]  # one entry for each channel, with payloads only of the requested message types
+    # Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before it, and
+    # those in whole chunks behind it.
+    damage: str | None
+    lost: list[Lost] = field(default_factory=list)
+
+
+def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> McapContents:
+    """Read all messages of the given types; messages of other types are only counted.
+
+    `room`: Limit on unpacked bytes; None for the limit of this file alone.
     """
+    if path.stat().st_size == 0:
+        return McapContents([], "it is empty")
     with path.open("rb") as file:
-        if path.stat().st_size == 0:
-            return McapContents([], "it is empty")
         view = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     scan = _Scan(types, room or Room(len(view)))
-    damage, position = None, len(MAGIC)
+    damage: str | None = None
+    lost: list[tuple[Lost, int]] = []  # with the number of blocks that were read before
+    position = len(MAGIC)
     while True:
         try:
-            if bytes(view[: len(MAGIC)]) != MAGIC:
+            if view[: len(MAGIC)] != MAGIC:
                 raise Damage("it does not start like an MCAP file")
-            scan.walk(view, position, len(view))
-            if not scan.finished:
+            if not scan.file(view, position):
                 raise Damage(f"it ends at byte {len(view)} without a footer")
+            break
         except Damage as exc:
             damage = damage or str(exc)
-            scan.chunk_at = None
             begin, position = scan.at, _next_chunk(view, scan.at + 1)
-            if position:
-                scan.declare(view)
-                scan.lost.append((Lost(begin, position), scan.counts()))
-                continue
-        return scan.contents(damage)
+            if not position:
+                break
+            scan.declare(view)
+            lost.append((Lost(begin, position), len(scan.blocks)))
+    spans = [(int(block.log_ns.min()), int(block.log_ns.max())) for _, block in scan.blocks]
+    first = min((low for low, _ in spans), default=0)
+    for part, count in lost:
+        part.since = max(((high - first) * 1e-9 for _, high in spans[:count]), default=math.nan)
+        part.until = min(((low - first) * 1e-9 for low, _ in spans[count:]), default=math.nan)
+    return McapContents(scan.topics(), damage, [part for part, _ in lost])
 
 
 def _next_chunk(view: memoryview, start: int) -> int:
@@ -112,30 +119,21 @@ def _next_chunk(view: memoryview, start: int) -> int:
 
 @dataclass
 class _Scan:
+    """A scan in progress."""
+
     types: Collection[str]
     room: Room
     schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
-    collectors: dict[int, Collector] = field(default_factory=dict)
-    chunk_at: int | None = None
-    finished: bool = False
+    channels: dict[int, RawTopic] = field(default_factory=dict)
+    blocks: list[tuple[int, RawTopic]] = field(default_factory=list)  # channel and some of its messages
     at: int = 0  # the record of the file that is being read
-    latest: Collector | None = None  # that of the last message
-    lost: list[tuple[Lost, dict[int, int]]] = field(default_factory=list)  # with the number of messages before each
 
-    def counts(self) -> dict[int, int]:
-        """Number of messages of each channel so far."""
-        return {key: len(collector) for key, collector in self.collectors.items()}
-
-    def contents(self, damage: str | None) -> McapContents:
-        """All that was read, and when the damaged parts were received."""
-        topics = {key: collector.finish() for key, collector in self.collectors.items()}
-        first = min((int(topic.log_ns.min()) for topic in topics.values() if len(topic.log_ns)), default=0)
-        for part, counts in self.lost:
-            before = [topic.log_ns[: counts.get(key, 0)] for key, topic in topics.items()]
-            after = [topic.log_ns[counts.get(key, 0) :] for key, topic in topics.items()]
-            part.since = max(((times.max() - first) * 1e-9 for times in before if len(times)), default=math.nan)
-            part.until = min(((times.min() - first) * 1e-9 for times in after if len(times)), default=math.nan)
-        return McapContents(list(topics.values()), damage, [part for part, _ in self.lost])
+    def topics(self) -> list[RawTopic]:
+        """All messages of each channel."""
+        parts: dict[int, list[RawTopic]] = {key: [] for key in self.channels}
+        for key, block in self.blocks:
+            parts[key].append(block)
+        return [(its or [self.channels[key]])[0].joined(its[1:]) for key, its in parts.items()]
 
     def declare(self, view: memoryview) -> None:
         """Take schemas and channels from the summary, where the part that declares them is damaged."""
@@ -144,10 +142,14 @@ class _Scan:
             (start,) = struct.unpack_from("<Q", view, foot + 9)
             if 0 < start < foot:
                 with suppress(Damage):
-                    self.walk(view, start, foot)
+                    self._walk(view, start, foot, "", [])
 
-    def walk(self, view: memoryview, position: int, end: int) -> None:
-        """Scan the records of the file or, in a recursive call, of one chunk."""
+    def file(self, view: memoryview, position: int) -> bool:
+        """Scan the records of the file; whether it ends with a footer."""
+        return self._walk(view, position, len(view), "", None)
+
+    def _walk(self, view: memoryview, position: int, end: int, of: str, runs: list[Run] | None) -> bool:
+        """Scan records; those of a chunk go into ``runs`` (``of`` says which chunk), those of the file are kept."""
         # Imported here because numba takes a quarter of a second, which writing a bag does not need.
         from .mcap_records import take_messages
 
@@ -155,91 +157,86 @@ class _Scan:
         data = np.frombuffer(view, np.uint8)
         run = np.empty((min(_RUN, end // (9 + MESSAGE_HEAD) + 1), 4), np.int64)
         while position < end:
-            self.at = position if self.chunk_at is None else self.at
+            self.at = self.at if of else position
             count, position = take_messages(data, position, end, run)
             if count:
-                self._take(data, run[:count])
+                wrong = self._first_wrong(run[:count], of)
+                good = run[: wrong[0]] if wrong else run[:count]
+                if runs is None:
+                    self._keep(data, good)
+                elif len(good):
+                    runs.append(good.copy())
+                if wrong:
+                    raise Damage(wrong[1])
                 continue
+            where = f"at byte {position}{of}"
             if end - position < 9:
-                raise Damage(f"a record is cut off {self._at(position)}")
+                raise Damage(f"a record is cut off {where}")
             opcode, size = head(view, position)
             body = position + 9
-            stop = body + size
             if opcode == 0:
-                raise Damage(f"there is no record {self._at(position)}")
-            if stop > end:
-                record = f"{_NAMES.get(opcode, 'unknown')} record {self._at(position)}"
+                raise Damage(f"there is no record {where}")
+            if body + size > end:
+                record = f"{_NAMES.get(opcode, 'unknown')} record {where}"
                 raise Damage(f"the {record} has {size} bytes, of which {end - body} are there")
             if opcode == MESSAGE:
-                raise Damage(f"a message record {self._at(position)} has {size} bytes, expected 22 or more")
-            if opcode == _FOOTER and self.chunk_at is None:
-                self.finished = bytes(view[stop : stop + len(MAGIC)]) == MAGIC
-                break
-            self._record(opcode, view[body:stop], position)
-            position = stop
+                raise Damage(f"a message record {where} has {size} bytes, expected 22 or more")
+            if opcode == _FOOTER and not of:
+                return view[body + size : body + size + len(MAGIC)] == MAGIC
+            try:
+                self._record(opcode, view[body : body + size], position, of)
+            except (struct.error, UnicodeDecodeError, CompressionError) as exc:
+                raise Damage(f"the {_NAMES[opcode]} record {where} is damaged ({exc})") from exc
+            position = body + size
+        return False
 
-    def _take(self, data: NDArray[np.uint8], run: NDArray[np.int64]) -> None:
-        """Add a block of consecutive messages, as :func:`take_messages` gives them."""
+    def _first_wrong(self, run: Run, of: str) -> tuple[int, str] | None:
+        """The first message of no known channel, or that is too large, and what to say of it."""
+        found = []
+        for key in np.unique(run[:, CHANNEL_OF]).tolist():
+            channel, its = self.channels.get(key), run[:, CHANNEL_OF] == key
+            if channel is not None:
+                its &= (run[:, SIZE] + MESSAGE_HEAD > MAX_MESSAGE) & (channel.msgtype in self.types)
+            if its.any():
+                row = int(np.argmax(its))
+                at = f"at byte {run[row, BEGIN] - MESSAGE_HEAD - 9}{of}"
+                text = f"a message {at} belongs to channel {key}, which is not declared"
+                if channel is not None:
+                    text = f"a message of {channel.msgtype} {at} has {run[row, SIZE] + MESSAGE_HEAD} bytes"
+                found.append((row, text))
+        return min(found, default=None)
+
+    def _keep(self, data: NDArray[np.uint8], run: Run) -> None:
+        """Add a block of messages, as :func:`take_messages` gives them."""
         from .mcap_records import copy_payloads
 
-        wrong = [(int(np.argmax(of)), why) for of, why in self._wrong(run) if of.any()]
-        first, why = min(wrong, default=(len(run), ""))
-        if first:
-            self.latest = self.collectors[int(run[first - 1, CHANNEL_OF])]
-        for channel in np.unique(run[:first, CHANNEL_OF]):
-            collector, its = self.collectors[int(channel)], run[:first][run[:first, CHANNEL_OF] == channel]
-            payloads = None
-            if collector.wanted:
+        for key in np.unique(run[:, CHANNEL_OF]).tolist():
+            channel, its, payloads = self.channels[key], run[run[:, CHANNEL_OF] == key], None
+            if channel.msgtype in self.types:
                 payloads = Payloads(np.empty(its[:, SIZE].sum(), np.uint8), its[:, SIZE].copy())
                 copy_payloads(data, its, payloads.data)
-            collector.add(its[:, LOG].copy(), payloads)
-        if wrong:
-            size = int(run[first, SIZE]) + MESSAGE_HEAD
-            at = self._at(int(run[first, BEGIN]) - MESSAGE_HEAD - 9)
-            raise Damage(why.format(at=at, size=size))
+            self.blocks.append((key, replace(channel, log_ns=its[:, LOG].copy(), payloads=payloads)))
 
-    def _wrong(self, run: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.bool_], str]]:
-        """Masks of wrong messages (N,), each with the error text for its first message."""
-        for channel in np.unique(run[:, CHANNEL_OF]):
-            of, collector = run[:, CHANNEL_OF] == channel, self.collectors.get(int(channel))
-            if collector is None:
-                yield of, f"a message {{at}} belongs to channel {channel}, which is not declared"
-            elif collector.wanted:
-                too_large = of & (run[:, SIZE] + MESSAGE_HEAD > MAX_MESSAGE)
-                yield too_large, f"a message of {collector.channel.msgtype} {{at}} has {{size}} bytes"
-
-    def _at(self, position: int) -> str:
-        return f"at byte {position}" + ("" if self.chunk_at is None else f" of the chunk at byte {self.chunk_at}")
-
-    def _record(self, opcode: int, body: memoryview, position: int) -> None:
-        try:
-            if opcode == _CHUNK:
-                self._chunk(body, position)
-            elif opcode == _SCHEMA:
-                (key,) = struct.unpack_from("<H", body)
-                name, at = _text(body, 2)
-                _, at = _text(body, at)
-                definition, _ = _text(body, at)
-                self.schemas[key] = (name, definition)
-            elif opcode == _CHANNEL:
-                self._channel(body)
-        except (struct.error, UnicodeDecodeError, CompressionError) as exc:
-            name = _NAMES[opcode]
-            raise Damage(f"the {name} record {self._at(position)} is damaged ({exc})") from exc
-
-    def _channel(self, body: memoryview) -> None:
-        key, schema = struct.unpack_from("<HH", body)
-        if key in self.collectors:  # the summary repeats the channels of the data section
-            return
-        topic, at = _text(body, 4)
-        encoding, _ = _text(body, at)
-        msgtype, definition = self.schemas.get(schema, ("", ""))
-        channel = Channel(topic, msgtype, encoding, definition=definition)
-        self.collectors[key] = Collector(channel, msgtype in self.types)
+    def _record(self, opcode: int, body: memoryview, position: int, of: str) -> None:
+        """Read a record that is no message."""
+        if opcode == _CHUNK and of:
+            raise Damage(f"there is a chunk inside the chunk at byte {self.at}")
+        if opcode == _CHUNK:
+            self._chunk(body, position)
+        elif opcode == _SCHEMA:
+            (key,) = struct.unpack_from("<H", body)
+            name, at = _text(body, 2)
+            _, at = _text(body, at)
+            self.schemas[key] = (name, _text(body, at)[0])
+        elif opcode == _CHANNEL:
+            key, schema = struct.unpack_from("<HH", body)
+            topic, at = _text(body, 4)
+            msgtype, definition = self.schemas.get(schema, ("", ""))
+            empty = Payloads.of([]) if msgtype in self.types else None
+            channel = RawTopic(topic, msgtype, _text(body, at)[0], definition, payloads=empty)
+            self.channels.setdefault(key, channel)  # the summary repeats the channels of the data section
 
     def _chunk(self, body: memoryview, position: int) -> None:
-        if self.chunk_at is not None:
-            raise Damage(f"there is a chunk inside the chunk at byte {self.chunk_at}")
         size, crc = struct.unpack_from("<QI", body, 16)
         compression, at = _text(body, 28)
         (packed,) = struct.unpack_from("<Q", body, at)
@@ -251,16 +248,16 @@ class _Scan:
         data = inflate(body[at + 8 :], compression, size)
         if crc and crc32(data) != crc:
             raise Damage(f"the chunk at byte {position} does not match its checksum")
-        self.chunk_at = position
-        counts, self.latest = self.counts(), None
+        runs: list[Run] = []
         try:
-            self.walk(memoryview(data), 0, len(data))
+            self._walk(memoryview(data), 0, len(data), f" of the chunk at byte {position}", runs)
         except Damage:
             # Without a checksum, damage may have reached any message of packed data, and the last one of plain data.
-            for key, collector in self.collectors.items():
-                collector.cut(counts.get(key, 0) if compression else len(collector) - (collector is self.latest))
+            runs = [] if compression or not runs else [*runs[:-1], runs[-1][:-1]]
             raise
-        self.chunk_at = None
+        finally:
+            for run in runs:
+                self._keep(np.frombuffer(data, np.uint8), run)
 
 
 def _text(body: memoryview, at: int) -> tuple[str, int]:

@@ -45,13 +45,7 @@ def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray
 
 @in_place
 def copy_payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
-    """Copy the payloads of messages, end to end.
-
-    Args:
-        data: bytes of the file or chunk (B,).
-        run: messages, as :func:`take_messages` gives them (N, 4).
-        out: result (P,), P the total size of the payloads [bytes].
-    """
+    """Copy the payloads of messages (N, 4), as :func:`take_messages` gives them, end to end."""
     at = 0
     for k in range(run.shape[0]):
         for j in range(run[k, SIZE]):

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from .cdr import Channel, Decoded, RawTopic
-from .messages import stores_of
+from .cdr import Decoded
+from .messages import is_known
 from .notes import Issue
+from .raw import RawTopic
 from .storage import RawBag
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
 
@@ -38,14 +39,11 @@ class SeveralJoints(BadInput):
 def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str | None) -> dict[str, RawTopic]:
     """Find the package's topics in a bag.
 
-    Args:
-        topics: Logical (or relative) name -> topic in the bag, for topics that have another name there.
-        namespace: Namespace of all other topics; None to find it in the bag.
-
-    Returns:
-        Logical name -> messages; all sample topics are there and not empty. ``bag.issues`` names the topics that were
+    `topics`: Logical (or relative) name -> topic in the bag, for topics that have another name there. `namespace`: of
+    all other topics; None to find it in the bag. Returns logical name -> messages; all sample topics are there and not
+    empty.
     """
-    if not any(len(raw.log_ns) for raw in bag.topics.values()):
+    if not any(len(raw) for raw in bag.topics.values()):
         raise BadInput(f"{bag.path}: no samples, the bag holds no messages ({_list(bag)})")
     renamed = _renamed(topics or {})
     if namespace is None:
@@ -62,7 +60,7 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
             chosen[name] = bag.topics[actual]
         elif needed:
             raise BadInput(f"{bag.path}: {problem}{_hint(bag, topic, actual, namespace)}")
-        elif actual in bag.topics and (len(bag.topics[actual].log_ns) or name == "measured/joint_states"):
+        elif actual in bag.topics and len(bag.topics[actual]):
             bag.issues.append(Issue(f"{problem}: left out", "missing"))
     return chosen
 
@@ -87,7 +85,7 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
         for actual, raw in bag.topics.items():
             for name in open_names:
                 ending = f"/{TOPICS[name].relative}"
-                if actual.endswith(ending) and raw.channel.msgtype == TOPICS[name].type:
+                if actual.endswith(ending) and raw.msgtype == TOPICS[name].type:
                     prefix = actual[: -len(ending)]
                     found[prefix] = found.get(prefix, 0) + 1
         if names is READ_TOPICS:
@@ -107,30 +105,21 @@ def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
 def joints_in(bag: RawBag) -> list[str]:
     """The namespaces with messages of every sample topic; each is a joint."""
 
-    def there(namespace: str, name: str) -> bool:
-        raw = bag.topics.get(TOPICS[name].resolve(namespace))
-        return raw is not None and raw.channel.msgtype == TOPICS[name].type and len(raw.log_ns) > 0
+    def there(namespace: str, *names: str) -> bool:
+        every = [(TOPICS[name].type, bag.topics.get(TOPICS[name].resolve(namespace))) for name in names]
+        return all(raw is not None and raw.msgtype == kind and len(raw) > 0 for kind, raw in every)
 
-    found = set()
-    for name in STATE_TOPICS.values():
-        ending = f"/{TOPICS[name].relative}"
-        found |= {actual[: -len(ending)] for actual in bag.topics if actual.endswith(ending)}
-
-    def whole(namespace: str) -> bool:
-        return there(namespace, STATE_TOPICS["regulator"]) or all(there(namespace, name) for name in SAMPLE_TOPICS)
-
-    return sorted(filter(whole, found))
+    endings = [f"/{TOPICS[name].relative}" for name in STATE_TOPICS.values()]
+    found = {actual[: -len(end)] for actual in bag.topics for end in endings if actual.endswith(end)}
+    return sorted(one for one in found if there(one, STATE_TOPICS["regulator"]) or there(one, *SAMPLE_TOPICS))
 
 
 def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:
-    """Drive of a joint: ``regulator`` where pressure commands but no voltages were recorded, else ``valve``.
-
-    `renamed`: Logical name -> topic in the bag, for topics that have another name there.
-    """
+    """Drive of a joint: ``regulator`` where pressure commands but no voltages were recorded, else ``valve``."""
 
     def there(name: str) -> bool:
         raw = bag.topics.get(renamed.get(name, TOPICS[name].resolve(namespace)))
-        return raw is not None and len(raw.log_ns) > 0
+        return raw is not None and len(raw) > 0
 
     return "regulator" if there(STATE_TOPICS["regulator"]) and not there(STATE_TOPICS["valve"]) else "valve"
 
@@ -142,17 +131,13 @@ def _problem(bag: RawBag, topic: Topic, actual: str) -> str | None:
         return f"topic {actual} is missing"
     if actual in bag.conflicts:
         return f"topic {actual} was recorded with several types ({', '.join(bag.conflicts[actual])})"
-    if len(raw.log_ns) == 0:
+    if len(raw) == 0:
         return f"topic {actual} has no samples"
-    return _channel_problem(raw.channel, topic, actual)
-
-
-def _channel_problem(channel: Channel, topic: Topic, actual: str) -> str | None:
-    if channel.msgtype != topic.type:
-        return f"topic {actual} is a {channel.msgtype or 'message without a type'}, expected {topic.type}"
-    if channel.encoding != "cdr":
-        return f"topic {actual} is encoded as {channel.encoding!r}, expected cdr"
-    if not stores_of(channel.msgtype, channel.digest, channel.definition):
+    if raw.msgtype != topic.type:
+        return f"topic {actual} is a {raw.msgtype or 'message without a type'}, expected {topic.type}"
+    if raw.encoding != "cdr":
+        return f"topic {actual} is encoded as {raw.encoding!r}, expected cdr"
+    if not is_known(raw.msgtype, raw.digest, raw.definition):
         return f"topic {actual} was recorded with another definition of {topic.type} than this package has"
     return None
 
@@ -179,7 +164,7 @@ def _hint(bag: RawBag, topic: Topic, actual: str, namespace: str) -> str:
 def _list(bag: RawBag) -> str:
     if not bag.topics:
         return "no topics are in it"
-    names = [f"{name} ({raw.channel.msgtype})" for name, raw in sorted(bag.topics.items())]
+    names = [f"{name} ({raw.msgtype})" for name, raw in sorted(bag.topics.items())]
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return f"the topics in it are {', '.join(names[:_LISTED])}{more}"
 
@@ -187,14 +172,9 @@ def _list(bag: RawBag) -> str:
 def values_of_joint(
     bag: RawBag, topic: str, decoded: Decoded, joint: str | None, live: Decoded | None
 ) -> tuple[dict[str, Floats], NDArray[np.bool_]]:
-    """Values of one joint of a JointState topic, by its name.
+    """Position [rad] and effort [N m] of one joint in all messages of a JointState, NaN where one has none.
 
-    Args:
-        bag: The bag; its issues tell which of several joints was taken.
-        live: Messages of the estimator's ``joint_states``, or None.
-
-    Returns:
-        Position [rad] and effort [N m] of all messages, NaN where a message has none, and which messages name it.
+    `live`: Messages of the estimator's ``joint_states``, or None. Also returns which messages name the joint.
     """
     names = _joint_names(decoded)
     listed = ", ".join(names) or "no names"

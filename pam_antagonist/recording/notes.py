@@ -10,7 +10,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,19 +27,22 @@ _MOST_VALUES = 500_000
 
 def read_information(folder: Path, name: str = NAME) -> dict[str, Any] | None:
     """Content of a bag's metadata.yaml."""
-    file = folder / name
-    content = _read(file)
+    content = _read(folder / name)
     if content is None:
         return None
+    with _as_metadata(folder / name):
+        return dict(content[INFORMATION])
+
+
+@contextmanager
+def _as_metadata(file: Path) -> Iterator[None]:
+    """Refuse metadata in which an entry is missing or of another kind."""
     try:
-        information = content[INFORMATION]
+        yield
     except KeyError as error:
         raise BadInput(f"{file}: not the metadata of a rosbag2, entry {error} is missing") from None
-    except (TypeError, IndexError):
+    except (TypeError, ValueError, AttributeError, IndexError):
         raise BadInput(f"{file}: not the metadata of a rosbag2, an entry has an unexpected type or value") from None
-    if not isinstance(information, dict):
-        raise BadInput(f"{file}: not the metadata of a rosbag2, an entry has an unexpected type or value")
-    return information
 
 
 def read_custom_data(folder: Path) -> dict[str, str]:
@@ -70,11 +73,10 @@ def _read(file: Path) -> Any:
 def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
     """Names of the message files; only files directly in the folder are accepted."""
     where = folder / NAME
-    if "relative_file_paths" not in information:
-        raise BadInput(f"{where}: not the metadata of a rosbag2, entry 'relative_file_paths' is missing")
-    listed = information["relative_file_paths"]
-    if not isinstance(listed, list) or not all(isinstance(name, str) and Path(name).name for name in listed):
-        raise BadInput(f"{where}: not the metadata of a rosbag2, an entry has an unexpected type or value")
+    with _as_metadata(where):
+        listed = information["relative_file_paths"]
+        if not isinstance(listed, list) or not all(isinstance(name, str) and Path(name).name for name in listed):
+            raise TypeError
     if not listed:
         raise BadInput(f"{where}: names no message files under relative_file_paths")
     names = [Path(name).name for name in listed]  # rosbag2 itself once wrote the folder's name in front
@@ -89,14 +91,8 @@ def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
 
 def type_digests(folder: Path, information: Mapping[str, Any]) -> dict[tuple[str, str], str]:
     """(topic, message type) -> RIHS01 hash of the type, "" where the metadata has none."""
-    try:
+    with _as_metadata(folder / NAME):
         return dict(_digests(information))
-    except KeyError as error:
-        raise BadInput(f"{folder / NAME}: not the metadata of a rosbag2, entry {error} is missing") from None
-    except (TypeError, AttributeError):
-        raise BadInput(
-            f"{folder / NAME}: not the metadata of a rosbag2, an entry has an unexpected type or value"
-        ) from None
 
 
 def _digests(information: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:

@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import plausible, signals, stamps
-from .cdr import CdrError, Decoded, RawTopic, decode
+from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
-from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
 from .notes import Issue, noted_issues
+from .raw import RawTopic
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
 from .storage import RawBag, read_raw, unpack_messages
 from .topics import STATE_TOPICS, TOPICS
+from .units import UNITS
 
 Floats = NDArray[np.float64]
 
@@ -48,12 +49,6 @@ class _Topic:
         """What two messages with one stamp must agree in (K, m); None for topics that no result is made from."""
         fields = ("position", "effort") if self.joint is not None else _COMPARED.get(self.name)
         return None if fields is None else np.column_stack([np.asarray(self.values(name), float) for name in fields])
-
-    def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
-        """A field of numbers (K, *shape), NaN where the message definition in the bag has no such field."""
-        if not self.decoded.has(path):
-            return np.full((len(self.keep), *shape), np.nan)
-        return self.values(path).reshape(len(self.keep), *shape)
 
     @property
     def arrival(self) -> Arrival:
@@ -104,10 +99,16 @@ def read_bag(
     """
     if not isinstance(path, (str, Path)):
         raise BadInput(f"bag: found a value of type {type(path).__name__}, expected its path")
+    if restarts not in ("refuse", "last"):
+        raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
+    path, fixes = Path(path), corrections or Corrections()
     try:
-        recording = _read(
-            Path(path), topics, namespace, joint_name, restarts, recover, corrections or Corrections(), judge, also
-        )
+        types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
+        bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
+        if path.is_dir():
+            bag.issues += noted_issues(path)
+        chosen = _chosen(bag, topics, namespace, joint_name, restarts == "last", fixes.align_clocks)
+        recording = _recording(bag, chosen, _Values(str(path), bag.issues, fixes, judge), also)
         recording = recording if corrections is None else corrections.arranged(recording)
     except MemoryError:
         what = "needs more memory than there is; split the recording, or use a larger machine"
@@ -116,91 +117,80 @@ def read_bag(
     return recording
 
 
-def _read(
-    path: Path,
+def _chosen(
+    bag: RawBag,
     topics: Mapping[str, str] | None,
     namespace: str | None,
     joint_name: str | None,
-    restarts: Restarts,
-    recover: bool,
-    corrections: Corrections,
-    judge: bool,
-    also: Sequence[str],
-) -> Recording:
-    if restarts not in ("refuse", "last"):
-        raise ValueError(f"restarts is {restarts!r}, expected 'refuse' or 'last'")
-    types = {TOPICS[name].type for name in (*READ_TOPICS, "rig")}
-    bag = read_raw(path, types | set(signals.KINDS) | {signals.EPISODE.type}, recover=recover)
-    if path.is_dir():
-        bag.issues += noted_issues(path)
-    chosen = {name: _decode(path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
+    cut: bool,
+    align: bool,
+) -> dict[str, _Topic]:
+    """The package's topics by logical name, decoded and in order, of one joint and one clock."""
+    chosen = {name: _decode(bag.path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
     live = chosen["joint_states"].decoded if "joint_states" in chosen else None
     for topic in (chosen[name] for name in ("measured_joint_states", "angle_sensor") if name in chosen):
         topic.joint, there = values_of_joint(bag, topic.actual, topic.decoded, joint_name, live)
         topic.keep = topic.keep[there[topic.keep]]
-    if restarts == "last":
+    if cut:
         _cut(chosen, bag.issues)
     for topic in chosen.values():
-        if corrections.align_clocks and not np.any(topic.stamp_ns):
+        if align and not np.any(topic.stamp_ns):
             topic.stamp_ns = topic.log_ns.copy()
             bag.issues.append(Issue(f"{topic.actual} without stamps: took the times of reception", "clock"))
-        _sort(path, topic, bag.issues)
-    _one_clock(path, chosen, bag.issues, corrections.align_clocks)
+        _sort(bag.path, topic, bag.issues)
+    _one_clock(bag.path, chosen, bag.issues, align)
+    return chosen
+
+
+def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Values, also: Sequence[str]) -> Recording:
+    """Samples at the stamps of pressures and commands, and everything else at these samples."""
     drive = "valve" if "valve_state" in chosen else "regulator"
     state = STATE_TOPICS[drive]
     names = tuple(name for name in ("pressure_1", "pressure_2", state) if name in chosen)
     samples = stamps.union([chosen[name].arrival.stamp_ns for name in names])
     beside = chosen[state].actual.rpartition("/")[0]
     episode_ns = signals.read_episodes(bag, beside, samples)
-    convert = _Values(str(path), bag.issues, corrections, judge)
     pressure, voltage = _samples(bag, {name: chosen[name] for name in names}, samples, convert, episode_ns)
-    measured = chosen.get("measured_joint_states")
-    angle, torque = (None, None) if measured is None else _measured(bag, measured, samples, convert)
-    external, remembered = chosen.get("measured_external_torque"), chosen.get("filter_checkpoint")
-    estimate, reference = chosen.get("joint_estimate"), chosen.get("reference")
-    sensor, further = chosen.get("angle_sensor"), signals.read_signals(bag, beside, samples, also)
+
+    def measured(name: str, field: str, what: str) -> Floats | None:
+        topic = chosen.get(name)
+        return None if topic is None else _validation(bag, topic, samples, what, topic.values(field), convert)
+
+    angle, torque, external = (measured(*each) for each in _MEASURED)
+    estimate, reference, sensor = (chosen.get(name) for name in ("joint_estimate", "reference", "angle_sensor"))
+    remembered, joints = chosen.get("filter_checkpoint"), joints_in(bag)
+    mine = [joint for joint in joints if TOPICS[state].resolve(joint) == chosen[state].actual]
     return Recording(
-        path=path,
+        path=bag.path,
         stamp_ns=samples,
         pressure=pressure,
         voltage=voltage,
         angle=angle,
         torque=torque,
-        external_torque=None if external is None else _external(bag, external, samples, convert),
+        external_torque=external,
         angle_sensor=None if sensor is None else _angle_sensor(bag, sensor, samples),
         estimate=None if estimate is None else _estimate(estimate),
         reference=None if reference is None else _reference(reference),
         received_ns={name: topic.arrival for name, topic in chosen.items()},
         topics={name: topic.actual for name, topic in chosen.items()},
-        issues=Issue.sorted(bag.issues),
         rigs=signals.rig_texts(bag, beside),
         checkpoints=() if remembered is None else signals.read_checkpoints(remembered.decoded, remembered.keep),
-        namespace=_own_namespace(bag, state, chosen[state].actual),
-        signals=further,
+        namespace=mine[0] if mine and len(joints) > 1 else "",
+        signals=signals.read_signals(bag, beside, samples, also),
         episode_ns=episode_ns,
         drive=drive,
+        issues=Issue.sorted(bag.issues),
     )
-
-
-def _own_namespace(bag: RawBag, state: str, actual: str) -> str:
-    """Namespace of the joint that was read; empty where the bag holds only one."""
-    joints = joints_in(bag)
-    mine = [joint for joint in joints if TOPICS[state].resolve(joint) == actual]
-    return mine[0] if mine and len(joints) > 1 else ""
 
 
 def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
     """Decode one topic and order its messages by reception."""
-    actual = raw.channel.topic
     try:
-        raw = unpack_messages(raw)
-        assert raw.payloads is not None
-        channel = raw.channel
-        decoded = decode(raw.payloads, channel.msgtype, stores_of(channel.msgtype, channel.digest, channel.definition))
+        decoded = decode(unpack_messages(raw), raw.msgtype)
         stamp_ns = decoded.stamp_ns("header.stamp")
     except (CdrError, CompressionError) as exc:
-        raise BadInput(f"{path}: {actual} cannot be read as {raw.channel.msgtype}, {exc}") from exc
-    return _Topic(name, actual, decoded, raw.log_ns, stamp_ns, np.argsort(raw.log_ns, kind="stable"))
+        raise BadInput(f"{path}: {raw.topic} cannot be read as {raw.msgtype}, {exc}") from exc
+    return _Topic(name, raw.topic, decoded, raw.log_ns, stamp_ns, np.argsort(raw.log_ns, kind="stable"))
 
 
 def _cut(chosen: Mapping[str, _Topic], issues: list[str]) -> None:
@@ -247,33 +237,26 @@ def _one_clock(path: Path, chosen: Mapping[str, _Topic], issues: list[str], alig
 
 @dataclass(frozen=True)
 class _Values:
-    """Converts recorded values: corrects them, replaces infinite ones by NaN, and checks their plausibility."""
+    """Converts recorded values: corrects them, replaces infinite ones by NaN, and judges their plausibility."""
 
     where: str
     issues: list[str]
     corrections: Corrections
     judge: bool
 
-    def of(self, topic: str, what: str, values: Floats) -> Floats:
+    def of(self, topic: str, what: str, quantity: str, values: Floats) -> Floats:
         """Values of one quantity in SI units, NaN where not finite."""
-        values = plausible.finite_only(topic, what, values, self.issues)
+        values = plausible.finite_only(f"{what} on {topic}", values, self.issues)
         convert = {
             "pressure": self.corrections.pressure, "position": self.corrections.angle, "effort": self.corrections.torque
         }.get(what)  # fmt: skip
         values = values if convert is None else convert(values)
         if self.judge:
-            _JUDGES[what](self.where, topic, values, self.issues)
+            name = {"position": "position", "effort": "torque"}.get(what, what)
+            label = topic if quantity in ("pressure", "voltage") else f"the {name} on {topic}"
+            signal = plausible.Signal(label, quantity, values, next(iter(UNITS[quantity])))
+            plausible.judge(self.where, signal, self.issues)
         return values
-
-
-_JUDGES = {
-    "pressure": plausible.check_pressure,
-    "voltage": plausible.check_voltage,
-    "asked": plausible.check_pressure,
-    "position": plausible.check_angle,
-    "effort": plausible.check_torque,
-    "torque about z": plausible.check_torque,
-}
 
 
 _COMPARED: Mapping[str, tuple[str, ...]] = {
@@ -282,8 +265,13 @@ _COMPARED: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Topics that samples are made from -> the fields in which messages with one stamp must agree."""
 
-_FIELDS = {"valve_state": ("voltage", "voltage"), "pressure_state": ("pressure", "asked")}
-"""Topic -> field of its message and quantity of that field, for messages other than FluidPressure."""
+_MEASURED = (
+    ("measured_joint_states", "position", "position"), ("measured_joint_states", "effort", "effort"),
+    ("measured_external_torque", "wrench.torque.z", "torque about z"),
+)  # fmt: skip
+"""Topic, field and name of each validation signal."""
+_FIELDS = {"valve_state": ("voltage", "voltage", "voltage"), "pressure_state": ("pressure", "command", "pressure")}
+"""Topic -> field of its message, its name and its quantity, for messages other than FluidPressure."""
 
 
 def _samples(
@@ -300,8 +288,8 @@ def _samples(
     for name, topic in chosen.items():
         if len(topic.keep) == 0:
             raise BadInput(f"{where}: {topic.actual} has no samples after the last restart")
-        field, what = _FIELDS.get(name, ("fluid_pressure", "pressure"))
-        values = convert.of(topic.actual, what, topic.values(field))
+        field, what, quantity = _FIELDS.get(name, ("fluid_pressure", "pressure", "pressure"))
+        values = convert.of(topic.actual, what, quantity, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
         others = [other.arrival.stamp_ns for other in chosen.values() if other is not topic]
         if others and len(stamp_ns) > 1.1 * min(map(len, others)):
@@ -318,14 +306,6 @@ def _samples(
     return pressure, next(columns[name] for name in STATE_TOPICS.values() if name in columns)
 
 
-def _measured(
-    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values
-) -> tuple[Floats | None, Floats | None]:
-    """Measured angle and torque at the sample stamps (N,), None where the topic has no such field."""
-    angle = _validation(bag, topic, samples, "position", topic.values("position"), convert)
-    return angle, _validation(bag, topic, samples, "effort", topic.values("effort"), convert)
-
-
 def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Floats:
     """The encoder's angle at the sample stamps (N,) [rad]; a filter input, so never interpolated or corrected."""
     stamp_ns = topic.arrival.stamp_ns
@@ -333,16 +313,6 @@ def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Flo
     if alone:
         bag.issues.append(Issue(f"{alone} angles on {topic.actual} belong to no sample: left out", "dropped", alone))
     return stamps.spread(samples, stamp_ns, topic.values("position"))
-
-
-_SHOWN = {"position": "angle (field position)", "effort": "torque (field effort)"}
-"""Fields of a JointState in words, for messages."""
-
-
-def _external(bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Values) -> Floats | None:
-    """Torque from outside at the sample stamps (N,) [N m]."""
-    torque = np.asarray(topic.values("wrench.torque.z"), np.float64)
-    return _validation(bag, topic, samples, "torque about z", torque, convert)
 
 
 def _validation(
@@ -354,9 +324,10 @@ def _validation(
     rate) is interpolated, which is reported as an issue.
     """
     if not np.any(np.isfinite(values)):
-        bag.issues.append(f"{topic.actual} holds no {_SHOWN.get(what, what)}")
+        shown = {"position": "angle (field position)", "effort": "torque (field effort)"}.get(what, what)
+        bag.issues.append(f"{topic.actual} holds no {shown}")
         return None
-    values = convert.of(topic.actual, what, values)
+    values = convert.of(topic.actual, what, "angle" if what == "position" else "torque", values)
     stamp_ns = topic.arrival.stamp_ns
     paired = np.isin(stamp_ns, samples, assume_unique=True)
     stamps.judge_publishers(str(bag.path), topic.actual, stamp_ns, values, paired)
@@ -376,14 +347,14 @@ def _validation(
 
 
 def _estimate(topic: _Topic) -> RecordedEstimate:
-    columns = {name: topic.values_or_nan(name, *shape) for name, shape in ESTIMATE_SHAPES.items()}
+    columns = {name: topic.values(name).reshape(-1, *shape) for name, shape in ESTIMATE_SHAPES.items()}
     started_ns = topic.decoded.stamp_ns("started")[topic.keep]
     return RecordedEstimate(topic.arrival.stamp_ns, started_ns, **columns)
 
 
 def _reference(topic: _Topic) -> RecordedReference:
-    further = (topic.values_or_nan(name) for name in ("stiffness", "damping"))
-    return RecordedReference(topic.arrival.stamp_ns, topic.values("mode"), topic.values("value"), *further)
+    fields = (topic.values(name) for name in ("mode", "value", "stiffness", "damping"))
+    return RecordedReference(topic.arrival.stamp_ns, *fields)
 
 
 def _return_memory() -> None:

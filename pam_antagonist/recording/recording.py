@@ -76,6 +76,8 @@ ESTIMATE_SHAPES: Mapping[str, tuple[int, ...]] = MappingProxyType(
 """Fields of JointEstimate beside its times -> shape of one sample."""
 
 
+_COLUMNS = ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque", "angle_sensor")
+"""What a recording has for each sample."""
 _ROUNDING = 1.0
 """[Pa] Largest difference between a pressure and a command that was logged in its place."""
 
@@ -99,7 +101,7 @@ class RecordedEstimate(Shown):
         nis: (M,).
         subsystem: 1 to 18 (M,) uint8.
         flags: (M,) uint8.
-        external_torque: (M,) [N m]; NaN where the rig has no such state, or the bag's message definition no such field.
+        external_torque: (M,) [N m]; NaN where the rig has no such state.
         external_torque_covariance: With angle, velocity, torque and itself (M, 4); NaN likewise.
     """
 
@@ -156,8 +158,8 @@ class RecordedReference(Shown):
         stamp_ns: Header stamps (K,) [ns]; the time of reception where a message carried none.
         mode: JointReference.ANGLE = 0, TORQUE = 1 and so on (K,) uint8.
         value: (K,) [rad] or [N m].
-        stiffness: (K,) [N m/rad]; NaN where the bag's message definition has no such field.
-        damping: (K,) [N m s/rad]; NaN likewise.
+        stiffness: (K,) [N m/rad].
+        damping: (K,) [N m s/rad].
     """
 
     stamp_ns: Stamps
@@ -232,30 +234,25 @@ class Recording(Shown):
         size = np.size(self.stamp_ns)
         if size == 0:
             raise BadInput("a recording needs a sample at least")
-        object.__setattr__(self, "path", Path(self.path))
-        object.__setattr__(self, "stamp_ns", _frozen(self.stamp_ns, np.int64, (size,), "stamp_ns"))
-        _check_increasing(self.stamp_ns, "stamp_ns")
-        for name in ("pressure", "voltage"):
-            object.__setattr__(self, name, _frozen(getattr(self, name), np.float64, (size, 2), name))
-        for name in ("angle", "torque", "external_torque", "angle_sensor"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, _frozen(getattr(self, name), np.float64, (size,), name))
+        fixed: dict[str, Any] = {"path": Path(self.path), "rigs": tuple(self.rigs), "issues": Issue.sorted(self.issues)}
+        for name in (*_COLUMNS, "episode_ns"):
+            if (values := getattr(self, name)) is not None:
+                shape = (None,) if name == "episode_ns" else (size, 2) if name in ("pressure", "voltage") else (size,)
+                fixed[name] = _frozen(values, np.int64 if name.endswith("_ns") else np.float64, shape, name)
+        _check_increasing(fixed["stamp_ns"], "stamp_ns")
         arrivals = {}
         for name, (log_ns, stamp_ns) in self.received_ns.items():
             log = _frozen(log_ns, np.int64, (None,), f"received_ns[{name!r}].log_ns")
             arrivals[name] = Arrival(log, _frozen(stamp_ns, np.int64, (len(log),), f"received_ns[{name!r}].stamp_ns"))
-        object.__setattr__(self, "received_ns", MappingProxyType(arrivals))
-        object.__setattr__(self, "topics", MappingProxyType(dict(self.topics)))
         signals = {
             name: FurtherSignal(_frozen(values, np.float64, (size,), f"signals[{name!r}]"), unit)
             for name, (values, unit) in self.signals.items()
         }
-        object.__setattr__(self, "signals", MappingProxyType(signals))
-        if self.episode_ns is not None:
-            object.__setattr__(self, "episode_ns", _frozen(self.episode_ns, np.int64, (None,), "episode_ns"))
-        object.__setattr__(self, "issues", Issue.sorted(self.issues))
-        object.__setattr__(self, "rigs", tuple(self.rigs))
-        object.__setattr__(self, "checkpoints", tuple(sorted(self.checkpoints, key=lambda item: item.stamp_ns)))
+        checkpoints = tuple(sorted(self.checkpoints, key=lambda item: item.stamp_ns))
+        fixed |= {"received_ns": MappingProxyType(arrivals), "topics": MappingProxyType(dict(self.topics))}
+        fixed |= {"signals": MappingProxyType(signals), "checkpoints": checkpoints}
+        for name, value in fixed.items():
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -376,21 +373,13 @@ class Recording(Shown):
         mask = inside(self.stamp_ns)
         if not np.any(mask):
             raise BadInput(f"no sample between {start_s} and {stop_s} s of {self.duration_s:.3f} s in {self.path}")
-        arrays: dict[str, Any] = {
-            name: None if getattr(self, name) is None else getattr(self, name)[mask]
-            for name in ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torque", "angle_sensor")
-        }
-        signals = {name: FurtherSignal(values[mask], unit) for name, (values, unit) in self.signals.items()}
         episode_ns = self.episode_ns
         if episode_ns is not None:
-            begin = self.stamp_ns[mask][:1]
-            episode_ns = np.union1d(begin, episode_ns[inside(episode_ns)])
+            episode_ns = np.union1d(self.stamp_ns[mask][:1], episode_ns[inside(episode_ns)])
         return replace(
-            self,
-            **arrays,
+            self.take(np.flatnonzero(mask)),
             estimate=None if self.estimate is None else self.estimate.take(inside(self.estimate.stamp_ns)),
             reference=None if self.reference is None else self.reference.take(inside(self.reference.stamp_ns)),
-            signals=signals,
             episode_ns=episode_ns,
             checkpoints=tuple(item for item in self.checkpoints if low <= item.stamp_ns < high),
             received_ns={
@@ -398,3 +387,11 @@ class Recording(Shown):
                 for name, (log, stamp) in self.received_ns.items()
             },
         )
+
+    def take(self, rows: NDArray[np.intp]) -> Recording:
+        """The samples of some rows (K,); estimates, references and times of reception stay as they are."""
+        arrays: dict[str, Any] = {
+            name: None if getattr(self, name) is None else getattr(self, name)[rows] for name in _COLUMNS
+        }
+        signals = {name: FurtherSignal(values[rows], unit) for name, (values, unit) in self.signals.items()}
+        return replace(self, **arrays, signals=signals)

@@ -92,11 +92,7 @@ def resets(recording: Recording) -> Resets | None:
 
 
 def _jumps(values: Floats, joined: NDArray[np.bool_], least: float) -> NDArray[np.intp]:
-    """First rows after a jump.
-
-    `values`: a signal (N,), NaN where missing. `joined`: whether no time is missing between a row and the next (N -
-    1,).
-    """
+    """First rows after a jump of a signal (N,); ``joined``: no time is missing up to the next row (N - 1,)."""
     moved = np.where(joined, np.diff(values), np.nan)
     sizes = np.abs(moved)
     least = max(least, _STEPS * np.min(sizes, initial=np.inf, where=sizes > 0.0))
@@ -149,10 +145,7 @@ def own_readings(recording: Recording) -> tuple[Floats, Floats | None, Floats | 
 
 
 def said(name: str, again: NDArray[np.bool_]) -> str:
-    """What a user should know of a slow sensor.
-
-    `name`: of the sensor, of ``SLOW``. `again`: rows that repeat its last reading (N,).
-    """
+    """What a user should know of a slow sensor, one of ``SLOW``; ``again``: rows that repeat its last reading (N,)."""
     subject, verb = ("both pressures", "repeat") if name == "pressures" else (f"the measured {name}", "repeats")
     return (
         f"{subject} {verb} the last reading in {100 * again.mean():.0f} % of the rows: the sensor is slower than the "
@@ -170,10 +163,7 @@ def _repeated(values: Floats, stamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def between(time: Floats, values: Floats, again: NDArray[np.bool_] | None) -> Floats:
-    """Values of a slow sensor (N,) or (N, C), linear between its own readings; as they are for none.
-
-    `time`: of the rows (N,) [s]. `again`: rows that repeat the last reading (N,); None: none do.
-    """
+    """Values of a slow sensor (N,) or (N, C), linear between its own readings; ``again``: rows that repeat one (N,)."""
     if again is None or not again.any():
         return values
     columns = values if values.ndim == 2 else values[:, None]

@@ -53,10 +53,7 @@ class FurtherSignal(NamedTuple):
 def blocks(
     recording: Recording, header: Mapping[str, Any], stamp: Mapping[str, Any], frame_id: str
 ) -> dict[Topic, tuple[Stamps, NDArray[np.uint8]]]:
-    """Messages of the further signals and of the episodes' beginnings.
-
-    Returns topic -> stamps (K,) and messages (K, L).
-    """
+    """Topic -> stamps (K,) and messages (K, L) of the further signals and of the episodes' beginnings."""
     out: dict[Topic, tuple[Stamps, NDArray[np.uint8]]] = {}
     size = len(recording)
     for name, (values, unit) in recording.signals.items():
@@ -64,8 +61,7 @@ def blocks(
         field = KINDS[kind][0]
         fields: dict[str, Any] = {**header, field: values, "variance": 0.0}
         if unit == "rad":
-            nothing = np.empty((size, 0))
-            fields = {**header, "name": [name], "position": values[:, None], "velocity": nothing, "effort": nothing}
+            fields = {**header, **joint_fields(name, size, {"position": values})}
         there = np.isfinite(values)
         matrix = encode(kind, size, fields)[there]
         out[Topic(name, f"{ALSO}{name}", kind, "")] = recording.stamp_ns[there], matrix
@@ -75,32 +71,35 @@ def blocks(
     return out
 
 
+def joint_fields(
+    name: str, size: int, given: Mapping[str, Floats], there: NDArray[np.bool_] | slice = slice(None)
+) -> dict[str, Any]:
+    """Fields of JointState messages of one joint beside their headers; ``there`` are the samples with a message."""
+    nothing = dict.fromkeys(("position", "velocity", "effort"), np.empty((size, 0)))
+    return {"name": [name], **nothing, **{field: values[there, None] for field, values in given.items()}}
+
+
 def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[str] = ()) -> dict[str, FurtherSignal]:
-    """Further signals of a bag at the samples.
+    """Further signals of a bag at the samples (N,), by the part after ``also/``, or the entry of ``wanted``.
 
-    Args:
-        samples: stamps (N,) [ns].
-        wanted: names of further topics in the bag, in addition to those below ``also/``.
-
-    Returns:
-        Name -> signal; the name is the part after ``also/``, or the entry of ``wanted``.
+    `wanted`: names of further topics in the bag, in addition to those below ``also/``.
     """
     prefix = f"{namespace}/{ALSO}"
     topics = {topic[len(prefix) :]: topic for topic in sorted(bag.topics) if topic.startswith(prefix)}
-    topics = {name: topic for name, topic in topics.items() if bag.topics[topic].channel.msgtype in KINDS}
+    topics = {name: topic for name, topic in topics.items() if bag.topics[topic].msgtype in KINDS}
     for name in wanted:
         if name in topics:
             continue
         actual = name if name.startswith("/") else f"/{name}"
         if actual not in bag.topics:
-            listed = ", ".join([*topics, *(t for t, raw in bag.topics.items() if raw.channel.msgtype in KINDS)])
+            listed = ", ".join([*topics, *(t for t, raw in bag.topics.items() if raw.msgtype in KINDS)])
             raise BadInput(f"{bag.path}: no signal {name!r}; expected one of {listed or 'none, there is no other'}")
         topics[name] = actual
     return {name: _read(bag, topic, samples) for name, topic in topics.items()}
 
 
 def _read(bag: RawBag, topic: str, samples: Stamps) -> FurtherSignal:
-    kind = bag.topics[topic].channel.msgtype
+    kind = bag.topics[topic].msgtype
     if kind not in KINDS:
         raise BadInput(f"{bag.path}: {topic} is a {kind}, expected one of {', '.join(KINDS)}")
     field, unit = KINDS[kind]
@@ -126,9 +125,7 @@ def _read(bag: RawBag, topic: str, samples: Stamps) -> FurtherSignal:
 def _decoded(bag: RawBag, topic: str, path: str) -> tuple[Decoded, NDArray[np.intp]]:
     """Messages of a topic, and their indices in the order of the stamps, one for each stamp."""
     try:
-        raw = unpack_messages(bag.topics[topic])
-        assert raw.payloads is not None
-        decoded = decode(raw.payloads, raw.channel.msgtype)
+        decoded = decode(unpack_messages(bag.topics[topic]), bag.topics[topic].msgtype)
         stamp_ns = decoded.stamp_ns(path)
     except (CdrError, CompressionError) as exc:
         raise BadInput(f"{bag.path}: {topic} cannot be read, {exc}") from exc
@@ -139,7 +136,7 @@ def read_episodes(bag: RawBag, namespace: str, samples: Stamps) -> Stamps | None
     """Stamps of the first samples of episodes (E,) [ns]; None where the bag marks none. `samples`: stamps (N,) [ns]."""
     topic = EPISODE.resolve(namespace)
     raw = bag.topics.get(topic)
-    if raw is None or raw.channel.msgtype != EPISODE.type or not len(raw.log_ns):
+    if raw is None or raw.msgtype != EPISODE.type or not len(raw):
         return None
     decoded, order = _decoded(bag, topic, "stamp")
     marks = decoded.stamp_ns("stamp")[order]
@@ -153,18 +150,15 @@ def rig_texts(bag: RawBag, namespace: str) -> tuple[str, ...]:
     """Texts of the topic ``rig``, in the order of reception; none where the topic is missing or not readable."""
     topic = TOPICS["rig"]
     raw = bag.topics.get(f"{namespace}/{topic.relative}")
-    if raw is None or raw.channel.msgtype != topic.type or raw.channel.encoding != "cdr":
+    if raw is None or raw.msgtype != topic.type or raw.encoding != "cdr":
         return ()
     try:
-        payloads = unpack_messages(raw).payloads
+        messages = list(unpack_messages(raw).each())
     except CompressionError:
         return ()
-    if payloads is None:
-        return ()
     texts: dict[str, None] = {}
-    stop = payloads.length.cumsum().tolist()
     for k in raw.log_ns.argsort(kind="stable")[-_MOST_RIGS:].tolist():
-        message = payloads.data[stop[k] - int(payloads.length[k]) : stop[k]].tobytes()
+        message = bytes(messages[k])
         order = "little" if message[1:2] == b"\x01" else "big"
         size = int.from_bytes(message[4:_TEXT_HEAD], order)  # type: ignore[arg-type]
         if 0 < size <= len(message) - _TEXT_HEAD:
@@ -177,10 +171,7 @@ _ARRAYS = ("state", "covariance", "cross", "voltage", "distances", "angle_sensor
 
 
 def read_checkpoints(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[Checkpoint, ...]:
-    """Checkpoints of the live filter, unchecked: a filter that is given one checks it.
-
-    `keep`: numbers of the messages to take, in the order of the result (K,).
-    """
+    """Checkpoints of the live filter in some messages, unchecked: a filter that is given one checks it."""
     if len(keep) == 0:
         return ()
     stamps, started = decoded.stamp_ns("header.stamp").tolist(), decoded.stamp_ns("started").tolist()

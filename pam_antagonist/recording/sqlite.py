@@ -11,13 +11,14 @@ import re
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
-from .cdr import Channel, Collector, Payloads, RawTopic
+from .raw import Payloads, RawTopic
 
 MAGIC = b"SQLite format 3\0"
 
@@ -147,20 +148,19 @@ def _read(
         found = database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
         definitions = {str(name): str(text or "") for name, text in found}
     digest = "type_description_hash" if "type_description_hash" in _columns(database, "topics") else "''"
-    collectors: dict[int, Collector] = {}
-    for key, topic, msgtype, encoding, digest_text in database.execute(
+    topics: dict[int, RawTopic] = {}
+    for key, name, msgtype, encoding, stated in database.execute(
         f"SELECT id, name, type, serialization_format, {digest} FROM topics"
     ):
-        if not isinstance(key, int) or not all(isinstance(text, str) for text in (topic, msgtype, encoding)):
+        if not isinstance(key, int) or not all(isinstance(text, str) for text in (name, msgtype, encoding)):
             raise SqliteDamage("a row of its table 'topics' has an unexpected type or value")
-        channel = Channel(topic, msgtype, encoding, definitions.get(msgtype, ""), str(digest_text or ""))
-        collectors[key] = Collector(channel, msgtype in types)
-    times: dict[int, list[int]] = {key: [] for key in collectors}
-    messages: dict[int, list[bytes]] = {key: [] for key in collectors}
+        topics[key] = RawTopic(name, msgtype, encoding, definitions.get(msgtype, ""), str(stated or ""))
+    times: dict[int, list[int]] = {key: [] for key in topics}
+    messages: dict[int, list[bytes]] = {key: [] for key, topic in topics.items() if topic.msgtype in types}
     total = 0
     for key, log_ns, data in rows:
-        collector = collectors.get(key) if isinstance(key, int) else None
-        if collector is None or not isinstance(log_ns, int) or not isinstance(data, bytes) or log_ns < 0:
+        known = isinstance(key, int) and key in topics
+        if not known or not isinstance(log_ns, int) or not isinstance(data, bytes) or log_ns < 0:
             if lenient:
                 continue
             raise SqliteDamage("a row of its table 'messages' has an unexpected type or value")
@@ -168,8 +168,13 @@ def _read(
         if total > size:
             raise SqliteDamage("its messages are larger than the file")
         times[key].append(log_ns)
-        if collector.wanted:
+        if key in messages:
             messages[key].append(data)
-    for key, collector in collectors.items():
-        collector.add(np.array(times[key], np.int64), Payloads.of(messages[key]) if collector.wanted else None)
-    return [collector.finish() for collector in collectors.values()]
+    return [
+        replace(
+            topic,
+            log_ns=np.array(times[key], np.int64),
+            payloads=Payloads.of(messages[key]) if key in messages else None,
+        )
+        for key, topic in topics.items()
+    ]

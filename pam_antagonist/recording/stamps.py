@@ -23,8 +23,8 @@ LARGEST_DELAY = 1.0
 """[s] A larger difference of stamps is no delay, but comes from another clock."""
 _SAME_PACE = 0.1
 """Where messages were received this much faster or slower than they were stamped, a program wrote the bag later."""
-_HOLE_NS, _HOLE_PERIODS = 100_000_000, 5
-"""A hole is longer than both: some lost samples make no difference."""
+_HOLE_S, _HOLE_PERIODS = 0.1, 5.0
+"""A hole is longer than both: a model cannot know what the valves did meanwhile."""
 _LISTED = 3  # holes that are listed one by one
 _SAME_VALUE = 1e-6
 """Largest relative difference of two copies of one value, one of which may have been rounded to 32 bits."""
@@ -45,12 +45,9 @@ def last_restart(stamp_ns: NDArray[np.int64]) -> int:
 def order(
     where: str, topic: str, stamp_ns: NDArray[np.int64], issues: list[str], values: NDArray[np.float64] | None = None
 ) -> NDArray[np.intp]:
-    """Sort the messages of one topic by their stamps.
+    """Sort the messages of one topic by their header stamps, given in the order of reception (K,) [ns].
 
-    Args:
-        stamp_ns: Header stamps in the order of reception (K,) [ns].
-        issues: Gets a sentence about messages without a stamp, late ones and duplicates.
-        values: What the messages say (K, m), NaN where nothing; None: messages with one stamp are not compared.
+    `values`: What the messages say (K, m), NaN where nothing; None: messages with one stamp are not compared.
     """
     keep = np.flatnonzero(stamp_ns != 0)
     if len(keep) == 0:
@@ -126,10 +123,7 @@ def judge_publishers(
 ) -> None:
     """Refuse a topic whose messages come from two publishers with stamps of their own that contradict each other.
 
-    Args:
-        stamp_ns: Its stamps (K,) [ns], strictly increasing.
-        values: Its values (K,).
-        paired: Whether the stamp of each message is one of another topic's (K,).
+    `paired`: Whether the stamp of each message is one of another topic's (K,).
     """
     known = np.isfinite(values)
     stamp_ns, values, paired = stamp_ns[known], values[known], paired[known]
@@ -155,10 +149,7 @@ def clock_shifts(
     """By how much to shift the stamps of each topic with another clock than the first topic's (K,) [ns].
 
     Messages of one moment are received together. So the delays of reception tell how far two clocks are apart, at the
-    beginning and at the end.
-
-    `times`: Topic -> times of reception and stamps of its messages (K,) [ns]; the first topic's clock counts. `align`:
-    Whether stamps of another clock are shifted; otherwise no topic is.
+    beginning and at the end. `times`: Topic -> times of reception and stamps of its messages (K,) [ns].
     """
     (first, (log_ns, stamp_ns)), *others = times.items()
     shifts = {}
@@ -218,10 +209,7 @@ def _delay(log_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], at_ns: NDArra
 
 
 def nearest(stamp_ns: NDArray[np.int64], samples: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps (K,), each moved to the nearest sample within half a period.
-
-    `stamp_ns`: stamps, sorted (K,) [ns]. `samples`: stamps of the samples, sorted (N,) [ns].
-    """
+    """Sorted stamps (K,), each moved to the nearest sample within half a period."""
     after = np.clip(np.searchsorted(samples, stamp_ns), 1, len(samples) - 1)
     before = samples[after - 1]
     close = np.where(stamp_ns - before <= samples[after] - stamp_ns, before, samples[after])
@@ -236,13 +224,7 @@ def union(stamps: list[NDArray[np.int64]]) -> NDArray[np.int64]:
 
 
 def spread(samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values at the sample stamps (N,), NaN where the topic has none.
-
-    Args:
-        samples: Sample stamps (N,) [ns].
-        stamp_ns: Stamps of the topic (K,) [ns], strictly increasing; stamps of no sample are left out.
-        values: Values of the topic (K,).
-    """
+    """Values of a topic (K,) at the sample stamps (N,), NaN where it has none; stamps of no sample are left out."""
     result = np.full(len(samples), np.nan)
     index = np.minimum(np.searchsorted(samples, stamp_ns), len(samples) - 1)
     match = samples[index] == stamp_ns
@@ -253,13 +235,7 @@ def spread(samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDAr
 def interpolate(
     samples: NDArray[np.int64], stamp_ns: NDArray[np.int64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Linear interpolation of a topic; NaN outside its stamps and in gaps of more than five of its periods.
-
-    Args:
-        samples: stamps at which values are wanted (N,) [ns].
-        stamp_ns: stamps of the topic (K,) [ns].
-        values: of the topic (K,).
-    """
+    """Linear interpolation of a topic (K,) at samples (N,); NaN outside it and in gaps of over five of its periods."""
     finite = np.isfinite(values)
     stamp_ns, values = stamp_ns[finite], values[finite]
     if len(stamp_ns) < 2:
@@ -272,6 +248,11 @@ def interpolate(
     return np.asarray(result)
 
 
+def shortest_hole(period: float) -> float:
+    """Length from which on missing samples are a hole [s], by the sample period [s]."""
+    return max(_HOLE_S, _HOLE_PERIODS * period)
+
+
 def judge_pairing(
     where: str,
     samples: NDArray[np.int64],
@@ -279,12 +260,9 @@ def judge_pairing(
     issues: list[str],
     episode_ns: NDArray[np.int64] | None = None,
 ) -> None:
-    """Report how many samples miss a topic, and holes in the samples.
+    """Report how many samples miss a topic, and holes in the samples but for those before an episode.
 
-    Args:
-        samples: Sample stamps (N,) [ns].
-        present: Topic -> which samples have its message (N,); the two pressures come first.
-        episode_ns: Stamps at which episodes begin (E,) [ns]; a hole before one is not reported. None for one piece.
+    `present`: Topic -> which samples have its message (N,); the two pressures come first.
     """
     first, second = list(present)[0], list(present)[min(1, len(present) - 1)]
     for other, there in present.items():
@@ -299,7 +277,7 @@ def judge_pairing(
         if missing:
             issues.append(Issue(f"{missing} of {len(samples)} samples without {topic}", "missing", missing))
     period = float(np.median(np.diff(samples))) if len(samples) > 1 else 0.0
-    gaps = np.flatnonzero(np.diff(samples) > max(_HOLE_NS, _HOLE_PERIODS * period))
+    gaps = np.flatnonzero(np.diff(samples) > 1e9 * shortest_hole(1e-9 * period))
     if episode_ns is not None:
         gaps = gaps[~np.isin(samples[gaps + 1], episode_ns)]
     lengths, since = (samples[gaps + 1] - samples[gaps]) * 1e-9, (samples[gaps] - samples[0]) * 1e-9

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from ..errors import BadInput
 from . import notes
-from .cdr import Payloads, RawTopic
 from .compression import ZSTD_MAGIC, CompressionError, Room, inflate_file, inflate_message, most_unpacked
 from .mcap import MAGIC as MCAP_MAGIC
 from .mcap import scan_mcap
 from .notes import Issue, one_line
+from .raw import Payloads, RawTopic
 from .sqlite import MAGIC as SQLITE_MAGIC
 from .sqlite import read_sqlite
 
@@ -54,12 +54,9 @@ class _Files:
 
 
 def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> RawBag:
-    """Read the messages of the given types from a bag.
+    """Read the messages of the given types from a bag; other topics are listed and counted.
 
-    Args:
-        path: Bag folder, or one .mcap or .db3 file, plain or packed with zstd.
-        types: Message types whose payloads are wanted; other topics are listed and counted.
-        recover: Read what is left of a damaged or cut off bag instead of refusing it.
+    `recover`: Read what is left of a damaged or cut off bag instead of refusing it.
     """
     try:
         files = _locate(path)
@@ -186,7 +183,7 @@ def _read_file(
         else:
             parts = []
     if damage is not None:
-        kept = sum(len(part.log_ns) for part in parts)
+        kept = sum(map(len, parts))
         where = "before that" if magic.startswith(MCAP_MAGIC) and not lost else "that are left"
         if closed and not recover:
             hint = f"{kept} messages stand before that" + (" (--recover reads them)" if kept else "")
@@ -227,27 +224,24 @@ def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str],
     """Join the pieces of each topic."""
     by_topic: dict[str, dict[str, list[RawTopic]]] = {}
     for part in parts:
-        name = f"/{part.channel.topic.lstrip('/')}"  # a converted bag may lack the slash
-        by_topic.setdefault(name, {}).setdefault(part.channel.msgtype, []).append(part)
+        name = f"/{part.topic.lstrip('/')}"  # a converted bag may lack the slash
+        by_topic.setdefault(name, {}).setdefault(part.msgtype, []).append(part)
     for topic, by_type in by_topic.items():
         if len(by_type) > 1:
             bag.conflicts[topic] = tuple(sorted(by_type))
-        msgtype, pieces = max(by_type.items(), key=lambda item: sum(len(piece.log_ns) for piece in item[1]))
-        channel = pieces[0].channel
-        channel = replace(channel, topic=topic, digest=channel.digest or digests.get((topic, msgtype), ""))
-        raw = pieces[0] if len(pieces) == 1 else RawTopic.joined(channel, pieces)
-        bag.topics[topic] = replace(raw, channel=channel)
+        msgtype, pieces = max(by_type.items(), key=lambda item: sum(map(len, item[1])))
+        first = replace(pieces[0], topic=topic, digest=pieces[0].digest or digests.get((topic, msgtype), ""))
+        bag.topics[topic] = first.joined(pieces[1:])
 
 
-def unpack_messages(raw: RawTopic) -> RawTopic:
-    """Undo rosbag2's message compression; a plain CDR message never starts with the magic number of zstd."""
+def unpack_messages(raw: RawTopic) -> Payloads:
+    """The messages without rosbag2's message compression; a plain one never starts with the magic number of zstd."""
     payloads = raw.payloads
-    if payloads is None or not len(payloads) or payloads.data[:4].tobytes() != ZSTD_MAGIC:
-        return raw
-    stop = payloads.length.cumsum()
-    view = payloads.data.data
-    messages, room = [], Room(len(view))
-    for end, size in zip(stop.tolist(), payloads.length.tolist(), strict=True):
-        messages.append(inflate_message(view[end - size : end]))
+    assert payloads is not None
+    if not len(payloads) or payloads.data[:4].tobytes() != ZSTD_MAGIC:
+        return payloads
+    messages, room = [], Room(payloads.data.nbytes)
+    for packed in payloads.each():
+        messages.append(inflate_message(packed))
         room.take(len(messages[-1]))
-    return replace(raw, payloads=Payloads.of(messages))
+    return Payloads.of(messages)

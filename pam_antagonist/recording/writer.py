@@ -331,20 +331,15 @@ def _blocks(
     there = np.isfinite(recording.voltage).any(axis=1)
     field = {"valve": "voltage", "regulator": "pressure"}[recording.drive]
     add(STATE_TOPICS[recording.drive], stamp_ns[there], {field: recording.voltage[there]})
-    measured = {"position": recording.angle, "effort": recording.torque}
-    known = {name: values for name, values in measured.items() if values is not None}
-    if known:
-        there = np.isfinite(np.column_stack(list(known.values()))).any(axis=1)
-        fields = {name: values[there, None] for name, values in known.items()}
-        nothing = np.empty((np.count_nonzero(there), 0))
-        joint = {"name": [frame_id], "position": nothing, "velocity": nothing, "effort": nothing, **fields}
-        add("measured_joint_states", stamp_ns[there], joint)
-    if recording.angle_sensor is not None:
-        there = np.isfinite(recording.angle_sensor)
-        nothing = np.empty((np.count_nonzero(there), 0))
-        position = recording.angle_sensor[there, None]
-        fields = {"name": [frame_id], "position": position, "velocity": nothing, "effort": nothing}
-        add("angle_sensor", stamp_ns[there], fields)
+    joints = {
+        "measured_joint_states": {"position": recording.angle, "effort": recording.torque},
+        "angle_sensor": {"position": recording.angle_sensor},
+    }
+    for name, given in joints.items():
+        known = {field: values for field, values in given.items() if values is not None}
+        if known:
+            there = np.isfinite(np.column_stack(list(known.values()))).any(axis=1)
+            add(name, stamp_ns[there], signals.joint_fields(frame_id, int(there.sum()), known, there))
     if recording.external_torque is not None:
         there = np.isfinite(recording.external_torque)
         wrench: dict[str, Any] = {f"wrench.{kind}.{axis}": 0.0 for kind in ("force", "torque") for axis in "xyz"}

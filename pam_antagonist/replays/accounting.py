@@ -53,61 +53,21 @@ def account(recording: Recording, sample_period: float) -> Accounting | None:
         return None
     stamps, first, last = found
     samples = recording.stamp_ns
-    expected = round(_steps(samples[(samples >= first) & (samples <= last)], sample_period).sum())
-    inside = {stage: int(np.count_nonzero((stamp >= first) & (stamp <= last))) for stage, stamp in stamps.items()}
+    inside = samples[(samples >= first) & (samples <= last)]
+    # Counting goes from stamp to stamp, because a device's clock drifts against the host's.
+    expected = min(1, len(inside)) + round(np.rint(np.diff(inside) / (sample_period * 1e9)).sum())
+    there = {stage: int(np.count_nonzero((stamp >= first) & (stamp <= last))) for stage, stamp in stamps.items()}
     late = 0
     if recording.estimate is not None:
         counted = (recording.estimate.stamp_ns >= first) & (recording.estimate.stamp_ns <= last)
         late = int(np.count_nonzero(recording.estimate.flags[counted] & LATE))
     return Accounting(
         expected=expected,
-        lost={stage: expected - inside[stage] for stage in stamps},
+        lost={stage: expected - there[stage] for stage in stamps},
         out_of_order={stage: _out_of_order(recording, stage, first, last) for stage in stamps},
         late=late,
         latency=_latency(recording, first, last),
     )
-
-
-@dataclass(frozen=True)
-class OverTime:
-    """The account in consecutive blocks of equal length."""
-
-    time: NDArray[np.float64]  # middle of each block since the first sample that counts (B,) [s]
-    lost: Mapping[str, NDArray[np.float64]]  # stage -> samples without a message (B,)
-    # time from pressure to command, as in :class:`Latency` (B,) [ms]; NaN in a block without commands.
-    median: NDArray[np.float64]
-    p99: NDArray[np.float64]  # (B,) [ms]
-    largest: NDArray[np.float64]  # (B,) [ms]
-
-
-def over_time(recording: Recording, sample_period: float, block: float) -> OverTime | None:
-    """Account for the samples block by block; the losses of all blocks are those of :func:`account`.
-
-    `block`: length of a block [s].
-    """
-    found = _between(recording)
-    if found is None or found[1] > found[2]:
-        return None
-    stamps, first, last = found
-    samples = recording.stamp_ns[(recording.stamp_ns >= first) & (recording.stamp_ns <= last)]
-
-    def number(stamp_ns: Stamps) -> NDArray[np.int64]:
-        return ((stamp_ns - first) // round(block * 1e9)).astype(np.int64)
-
-    count = int(number(samples)[-1]) + 1
-    # Samples that are missing between two others count in the block of the later one.
-    expected = np.bincount(number(samples), _steps(samples, sample_period), count)
-    lost: dict[str, NDArray[np.float64]] = {}
-    for stage, stamp in stamps.items():
-        there = np.bincount(number(stamp[(stamp >= first) & (stamp <= last)]), minlength=count)
-        lost[stage] = np.asarray(expected - there, dtype=np.float64)
-    stamp, took = round_trips(recording, first, last)
-    ends = np.searchsorted(number(stamp), np.arange(count + 1))
-    figures = np.full((3, count), np.nan)
-    for k, (begin, end) in enumerate(zip(ends, ends[1:], strict=False)):
-        if end > begin:
-            figures[:, k] = *np.percentile(took[begin:end], [50.0, 99.0]), took[begin:end].max()
-    return OverTime(np.linspace(0.5, count - 0.5, count) * block, lost, *figures)
 
 
 def _arrivals(recording: Recording) -> dict[str, Arrival]:
@@ -135,15 +95,6 @@ def _between(recording: Recording) -> tuple[dict[str, Stamps], int, int] | None:
     return stamps, max(int(stamp[0]) for stamp in stamps.values()), min(int(stamp[-1]) for stamp in stamps.values())
 
 
-def _steps(samples: Stamps, sample_period: float) -> NDArray[np.float64]:
-    """Expected number of samples up to each sample since the one before it; more than 1 where samples are missing.
-
-    Counting goes from stamp to stamp, because a device's clock drifts against the host's.
-    """
-    steps = np.rint(np.diff(samples) / (sample_period * 1e9))
-    return np.concatenate([np.ones(min(1, len(samples))), steps])
-
-
 def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> int:
     log, stamp = _arrivals(recording)[stage]
     keep = np.isin(stamp, recording.stamp_ns) & (stamp >= first) & (stamp <= last)
@@ -151,26 +102,11 @@ def _out_of_order(recording: Recording, stage: str, first: int, last: int) -> in
     return int(np.count_nonzero(np.diff(log[keep][order]) < 0))
 
 
-def round_trips(recording: Recording, first: int, last: int) -> tuple[Stamps, NDArray[np.float64]]:
-    """Time from pressure to command of each sample with both, as in :class:`Latency`.
-
-    Args:
-        first: stamp of the first sample that counts [ns].
-        last: stamp of the last sample that counts [ns].
-
-    Returns:
-        Stamps (N,) [ns], and the times (N,) [ms].
-    """
+def _latency(recording: Recording, first: int, last: int) -> Latency:
     arrivals = _arrivals(recording)
     pressure, command = arrivals[_stages(recording)[0]], arrivals["valve_command"]
     stamp, one, two = np.intersect1d(pressure.stamp_ns, command.stamp_ns, return_indices=True)
-    inside = (stamp >= first) & (stamp <= last)
-    took = (command.log_ns[two] - pressure.log_ns[one])[inside]
-    return stamp[inside], np.asarray(took * 1e-6, dtype=np.float64)
-
-
-def _latency(recording: Recording, first: int, last: int) -> Latency:
-    _, took = round_trips(recording, first, last)
+    took = (command.log_ns[two] - pressure.log_ns[one])[(stamp >= first) & (stamp <= last)] * 1e-6
     if len(took) == 0:
         return Latency(0, math.nan, math.nan, math.nan)
     median, p99 = np.percentile(took, [50.0, 99.0])

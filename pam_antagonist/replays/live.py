@@ -93,10 +93,6 @@ class LiveComparison:
     apart_deg: tuple[float, float] | None = None
 
 
-_LATER = ("external_torque", "external_torque_covariance")
-"""Fields that were added to JointEstimate later; not compared where the recording has none."""
-
-
 class Apart(NamedTuple):
     """Consecutive samples for which a replay has a filter of its own."""
 
@@ -163,8 +159,6 @@ def _compare(live: RecordedEstimate, run: EstimateRun) -> LiveComparison:
     for name in ESTIMATE_DTYPE.names or ():
         recorded = np.asarray(getattr(live, name))[at_live]
         replayed = run.rows[name][at_run]
-        if name in _LATER and np.isnan(recorded).all():
-            continue
         if name == "flags":
             # LATE depends on the time of arrival, which a replay does not know.
             recorded = recorded.astype(np.int64) & ~LATE

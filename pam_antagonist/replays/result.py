@@ -7,10 +7,11 @@ torques in N m, pressures in Pa; a ratio `q` is a fraction. Quantities that were
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,10 @@ from pam_antagonist.recording import RecordedEstimate, Recording, write_bag
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.live import LiveComparison, Plan
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.shown import Shown
+from pam_antagonist.software import versions
+from pam_antagonist.strict_json import picked, plain
 
 FloatArray = NDArray[np.float64]
 
@@ -203,6 +207,26 @@ class Replay(Shown):
     def measured_pressure(self) -> FloatArray:
         """Measured pressures at the estimates' samples, (M, 2) [Pa]."""
         return self.recording.pressure[self.run.index]
+
+
+def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
+    """Content of ``report.json``: of one recording its numbers, of several those of each in a list."""
+    rig, name = replays[0].rig, replays[0].tuning
+    tuning, reports = rig.tuning(name), [plain(replay.report) for replay in replays]
+    settings = {
+        "rig": rig.name,
+        "rig_source": rig.source.strip(),
+        "sample_period_s": rig.sample_period,
+        "tuning": {
+            "name": name,
+            **picked(tuning, "initial", "process", "measurement", "kappa"),
+            "consider": rig.uncertainty if tuning.consider else {},
+            "gate": tuning.gate,
+        },
+        "assumption": assumption(rig, name),
+    }
+    whole = reports[0] if len(reports) == 1 else {"recordings": reports}
+    return {**whole, "settings": settings, "software": versions()}
 
 
 _STATES = ("angle", "velocity", "torque")

@@ -1,41 +1,66 @@
-"""The result of ``close_loop``: a diagnosis with its inputs, the rig files that follow, and ``report.json``."""
+"""The result of ``close_loop`` with its page: sentences and tables of its typed numbers."""
 
 from __future__ import annotations
 
-import textwrap
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from pam_antagonist.diagnosis import Diagnosis, found_calibrations, thresholds
-from pam_antagonist.diagnosis.from_pressures import Tried
-from pam_antagonist.diagnosis.result import FoundEffect, RecordingEntry, Size
-from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
-from pam_antagonist.diagnosis.warnings import like_a_curve
-from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.expected import with_known_curves
+from pam_antagonist.diagnosis import FoundEffect
+from pam_antagonist.diagnosis.closed_loop import ClosedLoop
+from pam_antagonist.diagnosis.errors import ModelErrors
+from pam_antagonist.diagnosis.residual_statistics import Relation
+from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.program import typed as typed_command
-from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.report import close_loop_document as pages
-from pam_antagonist.report.assumption import assumption
-from pam_antagonist.report.document import Block, Document
+from pam_antagonist.replays.channels import CHANNELS, TORQUE, Channel
+from pam_antagonist.report import close_loop_figures as drawn
+from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings, sentence
+from pam_antagonist.report.document import (
+    Block,
+    Definitions,
+    Document,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    in_first_lines,
+    note,
+    warn,
+    words,
+)
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.rig import Rig
-from pam_antagonist.rig.schema import Calibration
-from pam_antagonist.rig.write import refusal, write_rig
-from pam_antagonist.software import versions
+from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+_FEW_WORDS = 300
+"""Longest list of what the recordings cannot show [characters] that a terminal shows."""
+_TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
+_KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
+_CERTAIN = 0.05
+_STATISTICS = (
+    "On held-out data. Sensors: measurement minus model, which starts with the recording and gets the voltages only. "
+    "Equations: errors of flow, torque and motion, where the model starts again from the measurement every fifth of a "
+    "second, so that the error of one equation does not enter the next. Innovations: measured pressures minus the "
+    "estimator's prediction. Each residual is compared with signals up to 2 s before it. Later signals do not count: "
+    "in a closed loop, commands follow from residuals."
+)
+_STATISTICS_DRIVEN = (
+    "On held-out data: measurement minus model, which is driven by the measured angle. Each residual is compared with "
+    "signals up to 2 s before it."
+)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnoseResult(Diagnosis, Result):
+class DiagnoseResult(ClosedLoop, Result):
     """The diagnosis, see :class:`pam_antagonist.diagnosis.Diagnosis`, with its inputs.
 
     Attributes:
@@ -46,172 +71,33 @@ class DiagnoseResult(Diagnosis, Result):
         typed: corrections with which the recordings were read.
     """
 
-    start: Rig
-    hashes: tuple[str, ...]
-    seed: int
-    kept: float | tuple[str, ...]
-    typed: Corrections = field(default_factory=Corrections)
-
     @override
-    def _brief(self) -> str:
-        pairs = [
-            (name, unit, getattr(self.errors.as_configured, name), getattr(self.errors.extended, name))
-            for name, unit in (("angle", "°"), ("torque", " N m"))
-        ]
-        errors = [f"{name} RMSE {a.rmse:.3g}{unit} -> {b.rmse:.3g}{unit}" for name, unit, a, b in pairs if a and b]
-        return "; ".join([self.verdict, *errors, self.sentence])
-
-    @cached_property
-    def choice(self) -> RigChoice:
-        """The rig files that :meth:`save` writes, and the one to use."""
-        return choose(self, self.start.name, self._refusal)
-
-    @property
-    def next_rig(self) -> str | None:
-        """Name of the rig file to use; None: keep the one that there is."""
-        return None if self.choice.proposed is None else self.choice.proposed.name
-
-    @property
-    def rig_files(self) -> tuple[str, ...]:
-        """Names of the rig files that :meth:`save` writes, those for all recordings first."""
-        return tuple(file.name for file in self.choice.files)
-
-    @property
-    def next_steps(self) -> tuple[str, ...]:
-        """Recommended next steps, in sentences."""
-        return _next_steps(self, self.start, self.choice)
-
-    @property
-    def corrections(self) -> tuple[str, ...]:
-        """Command line options for what was typed and what was found together; none if that is too much for them."""
-        try:
-            further = found_calibrations.corrections({item.name: item.value for item in self.calibrations})
-            return tuple(self.typed.followed_by(further).options()) if self.calibrations else ()
-        except BadInput:
-            return ()
-
-    @property
-    def driven(self) -> bool:
-        """Whether the measured angle drives the model, as for a sealed joint."""
-        return any(part.joint == "driven" for part in self.by_recording)
-
-    @property
-    def recordings(self) -> tuple[RecordingEntry, ...]:
-        """The recordings with the errors on them, and their checksums."""
-        return tuple(replace(part, sha256=value) for part, value in zip(self.by_recording, self.hashes, strict=True))
-
-    @override
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "effects": self.effects,
-            "ambiguous_with": self.ambiguous_with,
-            "experiments": self.experiment,
-            "ambiguities": self.ambiguities,
-            "share_explained": self.share,
-            "parts": self.parts,
-            "reference": self.reference,
-            "base_friction_removed": self.base_friction_removed,
-            "errors": self.errors,
-            "recordings": self.recordings,
-            "ranking": [
-                {
-                    "name": item.effect,
-                    "round": item.round,
-                    "score": item.score,
-                    "delta_bic": item.delta_bic,
-                    "holdout_gain": None if item.shares is None else item.shares[0],
-                    "taken": item.taken,
-                    "score_by_muscle": item.muscles,
-                }
-                for item in self.ranking
-            ],
-            "profiles": self.profiles,
-            "remaining": [item.line() for item in self.remaining],
-            "left": self.remaining,
-            "unseen": self.unseen,
-            "warnings": self.warnings,
-            "settings": {
-                "rig": self.start.name,
-                "rig_source": " ".join(self.start.source.split()),
-                "seed": self.seed,
-                "holdout": self.kept,
-                "strong_evidence": thresholds.STRONG,
-                "first_share": thresholds.FIRST_SHARE,
-                "further_share": thresholds.FURTHER_SHARE,
-                "explained_share": thresholds.EXPLAINED,
-            },
-            "timing": self.seconds,
-            "software": versions(),
-            "splits": min((effect.splits for effect in self.effects if effect.splits is not None), default=None),
-            "calibration": [
-                {
-                    "name": item.name,
-                    "value": item.value,
-                    "std": item.std,
-                    "unit": item.unit,
-                    "sentence": found_calibrations.in_words(item),
-                    "delta_bic": item.delta_bic,
-                    "recordings": {name: Size(*each, item.unit) for name, each in item.by_recording.items()},
-                    "ambiguous_with": item.rivals,
-                }
-                for item in self.calibrations
-            ],
-            "corrections": self.corrections,
-            "assumption": assumption(self.start),
-            "next_steps": self.next_steps,
-            "next_rig": self.next_rig,
-        }
-
-    @override
-    def blocks(self) -> Sequence[Block]:
-        return pages.summary(self)
+    def blocks(self) -> tuple[Block, ...]:
+        unseen = self.unseen
+        if sum(map(len, unseen)) > _FEW_WORDS:
+            unseen = ("What these recordings cannot show is listed in the report.",)
+        notes = (*(warn(sentence(text)) for text in self.warnings), *map(note, unseen))
+        return (
+            Text(self.sentence),
+            Findings((*calibration_findings(self), *notes)),
+            *in_first_lines(assumption(self.start)),
+            errors_table(self),
+            sizes_table(self),
+            calibration_table(self),
+            ranking_table(self),
+            Findings(tuple(map(note, self.next_steps))),
+        )
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return pages.document(self, figures)
+        return document(self, figures)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter of each detected effect (needs pandas)."""
         return effects_frame(self.effects)
 
-    @override
-    def _write_rigs(self, folder: Path) -> None:
-        about = [
-            f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}",
-            "Recordings (SHA-256):",
-            *(f"  {own}: {value}" for (own, _), value in zip(self.own, self.hashes, strict=False)),
-            *(f"Attention: {warning}." for warning in self.warnings),
-        ]
-        remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
-        for file in self.choice.files:
-            alone = [] if file.number is None else [f"The values of {self.own[file.number][0]} alone."]
-            write_rig(self._written(file), folder / file.name, [*remarks, *alone])
 
-    def _written(self, file: RigFile) -> Rig:
-        """The content of a rig file: with its source, and with the calibration of its recordings."""
-        names = ", ".join(own for own, _ in self.own)
-        source = f"extended by close_loop from {names}; started from: {self.start.source}"
-        found = {item.name: item.value for item in self.calibrations}
-        if file.number is not None:
-            own = self.own[file.number][0]
-            source += f"; with the values of {own} alone"
-            found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
-        rig = with_known_curves(file.rig, self.start).replaced(
-            name=f"{self.start.name.removesuffix('_extended')}_extended", source=" ".join(source.split())
-        )
-        return _calibrated(rig, self.typed, found)
-
-    def _refusal(self, file: RigFile) -> str:
-        """Why no command would read a rig file; empty if all would."""
-        try:
-            return refusal(self._written(file))
-        except (BadInput, ValueError) as error:
-            return " ".join(str(error).split())
-
-
-def effects_frame(effects: Sequence[FoundEffect | Tried]) -> DataFrame:
+def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
     """A row for each parameter of each effect."""
     rows = [
         (effect.name, effect.muscle, name, value, std, unit, effect.delta_bic)
@@ -221,51 +107,234 @@ def effects_frame(effects: Sequence[FoundEffect | Tried]) -> DataFrame:
     return frame_of(rows, ("effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"))
 
 
-def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
-    """A rig with the calibration of its recordings: as read, combined with the found one."""
-    try:
-        corrected = typed.followed_by(found_calibrations.corrections(found))
-    except BadInput:
-        raise BadInput("its calibration would be larger than any that a rig file may have") from None
-    return rig.replaced(calibration=Calibration(**corrected.calibration()))
+def document(found: ClosedLoop, with_figures: bool) -> Document:
+    """The page."""
+    lede = (
+        "This report compares the model of the joint with measurements. It traces what the model lacks to a physical "
+        "effect, if one explains it on data that no fit used."
+    )
+    title = _TITLES[found.verdict]
+    if found.effects:
+        title = "Found: " + ", ".join(dict.fromkeys(effect.in_short.replace("_", " ") for effect in found.effects))
+    elif found.calibrations and found.verdict == "none":
+        title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
+    first, *others = drawn.residuals(found) if with_figures else (None,)
+    parts: list[Block] = [
+        Text(lede, "lede"),
+        Text(found.sentence, "verdict"),
+        Tiles(_tiles(found)),
+        Findings((*calibration_findings(found), *findings(found), *map(note, found.next_steps))),
+        *(() if first is None else (first,)),
+        *in_first_lines(assumption(found.start)),
+        errors_table(found),
+    ]
+    if others:
+        parts.append(Section("More residuals before and after", tuple(others), 2, "residual"))
+    if found.calibrations:
+        parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration"))
+    if found.effects:
+        figures = (*drawn.laws(found.effects), *drawn.profiles(found.profiles)) if with_figures else ()
+        parts.append(Section("Size of the effect", (sizes_table(found), *_laws(found), *figures), 2, "parameters"))
+    parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates"))
+    if found.remaining:
+        parts.append(Section("What is left", drawn.left(found.remaining, with_figures), 2, "left"))
+    about = Text(_STATISTICS_DRIVEN if found.driven else _STATISTICS)
+    models = ("recalibrated", "extended") if found.effects else ("recalibrated",)
+    tables = (_statistics(one.recording, one.residuals, models) for one in found.recordings if one.residuals)
+    parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
+    if found.unseen:
+        unseen = Findings(tuple(map(note, found.unseen)))
+        parts.append(Section("What these recordings cannot show", (unseen,), folded=True))
+    parts.append(Section("What was assumed", (Definitions(assumed(found)),), folded=True))
+    meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if found.driven else {})
+    parts += background(tuple(meanings.items()), _provenance(found))
+    return Document("Closing the loop with measured data", title, tuple(parts))
 
 
-def _next_steps(found: Diagnosis, rig: Rig, choice: RigChoice) -> tuple[str, ...]:
-    out, files = [], [file.name for file in choice.files]
-    if choice.no_common:
-        own = [file.name for file in choice.files if file.number is not None]
-        have = "have each recording's own values" if len(own) > 1 else "has the values of one recording"
-        each = f" {', '.join(own)} {have}." if own else ""
-        out.append(f"There is no rig_extended.yaml, since {choice.no_common}.{each}")
-    rivals = [name for name in found.ambiguous_with if name in CATALOGUE]
-    if found.effects and rivals and "rig_extended.yaml" in files and rig.drive == "valve" and not rig.valves.sealed:
-        either = " and ".join(name.replace("_", " ") for name in (found.effects[0].name, *rivals))
-        out.append(
-            f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
-            "folder of this report designs the experiment."
-        )
-    keep = f"keep the rig file of {rig.name}"
-    proposed, use = choice.proposed, ""
-    if proposed is not None:
-        which = "" if proposed.number is None else f" for {found.by_recording[proposed.number].recording}"
-        use = f"use {proposed.name}{which}, which every command and node takes ({proposed.gain} on held-out data)"
-    alike = like_a_curve(rig, [effect.name for effect in found.effects])
-    if alike:
-        out.append(
-            "Next: measure the valves' curves before you repair anything: a curve of another slope looks like "
-            f"{' or '.join(alike)}. Hold six voltages of each valve until the pressures stand, give that recording to "
-            f"{typed_command('identify')} with the others, and run {typed_command('close_loop')} with the rig file "
-            f"that it writes. Until then, {use or keep}."
-        )
-    elif found.verdict == "effect":
-        out.append(f"Next: repair the joint and record again{f', or {use}' if use else f'; until then, {keep}'}.")
-    elif found.verdict == "unexplained":
-        out.append(
-            "Next: read in section What is left when the remaining residual appears and on what it depends. Until its "
-            f"cause is known, {use or keep}{': it halves all errors' if use else ''}."
-        )
-    elif use:
-        out.append(f"Next: nothing to repair; {use}: it is {rig.name}, recalibrated by these recordings.")
+# ------------------------------------------------------------------ tables and tiles
+
+
+def errors_table(found: ClosedLoop) -> Table:
+    """Errors of the three models on held-out data: the model alone, then the estimator."""
+    out, errors = Comparison("", "as configured", "recalibrated", "extended"), found.errors
+    if found.driven:
+        out.heading("Model driven by the measured angle")
+        _channel_rows(out, errors, (TORQUE,), largest=True)
+        for key, name in (("rmse_sliding_nm", "while it slides"), ("rmse_sticking_nm", "while it sticks")):
+            if errors.extended.sliding is not None:
+                values = [getattr(model.sliding, key, None) for model in errors.all]
+                out.values(f"    torque {name}, RMSE [N m]", values)
+        out.pressures("  mean pressure RMSE", [model.mean_rmse_pa for model in errors.all])
     else:
-        out.append(f"Next: nothing; {keep}.")
-    return tuple(out)
+        out.heading("Model alone, from what was commanded")
+        _channel_rows(out, errors, CHANNELS, largest=True)
+    for muscle in (0, 1):
+        out.pressures(f"  pressure {muscle + 1} RMSE", [model.rmse_pa[muscle] for model in errors.all])
+    if found.driven and errors.extended.angle is not None:
+        out.heading("Model alone, driven by the external torque")
+        _channel_rows(out, errors, CHANNELS[:1])
+    for part in found.recordings:
+        if part.ukf is not None:
+            out.heading(f"Estimator from pressures alone, {part.recording}")
+            _channel_rows(out, part.ukf, CHANNELS)
+    return out.table("Errors on held-out data")
+
+
+def _channel_rows(out: Comparison, errors: ModelErrors, channels: Sequence[Channel], largest: bool = False) -> None:
+    """Rows of channels; with `largest` also the largest errors and channels that were not measured."""
+    for channel in channels:
+        known = [item for model in errors.all if (item := getattr(model, channel.name)) is not None]
+        if len(known) == len(errors.all):
+            out.values(f"  {channel.name} RMSE [{channel.unit}]", [item.rmse for item in known])
+            if largest:
+                out.values(f"  {channel.name} largest [{channel.unit}]", [item.largest for item in known])
+        elif largest:
+            out.text(f"  {channel.name}", "not measured", MISSING, MISSING)
+
+
+def ranking_table(found: ClosedLoop) -> Table:
+    """All candidates of all rounds."""
+    rows = tuple(
+        (
+            item.effect + (" (taken)" if item.taken else ""),
+            str(item.round),
+            f"{item.score:.1f}",
+            " · ".join(f"{value:.1f}" for value in item.muscles or ()) or MISSING,
+            MISSING if item.delta_bic is None else f"{item.delta_bic:.1f}",
+            percent(None if item.delta_bic is None else item.shares[0] if item.shares else None),
+        )
+        for item in found.ranking
+        if item.round == 1 or item.delta_bic is not None
+    )
+    header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "ΔBIC", "held-out share")
+    caption = (
+        "Score: evidence to first order, on both muscles and on each alone. ΔBIC: evidence after a fit in full "
+        "simulation, for candidates with a high score."
+    )
+    return Table(header, rows, caption)
+
+
+def sizes_table(found: ClosedLoop) -> Table:
+    """Parameters of the detected effects."""
+    rows = tuple(
+        (
+            f"{effect.name}{f', muscle {effect.muscle}' if effect.muscle else ''}: {name} [{unit.name}]",
+            number(size.value * unit.scale),
+            number(size.std * unit.scale, 2),
+        )
+        for effect in found.effects
+        for name, size in effect.parameters.items()
+        for unit in [readable(size.unit, size.value)]
+    )
+    return Table(("Parameter", "value", "std. error"), rows, "What was found")
+
+
+def calibration_table(found: ClosedLoop) -> Table:
+    """Zeros, scales and late stamps of the recordings."""
+    rows = tuple(
+        (
+            f"{item.name} [{item.unit}]", number(item.value), number(item.std, 2), number(item.delta_bic, 2),
+            " · ".join(f"{name}: {number(value)}" for name, (value, _) in item.by_recording.items()),
+        )
+        for item in found.calibrations
+    )  # fmt: skip
+    caption = "How much too high a sensor reads, or how much too early it is stamped. The joint itself is right."
+    return Table(("Calibration", "value", "std. error", "ΔBIC", "by recording"), rows, caption)
+
+
+def _tiles(found: ClosedLoop) -> tuple[Tile, ...]:
+    out, errors, ukf = [], found.errors, found.recordings[0].ukf
+    if found.effects:
+        evidence = {effect.in_short: effect.delta_bic for effect in found.effects}
+        if found.share is not None:
+            out.append(Tile("Explained", percent(found.share), "of the excess over noise on held-out data"))
+        values = " and ".join(f"{value:.0f}" for value in evidence.values())
+        out.append(Tile(f"Evidence for {', '.join(evidence)}".replace("_", " "), values, "ΔBIC; above 6 is strong"))
+    if (splits := found.splits) is not None:
+        sure = f"{splits.agree} of {splits.of}"
+        out.append(Tile("How sure", sure, "splits into fitted and held-out parts agree"))
+    if found.driven:
+        reference = (found.reference or {}).get("angle_and_pressures")
+        line = "" if reference is None else f"; a straight-line map: {number(reference, 2)}"
+        out += _change("Torque error, measured angle", TORQUE, errors, line)
+        for channel in CHANNELS if ukf is not None else ():
+            assert ukf is not None
+            out += _change(f"{channel.title} error, pressures alone", channel, ukf)
+    else:
+        for channel in CHANNELS:
+            out += _change(f"{channel.title} error (RMS)", channel, errors)
+    both = (errors.as_configured, errors.extended)
+    means = [model.mean_rmse_pa for model in both if found.driven and model.mean_rmse_pa is not None]
+    label = "Error of the mean pressure" if len(means) == len(both) else "Larger pressure error"
+    was, now = means if len(means) == len(both) else [max(model.rmse_pa) for model in both]
+    unit = readable("Pa", min(now, was))
+    before = f"as configured {number(was * unit.scale, 2)} {unit.name}"
+    return (*out, Tile(label, f"{number(now * unit.scale, 2)} {unit.name}", before))
+
+
+def _change(label: str, channel: Channel, errors: ModelErrors, more: str = "") -> list[Tile]:
+    """RMSE of a channel, as configured and extended; none where it was not measured."""
+    before, after = (getattr(model, channel.name) for model in (errors.as_configured, errors.extended))
+    if before is None or after is None:
+        return []
+    return [Tile(label, channel.write(after.rmse), f"as configured {channel.write(before.rmse)}{more}")]
+
+
+def _laws(found: ClosedLoop) -> tuple[Block, ...]:
+    named = [CATALOGUE[name] for name in dict.fromkeys(e.name for e in found.effects) if name in CATALOGUE]
+    rows = tuple((item.name, f"{item.law} ({item.source}). {item.signature}") for item in named)
+    return (Definitions(rows),) if rows else ()
+
+
+def _statistics(recording: str, shown: Residuals, models: Sequence[str]) -> Table:
+    rows: list[tuple[str, ...]] = []
+    last, kind = models[-1], ""
+    for k, row in enumerate(shown[last]):
+        if row.kind != kind:
+            kind = row.kind
+            rows.append((_KINDS[kind], *[""] * (len(models) + 4)))
+        p = row.whiteness_p
+        rows.append(
+            (
+                f"  {row.title}, RMS {number(row.rms, 2)} {row.unit}",
+                *(number(shown[model][k].rms / shown[model][k].noise, 2) for model in models),
+                percent(row.above_noise),
+                number(row.memory_s, 2),
+                MISSING if p is None or not math.isfinite(p) else "< 0.001" if p < 1e-3 else f"{p:.3f}",
+                _strongest(row.relations),
+            )
+        )
+    header = ("Residual", *(f"× noise, {model}" for model in models), "above noise", "memory [s]", "white: p", "after")
+    caption = (
+        f"Residuals of {recording} on held-out data. RMS and the columns from “above noise” on are of the {last} "
+        "model. Above noise: share of the mean square that the sensors' noise does not explain. Memory: time between "
+        "independent values. White: probability of such an autocorrelation in white noise. After: the signals with a "
+        "significant correlation (p < 0.05), the most significant one first, its lag and its correlation relative to "
+        "the largest one that chance gives in nineteen of twenty times."
+    )
+    return Table(header, tuple(rows), caption)
+
+
+def _strongest(relations: Mapping[str, Relation]) -> str:
+    """The significant signals."""
+    found = sorted((item.p, name) for name, item in relations.items() if item.p < _CERTAIN)
+    if not found:
+        return MISSING
+    first = relations[found[0][1]]
+    text = f"{found[0][1]}, {first.lag_s:.2g} s, {first.over_chance:+.1f}×"
+    return "; ".join([text, *(name for _, name in found[1:])])
+
+
+def _provenance(found: ClosedLoop) -> list[tuple[str, str]]:
+    kept = found.kept
+    held = f"{percent(kept)} at the end of each recording" if isinstance(kept, float) else f"{', '.join(kept)}: whole"
+    rows = [
+        ("Rig", found.start.name),
+        ("Source of its values", " ".join(found.start.source.split())),
+        ("Seed", str(found.seed)),
+        ("Held out", held),
+    ]
+    for part in found.recordings:
+        role = "; held out" if part.role == "held out" else ""
+        rows.append((f"Recording {part.recording}", f"{part.joint}{role}; SHA-256 {part.sha256}"))
+    return [*rows, ("Time [s]", ", ".join(f"{name} {value:.1f}" for name, value in found.seconds.items()))]

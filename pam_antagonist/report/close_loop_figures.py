@@ -1,78 +1,63 @@
-"""Figures of ``close_loop``: residuals before and after, their statistics, and what is left of them."""
+"""Figures of ``close_loop``: residuals before and after, laws and profiles, and what is left."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pam_antagonist.diagnosis import remaining
 from pam_antagonist.diagnosis.remaining import RemainingResidual
-from pam_antagonist.diagnosis.residual_statistics import Relation
-from pam_antagonist.diagnosis.result import FoundEffect, HeldOutComparison, Residuals, SizeProfile
+from pam_antagonist.diagnosis.result import FoundEffect, HeldOutComparison, SizeProfile
 from pam_antagonist.inference.point import Span
-from pam_antagonist.report.document import Block, Findings, Text, note
-from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Series
-from pam_antagonist.report.figures import matrix, profile_panel, residual_figure
-from pam_antagonist.report.style import ESTIMATE, MODEL, PAPER, QUIET, SECOND
-from pam_antagonist.report.table import MISSING, Table, number, percent
-from pam_antagonist.report.units import readable
+from pam_antagonist.report.document import Block, Findings, note
+from pam_antagonist.report.figure import TIME, Axis, Band, Figure, Line, Panel, Points, Reference, Region, Series
+from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET, SECOND
+from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:
-    from pam_antagonist.report.close_loop import DiagnoseResult
+    from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 
 _NEAR = 4.0
 """Half width of a profile's plot, in standard errors."""
-_SIGNED = (MODEL, PAPER, ESTIMATE)
-_BLUES = (PAPER, MODEL)
-_CERTAIN = 0.05
-_SHOWN = 5.0
-"""End of the colour scale, in multiples of the value that chance alone exceeds once in twenty times."""
+_LIMIT = 3.84
+"""Rise of −2 log posterior at the end of a 95 % interval."""
+_LEAST_SHARE = 0.005
+"""A table is left out if all its shares are smaller and would show as 0 %."""
 _POINTS = 300
 _DRAWN = 3
 """Number of residuals of each recording that are drawn over the signals that they depend on."""
-_LEAST_SHARE = 0.5
-"""A map is left out if all its shares are smaller and would show as 0 % [%]."""
-_CELL = "{value:.0f} %"
-_SIGNALS = ("voltage 1", "voltage 2", "pressure 1", "pressure 2", "angle", "velocity")
-_KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
-_ABOUT = (
-    "On held-out data. Sensors: measurement minus model, which starts with the recording and gets the voltages only. "
-    "Equations: errors of flow, torque and motion, where the model starts again from the measurement every fifth of a "
-    "second, so that the error of one equation does not enter the next. Innovations: measured pressures minus the "
-    "estimator's prediction. Each residual is compared with signals up to 2 s before it. Later signals do not count: "
-    "in a closed loop, commands follow from residuals."
-)
-_ABOUT_DRIVEN = (
-    "On held-out data: measurement minus model, which is driven by the measured angle. Each residual is compared with "
-    "signals up to 2 s before it."
-)
 
 
-def residuals(found: DiagnoseResult) -> tuple[Figure, ...]:
+def residuals(found: ClosedLoop) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
-    out = []
     shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if found.extended.effects else [])]
-    for part in found.compared:
-        experiment, trial = part.experiment, part.experiment.trial
-        count = len(experiment.measured)
-        models = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
-        axes = [(f"{name} [{unit}]", scale) for name, unit, scale in experiment.titles]
-        about = (
-            f"Measurement minus model, means over {1e3 * trial.block_s:.0f} ms. The sensor's noise alone stays between "
-            f"the dashed lines 95 % of the time. {_held(part)}"
-        )
-        x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
-        title = f"{trial.name} (joint {trial.joint})"
-        edges = experiment.edges(part.points["extended"])
-        if edges:
-            about += f" At the line{'s' if len(edges) > 1 else ''} an effect begins or ends."
-        held: tuple[Span, ...] = () if part.role == "fitted" else experiment.held_parts
-        if part.role == "held out":
-            held = (Span(0.0, float(x[-1])),)
-        out.append(residual_figure(title, about, x, models, axes, experiment.noise, trial.name, edges, held))
-    return tuple(out)
+    return tuple(_residual(part, shown) for part in found.compared)
+
+
+def _residual(part: HeldOutComparison, shown: Sequence[tuple[str, str]]) -> Figure:
+    experiment, trial = part.experiment, part.experiment.trial
+    count, edges = len(experiment.measured), experiment.edges(part.points["extended"])
+    models = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
+    x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
+    held = {"fitted": (), "held out": (Span(0.0, float(x[-1])),)}.get(part.role, experiment.held_parts)
+    panels = []
+    for k, (name, unit, scale) in enumerate(experiment.titles):
+        parts: list[Series] = [Region(begin, min(end, float(x[-1]))) for begin, end in held]
+        parts += [Line(model, x, values[:, k] * scale, color, quiet=k > 0) for model, values, color in models]
+        parts += [Reference(edge, f"{edge:.1f} s" if k == 0 else "", vertical=True) for edge in edges]
+        parts += [Reference(sign * 2.0 * float(experiment.noise[k]) * scale) for sign in (-1.0, 1.0)]
+        height = 230 if len(experiment.titles) == 1 else 170
+        panels.append(Panel(TIME, Axis(f"{name} [{unit}]"), tuple(parts), height))
+    about = (
+        f"Measurement minus model, means over {1e3 * trial.block_s:.0f} ms. The sensor's noise alone stays between "
+        f"the dashed lines 95 % of the time. {_held(part)}"
+    )
+    if edges:
+        about += f" At the line{'s' if len(edges) > 1 else ''} an effect begins or ends."
+    return Figure(f"{trial.name} (joint {trial.joint})", about, tuple(panels), trial.name)
 
 
 def _held(part: HeldOutComparison) -> str:
@@ -88,30 +73,27 @@ def _held(part: HeldOutComparison) -> str:
 
 
 def profiles(sizes: Sequence[SizeProfile]) -> tuple[Figure, ...]:
-    """Profile likelihood of each size."""
+    """Profile likelihood of each size, with the parabola of its standard error."""
     out = []
     for item in sizes:
-        values, rise = np.array(item.values), np.array(item.rise)
-        best, std = item.value, item.std
-        near = np.abs(values - best) <= _NEAR * std
+        values, rise, unit = np.array(item.values), np.array(item.rise), readable(item.unit, item.value)
+        near = np.abs(values - item.value) <= _NEAR * item.std
         if near.sum() < 3:
             near[:] = True
         x = np.linspace(values[near].min(), values[near].max(), 61)
-        unit = readable(item.unit, best)
-        panel = profile_panel(
-            f"{item.parameter} [{unit.name}]",
-            "Rise of −2 log posterior [-]",
-            [Points("tried", values[near] * unit.scale, rise[near], MODEL)],
-            ("by the standard error", x * unit.scale, ((x - best) / std) ** 2, ESTIMATE),
-            3.84,
-            206,
+        parabola, ends = ((x - item.value) / item.std) ** 2, x[[0, -1]] * unit.scale
+        parts = (
+            Points("tried", values[near] * unit.scale, rise[near], MODEL),
+            Line("by the standard error", x * unit.scale, parabola, ESTIMATE, "dot", 1.6),
+            Line("95 %", ends, np.full(2, _LIMIT), QUIET, "dash", 1.6),
         )
         at = dict(zip(item.values, item.rise, strict=True))
         about = (
             "The number is held at each value and everything else is fitted again. Values below the dashed line lie in "
-            "the 95 % interval. "
-            f"At half the size the rise is {number(at[0.5 * best])}, at size 0 it is {number(at[0.0])}."
+            f"the 95 % interval. At half the size the rise is {number(at[0.5 * item.value])}, at size 0 it is "
+            f"{number(at[0.0])}."
         )
+        panel = Panel(Axis(f"{item.parameter} [{unit.name}]"), Axis("Rise of −2 log posterior [-]"), parts, 206)
         out.append(Figure(f"Profile likelihood of {item.parameter} ({item.recording})", about, (panel,)))
     return tuple(out)
 
@@ -130,135 +112,53 @@ def laws(effects: Sequence[FoundEffect]) -> tuple[Figure, ...]:
             Points("nodes", x, y, ESTIMATE, quiet=True),
         )  # fmt: skip
         across, up = (f"{name.replace('_', ' ')} [{unit.name}]" for name, unit in ((law.argument, at), (law.at, of)))
-        panel = Panel(Axis(across), Axis(up), series)
         about = "The measured law, over the range that was seen: outside of it, the law is constant."
-        out.append(Figure(f"Learned law: {law.in_words()}", about, (panel,)))
+        out.append(Figure(f"Learned law: {law.in_words()}", about, (Panel(Axis(across), Axis(up), series),)))
     return tuple(out)
-
-
-def statistics(found: DiagnoseResult, with_figures: bool) -> tuple[Block, ...]:
-    """Table and figure of the residuals of each recording with held-out data."""
-    out: list[Block] = [Text(_ABOUT_DRIVEN if found.driven else _ABOUT)]
-    models = ("recalibrated", "extended") if found.effects else ("recalibrated",)
-    for part in found.recordings:
-        if part.residuals is None:
-            continue
-        out.append(_table(part.recording, part.residuals, models))
-        if with_figures:
-            about = (
-                "How strongly each residual (left) is correlated with what came before it (below). The number is the "
-                "largest correlation of the whitened series, relative to the one that chance alone exceeds once in "
-                "twenty times. Outside ±1 it is significant: the model lacks something that depends on the signal. "
-                "The sign is that of the correlation."
-            )
-            figure = Figure(f"Correlations of the residuals, {part.recording}", about, _map(part.residuals, models))
-            out.append(figure)
-    return tuple(out)
-
-
-def _table(recording: str, shown: Residuals, models: Sequence[str]) -> Table:
-    rows: list[tuple[str, ...]] = []
-    last = models[-1]
-    kind = ""
-    for k, row in enumerate(shown[last]):
-        if row.kind != kind:
-            kind = row.kind
-            rows.append((_KINDS[kind], *[""] * (len(models) + 4)))
-        times = [shown[model][k].rms / shown[model][k].noise for model in models]
-        rows.append(
-            (
-                f"  {row.title}, RMS {number(row.rms, 2)} {row.unit}",
-                *(number(value, 2) for value in times),
-                percent(row.above_noise),
-                number(row.memory_s, 2),
-                _chance(row.whiteness_p),
-                _strongest(row.relations),
-            )
-        )
-    header = ("Residual", *(f"× noise, {model}" for model in models), "above noise", "memory [s]", "white: p", "after")
-    caption = (
-        f"Residuals of {recording} on held-out data. RMS and the columns from “above noise” on are of the {last} "
-        "model. Above noise: share of the mean square that the sensors' noise does not explain. Memory: time between "
-        "independent values. White: probability of such an autocorrelation in white noise. After: the signal with the "
-        "most significant correlation (p < 0.05), and its lag."
-    )
-    return Table(header, tuple(rows), caption)
-
-
-def _chance(p: float | None) -> str:
-    if p is None or not np.isfinite(p):
-        return MISSING
-    return "< 0.001" if p < 1e-3 else f"{p:.3f}"
-
-
-def _strongest(relations: Mapping[str, Relation]) -> str:
-    significant = [(item.p, name, item.lag_s) for name, item in relations.items() if item.p < _CERTAIN]
-    if not significant:
-        return MISSING
-    _, name, lag = min(significant)
-    return f"{name}, {lag:.2g} s"
-
-
-def _map(shown: Residuals, models: Sequence[str]) -> tuple[Panel, ...]:
-    """One map for each model, one above the other."""
-    known = [signal for signal in _SIGNALS if any(signal in row.relations for row in shown[models[0]])]
-    grids = []
-    for model in models:
-        found = [[row.relations.get(signal) for signal in known] for row in shown[model]]
-        cells = [[float("nan") if item is None else item.over_chance for item in line] for line in found]
-        grids.append((model, np.array(cells, dtype=np.float64)))
-    names = [row.title for row in shown[models[0]]]
-    return matrix(grids, names, known, _SIGNED, (-_SHOWN, _SHOWN), "{value:.1f}×")
 
 
 def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
-    """The remaining residual: in words, and drawn over the signals that it depends on."""
+    """The remaining residual: in words, as shares, and drawn over the signals that it depends on."""
     out: list[Block] = [Findings(tuple(note(item.line()) for item in found))]
-    if not with_figures:
-        return tuple(out)
-    for name in dict.fromkeys(item.recording for item in found):
+    for about, shares in (
+        (
+            "Share of each residual's variance that one kind of dependence explains alone, minus what chance gives",
+            [item.depends_on for item in found],
+        ),
+        (
+            "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz",
+            [item.bands for item in found],
+        ),
+    ):
+        if max((share for each in shares for share in each.values()), default=0.0) >= _LEAST_SHARE:
+            keys = tuple(dict.fromkeys(key for each in shares for key in each))
+            rows = tuple(
+                (f"{item.recording}: {item.channel}", *(percent(each.get(key)) for key in keys))
+                for item, each in zip(found, shares, strict=True)
+            )
+            out.append(Table(("Residual", *keys), rows, about))
+    for name in dict.fromkeys(item.recording for item in found if with_figures):
         mine = [item for item in found if item.recording == name]
-        kinds = list(mine[0].depends_on)
-        shares = np.array([[100.0 * item.depends_on[kind] for kind in kinds] for item in mine])
-        about = "Share of each residual's variance that one kind of dependence explains alone, minus what chance gives."
-        rows = [item.channel for item in mine]
-        if np.max(shares) >= _LEAST_SHARE:
-            grid = matrix([("", shares)], rows, kinds, _BLUES, (0.0, 100.0), _CELL)
-            out.append(Figure(f"What the remaining residual depends on, {name}", about, grid))
-        widest = max(mine, key=lambda item: len(item.bands))
-        power = np.array([[100.0 * item.bands.get(band, float("nan")) for band in widest.bands] for item in mine])
-        about = "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz."
-        bands = [_short(band) for band in widest.bands]
-        grid = matrix([("", power)], rows, bands, _BLUES, (0.0, 100.0), _CELL)
-        out.append(Figure(f"Frequencies of the remaining residual, {name}", about, grid))
-        clear = sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN]
-        out += [_drawn(item) for item in clear]
+        out += map(_drawn, sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN])
     return tuple(out)
-
-
-def _short(band: str) -> str:
-    return band.replace("below ", "< ").replace("above ", "> ").replace(" to ", "–")
 
 
 def _drawn(item: RemainingResidual) -> Figure:
     """A residual over the two signals that it depends on most."""
-    axes = item.around.axes()
-    spread = {}
-    for title, over in axes.items():
-        means = remaining.means(item.values, over)
-        spread[title] = float(np.var(means[:, 1])) if len(means) else 0.0
-    chosen = sorted(spread, key=lambda title: -spread[title])[:2]
-    velocity = item.around.velocity
-    panels: list[Panel] = []
-    every = max(1, len(item.values) // _POINTS)
+    axes, velocity = item.around.axes(), item.around.velocity
+
+    def spread(title: str) -> float:
+        means = remaining.means(item.values, axes[title])
+        return float(np.var(means[:, 1])) if len(means) else 0.0
+
+    every, panels = max(1, len(item.values) // _POINTS), list[Panel]()
     named: set[str] = set()
-    for title in chosen:
-        single = Points("residual", axes[title][::every], item.values[::every], QUIET, quiet=bool(named))
-        parts: list[Series] = [single]
-        groups: list[tuple[str, np.ndarray | None, str]]
-        if velocity is None or title.startswith("Time"):
-            groups = [("mean", None, MODEL)]
-        else:
+    for title in sorted(axes, key=spread, reverse=True)[:2]:
+        parts: list[Series] = [
+            Points("residual", axes[title][::every], item.values[::every], QUIET, quiet=bool(panels))
+        ]
+        groups: list[tuple[str, np.ndarray | None, str]] = [("mean", None, MODEL)]
+        if velocity is not None and not title.startswith("Time"):
             groups = [("angle rising", velocity > 0.0, ESTIMATE), ("angle falling", velocity < 0.0, SECOND)]
         for name, which, color in groups:
             means = remaining.means(item.values, axes[title], which)

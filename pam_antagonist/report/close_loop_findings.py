@@ -1,4 +1,4 @@
-"""Findings of ``close_loop`` in sentences, from its numbers."""
+"""Findings and assumptions of ``close_loop`` in sentences, from its numbers."""
 
 from __future__ import annotations
 
@@ -7,62 +7,14 @@ from typing import TYPE_CHECKING
 from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.result import Ambiguity
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report.document import Finding, good, note, warn
+from pam_antagonist.report.document import Finding, good, note, warn, words
 from pam_antagonist.report.table import number
 
 if TYPE_CHECKING:
-    from pam_antagonist.report.close_loop import DiagnoseResult
-
-_DEFINITIONS = (
-    ("As configured", "The model with the values of the rig file."),
-    ("Extended", "The recalibrated model with the effects that were found."),
-    (
-        "Held out",
-        "The end of each recording, or whole recordings, which no fit used. All errors in this report are counted "
-        "there.",
-    ),
-    ("Residual", "Measurement minus model. Both are means over 20 samples."),
-    (
-        "Excess over noise",
-        "How far the residual lies above the sensors' noise, in decibels, summed over the seconds of a recording. An "
-        "effect explains a second fully if it brings the residual down to the noise or to a tenth of what it was.",
-    ),
-    (
-        "ΔBIC",
-        "The evidence for an effect: twice the gain in log-likelihood minus a penalty for its free parameters. It "
-        "counts independent errors, not samples; the residual's autocorrelation says how many there are. Above 6 is "
-        "strong.",
-    ),
-    ("Held-out share", "The share of the excess over noise on held-out data that an effect explains."),
-    ("Estimator", "The filter that runs live. It gets the two pressures and, where air flows, the valve voltages."),
-)
-_RECALIBRATED = (
-    "The model of the rig file after its base parameters were fitted to these recordings. So a wrong value in the rig "
-    "file is not called an effect."
-)
-_RECALIBRATED_DRIVEN = (
-    "The base model after a fit as identify does it, without Coulomb friction. A hysteresis loop in the torque may "
-    "come from the drive, the joint or the muscles, so each of these effects is tested."
-)
-_DRIVEN = (
-    (
-        "External torque",
-        "The torque that the drive was commanded to apply. The model's value is what the measured motion needs: "
-        "equation (8), solved for it with the measured angle and the modelled pressures. The estimator's value comes "
-        "from the two pressures alone.",
-    ),
-    (
-        "Sliding, sticking",
-        "Faster or slower than 0.02 rad/s. While a joint sticks, friction may have any value up to its bound, so no "
-        "model can predict the torque there. The model then takes the sign of the friction from the slight motion in "
-        "the measured angle. Where the recorded angle was low-pass filtered without phase shift, this motion "
-        "anticipates the true one a little.",
-    ),
-    ("Mean pressure", "Of both muscles. An error of the encoder does not change it: it moves the two pressures apart."),
-)
+    from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 
 
-def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
+def findings(found: ClosedLoop) -> tuple[Finding, ...]:
     """Findings in addition to the verdict."""
     out = [warn(sentence(text)) for text in found.warnings]
     rivals = {item.other: item for item in found.ambiguities if item.ambiguous}
@@ -74,19 +26,36 @@ def findings(found: DiagnoseResult) -> tuple[Finding, ...]:
             out.append(good(f"{_title(item.other)} explains the data less well{_compared(item)}."))
     if found.effects and not found.ambiguous_with and not any(effect.alternatives for effect in found.effects):
         out.append(good("No other candidate explains the data nearly as well as what was found."))
-    return (*out, *_of_parts(found))
+    slides = [model.sliding for model in (found.errors.as_configured, found.errors.extended)]
+    before, after = (None if item is None else item.rmse_sliding_nm for item in slides)
+    if found.effects and before is not None and after is not None and before < after:
+        out.append(note(
+            f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, extended "
+            f"{number(after, 2)} N m). The reason: identify fits only the samples in which the joint slides. Here all "
+            "samples count, and no law predicts the torque while the joint sticks."
+        ))  # fmt: skip
+    out += [
+        warn(f"The residual of the {part.name} is above noise, and no effect explains it.")
+        for part in found.parts
+        if found.effects and part.verdict == "unexplained"
+    ]
+    if found.base_friction_removed and any(part.name == "torque" for part in found.parts):
+        out.append(note(
+            "The rig file has Coulomb friction. It was removed before the test, so that every cause of a hysteresis "
+            "loop was tested. The extended rig has friction as an effect instead."
+        ))  # fmt: skip
+    return tuple(out)
 
 
-def calibration_findings(found: DiagnoseResult) -> tuple[Finding, ...]:
+def calibration_findings(found: ClosedLoop) -> tuple[Finding, ...]:
     """The calibrations that the recordings need, with command line options."""
     if not found.calibrations:
         return ()
-    what = "; ".join(map(found_calibrations.in_words, found.calibrations))
+    what = sentence("; ".join(map(found_calibrations.in_words, found.calibrations)))
     if not found.corrections:
-        return (warn(f"{what[0].upper()}{what[1:]}. Together with the options given, that is too much."),)
-    text = f"{what[0].upper()}{what[1:]}. To correct that, add `{' '.join(found.corrections)}` to every command"
-    rig = "An extended rig file has it already: then the options are not needed."
-    return (warn(f"{text} that reads these recordings. {rig}"),)
+        return (warn(f"{what} Together with the options given, that is too much."),)
+    text = f"{what} To correct that, add `{' '.join(found.corrections)}` to every command that reads these recordings."
+    return (warn(f"{text} An extended rig file has it already: then the options are not needed."),)
 
 
 def _title(name: str) -> str:
@@ -107,36 +76,6 @@ def _compared(item: Ambiguity | None) -> str:
     return text
 
 
-def _of_parts(found: DiagnoseResult) -> list[Finding]:
-    out = []
-    if found.effects:
-        before, after = (
-            None if model.sliding is None else model.sliding.rmse_sliding_nm
-            for model in (found.errors.as_configured, found.errors.extended)
-        )
-        if before is not None and after is not None and before < after:
-            out.append(
-                note(
-                    f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, "
-                    f"extended {number(after, 2)} N m). The reason: identify fits only the samples in which the joint "
-                    "slides. Here all samples count, and no law predicts the torque while the joint sticks."
-                )
-            )
-        out += [
-            warn(f"The residual of the {part.name} is above noise, and no effect explains it.")
-            for part in found.parts
-            if part.verdict == "unexplained"
-        ]
-    if found.base_friction_removed and any(part.name == "torque" for part in found.parts):
-        out.append(
-            note(
-                "The rig file has Coulomb friction. It was removed before the test, so that every cause of a "
-                "hysteresis loop was tested. The extended rig has friction as an effect instead."
-            )
-        )
-    return out
-
-
 def sentence(text: str) -> str:
     """A sentence; the name of an effect or a recording keeps its first letter."""
     first = text.split(" ", 1)[0]
@@ -144,43 +83,17 @@ def sentence(text: str) -> str:
     return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def definitions(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
-    """Terms of the report and what they mean."""
-    first, *others = _DEFINITIONS
-    recalibrated = ("Recalibrated", _RECALIBRATED_DRIVEN if found.driven else _RECALIBRATED)
-    return (first, recalibrated, *others, *(_DRIVEN if found.driven else ()))
-
-
-def assumed(found: DiagnoseResult) -> tuple[tuple[str, str], ...]:
+def assumed(found: ClosedLoop) -> tuple[tuple[str, str], ...]:
     """Assumptions of the diagnosis."""
-    noise = "Gaussian, of unknown size for each channel, at least the sensor's noise."
     needed = (
-        "Thresholds",
         f"An effect needs a ΔBIC of {thresholds.STRONG:g}. The first effect has to explain "
         f"{100 * thresholds.FIRST_SHARE:.0f} % of the excess over noise on held-out data. Each further effect has to "
         f"explain {100 * thresholds.FURTHER_SHARE:.0f} % of the whole excess, and all effects together "
         f"{100 * thresholds.EXPLAINED:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
-        "simulated joints.",
+        "simulated joints."
     )
-    if found.driven:
-        return (
-            ("Input", "The measured angle. Where it is noisy, it is smoothed at 3 Hz without a phase shift."),
-            ("Volume and force", "As the rig file declares them, except for what `identify` finds on a sealed joint."),
-            (
-                "Sensors",
-                "The noise of the pressures is estimated from the changes between samples. That of encoder and torque "
-                "is the rig file's; an error of the encoder changes the modelled pressures and torque as well.",
-            ),
-            ("Errors of the model", noise),
-            needed,
-        )
+    page = "close_loop of a driven joint, assumed" if found.driven else "close_loop, assumed"
     tried = {item.effect for item in found.ranking}
     tested = ", ".join(name for name in CATALOGUE if name in tried)
-    return (
-        ("Start", "Each recording begins at rest, and slow effects have settled."),
-        ("Base parameters", "Known to 5 % before the fit (the supply to 1 %). Each recording has its own values."),
-        ("Sensors", "White noise, estimated from the changes between samples, and the resolution of their converters."),
-        ("Errors of the model", noise),
-        needed,
-        ("Catalogue", f"{tested}. Anything else is a law that is measured, or unexplained."),
-    )
+    catalogue = ("Catalogue", f"{tested}. Anything else is a law that is measured, or unexplained.")
+    return *words(page), ("Thresholds", needed), *(() if found.driven else (catalogue,))

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.from_pressures import LEAST_GAIN, FoundFromPressures, Tried
+from pam_antagonist.diagnosis import FoundEffect, thresholds
+from pam_antagonist.diagnosis.description import in_words
+from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Place
 from pam_antagonist.identification.from_pressures import CLEAR
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report.close_loop import effects_frame
 from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
-from pam_antagonist.report.identify_figures import held_out_figures
+from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Comparison, Table, number, percent
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import refusal, write_rig
 
 if TYPE_CHECKING:
@@ -35,36 +36,28 @@ def sentence(found: FoundFromPressures) -> str:
     """The verdict in words."""
     now = found.proposed
     before = found.recalibrated.pooled("as_configured")
-    if found.taken:
-        what = "; ".join(_in_words(item) for item in found.taken)
+    if found.effects:
+        what = "; ".join(_in_words(*item) for item in found.effects)
         out = what[0].upper() + what[1:] + "."
     elif found.unexplained:
         out = f"No effect of the catalogue explains what is left in {' and in '.join(found.unexplained)}."
     else:
         out = "The model explains the recordings; no effect is missing."
     if now is None:
-        return f"{out} Keep the rig file that you have: {_why_not(found)}"
+        why = (found.extended or found.recalibrated).rejected
+        return f"{out} Keep the rig file that you have: {why or 'no other is better on held-out data.'}"
     after = now.pooled("identified")
     change = "falls" if after < before else "changes"
     return f"{out} The filter's angle error on held-out data {change} from {number(before)}° to {number(after)}°."
 
 
-def _in_words(item: Tried) -> str:
-    words = CATALOGUE[item.name].in_words(item.muscle, {k: v for k, (v, _, _) in item.parameters.items()})
-    return f"{words}, which removes {percent(item.gain)} of the squared error of {item.place} on held-out data"
-
-
-def _why_not(found: FoundFromPressures) -> str:
-    best = found.extended or found.recalibrated
-    return best.rejected or "no other is better on held-out data."
-
-
-def _results(found: FoundFromPressures) -> list[FromPressures]:
-    return [found.recalibrated, *([] if found.extended is None else [found.extended])]
+def _in_words(place: Place, effect: FoundEffect) -> str:
+    share = percent(effect.holdout_gain or 0.0)
+    return f"{in_words(effect, False)}, which explains {share} of the excess over noise of {place} on held-out data"
 
 
 def _errors(found: FoundFromPressures) -> Table:
-    results = _results(found)
+    results = [found.recalibrated, *([] if found.extended is None else [found.extended])]
     titles = ["recalibrated", "with the effect"][: len(results)]
     out = Comparison("Error of the angle on held-out data, RMS [°]", "as configured", *titles)
     configured = found.recalibrated.pooled("as_configured")
@@ -76,23 +69,32 @@ def _errors(found: FoundFromPressures) -> Table:
 
 
 def _effects(found: FoundFromPressures) -> Table:
+    taken = {effect.name for _, effect in found.effects}
     rows = tuple(
         (
-            item.name if item.muscle is None else f"{item.name}, muscle {item.muscle}",
-            item.place,
-            percent(item.gain),
+            item.effect,
+            place,
+            percent(None if item.shares is None else item.shares[0]),
             number(item.delta_bic),
-            "taken" if item in found.taken else "",
+            number(item.held_out_evidence),
+            "taken" if item.effect in taken else "",
         )
-        for item in found.tried[:_SHOWN]
+        for place, item in found.tried[:_SHOWN]
     )
-    caption = f"An effect is taken if it removes {percent(LEAST_GAIN)} of the held-out squared error or more."
-    return Table(("Effect", "acts on", "removes", "ΔBIC", ""), rows, caption)
+    caption = (
+        f"An effect is taken if its held-out evidence is {number(thresholds.STRONG)} or more, both together "
+        f"{number(thresholds.TAKEN)}, and if it explains enough of the excess over noise."
+    )
+    return Table(("Effect", "acts on", "explains, held-out", "ΔBIC", "held-out evidence", ""), rows, caption)
 
 
-def _values(item: Tried) -> Table:
-    rows = tuple((name, number(value), number(std, 2), unit) for name, (value, std, unit) in item.parameters.items())
-    return Table((item.name, "value", "std", "unit"), rows)
+def _values(item: FoundEffect) -> Table:
+    rows = tuple(
+        (f"{item.name}: {name} [{shown.name}]", number(value * shown.scale), number(std * shown.scale, 2))
+        for name, (value, std, unit) in item.parameters.items()
+        for shown in [readable(unit, value)]
+    )
+    return Table(("Parameter", "value", "std. error"), rows)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,9 +120,9 @@ class PressuresDiagnoseResult(Result):
         return sentence(self.found)
 
     @property
-    def effects(self) -> tuple[Tried, ...]:
+    def effects(self) -> tuple[FoundEffect, ...]:
         """The detected effects."""
-        return self.found.taken
+        return tuple(effect for _, effect in self.found.effects)
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
@@ -150,6 +152,7 @@ class PressuresDiagnoseResult(Result):
     def to_json(self) -> dict[str, Any]:
         base, best = self.found.recalibrated, self.found.extended or self.found.recalibrated
         values, stds = base.final[0].values, base.final[0].stds
+        muscles = {effect.name: effect.muscle for effect in self.effects}
         three = {
             "as_configured": (base, "as_configured"), "recalibrated": (base, "identified"),
             "extended": (best, "identified"),
@@ -161,13 +164,14 @@ class PressuresDiagnoseResult(Result):
                 {
                     "name": item.name,
                     "muscle": item.muscle,
-                    "place": item.place,
-                    "parameters": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in item.parameters.items()},
+                    "place": place,
+                    "parameters": {name: size.to_json() for name, size in item.parameters.items()},
                     "delta_bic": item.delta_bic,
-                    "holdout_gain": item.gain,
+                    "holdout_gain": item.holdout_gain,
                     "onset_s": None,
+                    "splits": item.splits,
                 }
-                for item in self.effects
+                for place, item in self.found.effects
             ],
             "ambiguous_with": self.ambiguous_with,
             "calibration": [
@@ -181,9 +185,10 @@ class PressuresDiagnoseResult(Result):
             "errors": {name: _model_errors(one, rig) for name, (one, rig) in three.items()},
             "filter_errors_deg": {name: one.pooled(rig) for name, (one, rig) in three.items()},
             "candidates": [
-                {"name": item.name, "muscle": item.muscle, "place": item.place, "holdout_gain": item.gain,
-                 "delta_bic": item.delta_bic}
-                for item in self.found.tried
+                {"name": item.effect, "muscle": muscles.get(item.effect), "place": place, "round": item.round,
+                 "holdout_gain": None if item.shares is None else item.shares[0], "delta_bic": item.delta_bic,
+                 "held_out_evidence": item.held_out_evidence}
+                for place, item in self.found.tried
             ],
             "unexplained": self.found.unexplained,
             "next_rig": self.next_rig,
@@ -197,41 +202,35 @@ class PressuresDiagnoseResult(Result):
         items = [note(text) for text in (found.extended or found.recalibrated).notes]
         if found.ambiguous_with:
             items.append(warn(f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
-        for place in found.unexplained if found.taken else ():
+        items += [warn(text) for one in found.judged for text in one.warnings]
+        for place in found.unexplained if found.effects else ():
             items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
         remarks = (Findings(tuple(items)),) if items else ()
         return Text(self.sentence, "verdict"), *remarks, _errors(found), _effects(found)
 
     @override
     def document(self, figures: bool = True) -> Document:
-        found, rig = self.found, self.found.recalibrated.start.name
-        best = found.proposed
-        now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
+        found, rig, best = self.found, self.start.name, self.found.proposed
         was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
-        names = ", ".join(item.name for item in found.taken)
+        now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
+        names = ", ".join(item.name for item in self.effects)
         tiles = Tiles((Tile("verdict", self.verdict, names), Tile("angle, held-out", now, was)))
         verdict, *rest = self.blocks()
-        shown = found.extended or found.recalibrated
-        drawn = [
-            Section(item.name, tuple(held_out_figures(item, shown.rig)), anchor=f"held-{k}")
-            for k, item in enumerate(shown.held if figures else ())
-        ]
-        definitions = (
-            ("Held-out", "Data that no fit used."),
-            ("Recalibrated", "The model of the rig file with all its values fitted, without a further effect."),
-            ("Driven by pressures", "The measured pressures drive the joint, and no filter runs."),
-        )
-        ends = background(definitions, [("Rig", rig), *(("Recording", text) for text in self.hashes)])
+        held = (found.extended or found.recalibrated).held if figures else ()
+        drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
+        ends = background("close_loop of trials", [("Rig", rig), *(("Recording", text) for text in self.hashes)])
         lede = Text(f"Rig {rig}: which effect its model lacks.", "lede")
-        values = [_values(item) for item in found.taken]
-        return Document("Closed loop", rig, (lede, verdict, tiles, *rest, *values, *drawn, *ends))
+        return Document(
+            "Closing the loop with measured data", rig,
+            (lede, verdict, tiles, *rest, *map(_values, self.effects), *drawn, *ends),
+        )  # fmt: skip
 
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter of each detected effect (needs pandas)."""
         return effects_frame(self.effects)
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         about = textwrap.wrap(f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}", 110)
         if self.next_rig is not None:
             write_rig(self.rig_extended, folder / self.next_rig, about)
@@ -240,25 +239,23 @@ class PressuresDiagnoseResult(Result):
 def _model_errors(found: FromPressures, rig: str) -> dict[str, Any]:
     """Errors of the model alone on all held-out data: RMS over rows, and the largest."""
     reports = [(getattr(item, rig).model_alone, item.rows) for item in found.held]
-    angles = [(one.angle, rows) for one, rows in reports if one.angle is not None]
-    torques = [(one.torque, rows) for one, rows in reports if one.torque is not None]
-    pressures = [
-        math.sqrt(sum(rows * one.pressure.rmse_pa[k] ** 2 for one, rows in reports) / sum(rows for _, rows in reports))
-        for k in (0, 1)
-    ] if reports else None  # fmt: skip
+    total = sum(rows for _, rows in reports)
+
+    def pooled(name: str, unit: str) -> dict[str, float] | None:
+        known = [(one, rows) for report, rows in reports if (one := getattr(report, name)) is not None]
+        if not known:
+            return None
+        count = sum(rows for _, rows in known)
+        return {
+            f"rmse_{unit}": math.sqrt(sum(rows * item.rmse**2 for item, rows in known) / count),
+            f"max_{unit}": max(item.largest for item, _ in known),
+            "q": max(item.ratio for item, _ in known),
+        }
+
+    pressures = [math.sqrt(sum(rows * one.pressure.rmse_pa[k] ** 2 for one, rows in reports) / total) for k in (0, 1)
+                 ] if reports else None  # fmt: skip
     return {
-        "angle": _pooled(angles, "deg"),
-        "torque": _pooled(torques, "nm"),
+        "angle": pooled("angle", "deg"),
+        "torque": pooled("torque", "nm"),
         "pressure": None if pressures is None else {"rmse_pa": pressures},
-    }
-
-
-def _pooled(errors: Sequence[tuple[Any, int]], unit: str) -> dict[str, float] | None:
-    if not errors:
-        return None
-    total = sum(rows for _, rows in errors)
-    return {
-        f"rmse_{unit}": math.sqrt(sum(rows * item.rmse**2 for item, rows in errors) / total),
-        f"max_{unit}": max(item.largest for item, _ in errors),
-        "q": max(item.ratio for item, _ in errors),
     }

@@ -26,10 +26,8 @@ def bucket_width(samples: int, limit: int = LIMIT) -> int:
 
 def _buckets(values: FloatArray, width: int, fill: float) -> FloatArray:
     """Rows of `width` samples; `fill` replaces NaN and pads the last row."""
-    rows = -(-len(values) // width)
-    padded = np.full(rows * width, fill)
-    padded[: len(values)] = np.where(np.isnan(values), fill, values)
-    return padded.reshape(rows, width)
+    known = np.where(np.isnan(values), fill, values)
+    return np.pad(known, (0, -len(values) % width), constant_values=fill).reshape(-1, width)
 
 
 def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
@@ -37,8 +35,7 @@ def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
     width = bucket_width(len(values), limit)
     if width == 1:
         return np.arange(len(values))
-    low = _buckets(values, width, np.inf).argmin(axis=1)
-    high = _buckets(values, width, -np.inf).argmax(axis=1)
+    low, high = _buckets(values, width, np.inf).argmin(axis=1), _buckets(values, width, -np.inf).argmax(axis=1)
     starts = np.arange(len(low)) * width
     return np.unique(np.concatenate((starts + low, starts + high)))
 
@@ -46,13 +43,10 @@ def min_max_indices(values: FloatArray, limit: int = LIMIT) -> IndexArray:
 def envelope(lower: FloatArray, upper: FloatArray, limit: int = LIMIT) -> tuple[IndexArray, FloatArray, FloatArray]:
     """Decimate a band so that it still covers the full one."""
     width = bucket_width(len(lower), limit)
-    low = _buckets(lower, width, np.inf).min(axis=1)
-    high = _buckets(upper, width, -np.inf).max(axis=1)
-    nothing = ~(np.isfinite(low) & np.isfinite(high))
-    low[nothing] = np.nan
-    high[nothing] = np.nan
+    low, high = _buckets(lower, width, np.inf).min(axis=1), _buckets(upper, width, -np.inf).max(axis=1)
+    known = np.isfinite(low) & np.isfinite(high)
     middle = np.minimum(np.arange(len(low)) * width + width // 2, len(lower) - 1)
-    return middle, low, high
+    return middle, np.where(known, low, np.nan), np.where(known, high, np.nan)
 
 
 def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[IndexArray, FloatArray]:
@@ -61,13 +55,11 @@ def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[
     `category`: (N,) values 0..categories - 1. Returns index of each stretch's middle sample (C,), and the shares
     (categories, C), each column adding up to 1.
     """
-    samples = len(category)
-    width = max(1, -(-samples // columns))
-    stretch = np.arange(samples) // width
-    count = int(stretch[-1]) + 1 if samples else 0
-    table = np.zeros((categories, count))
+    width = max(1, -(-len(category) // columns))
+    stretch = np.arange(len(category)) // width
+    table = np.zeros((categories, -(-len(category) // width)))
     np.add.at(table, (category, stretch), 1.0)
-    middle = np.minimum(np.arange(count) * width + width // 2, max(samples - 1, 0))
+    middle = np.minimum(np.arange(table.shape[1]) * width + width // 2, max(len(category) - 1, 0))
     return middle, table / np.maximum(table.sum(axis=0), 1.0)
 
 

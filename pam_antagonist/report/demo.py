@@ -9,23 +9,24 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.control.tracking import SETTLED, SHORTEST_STEP, STEADY_PART, Tracking, held, tracking, yielded
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.metrics import rmse
 from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
-from pam_antagonist.report.channels import judged
-from pam_antagonist.report.document import Block, Document, Section, Text, Tile, Tiles
+from pam_antagonist.replays.channels import judged
+from pam_antagonist.replays.result import numbers as replay_numbers
+from pam_antagonist.report.document import Block, Document, Section, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.figures import tracking_figure
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
-from pam_antagonist.report.replay import numbers as replay_numbers
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import ESTIMATE, MODEL
-from pam_antagonist.report.table import MISSING, Table, number, percent
+from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig.limits import rest_pressure, rest_voltage
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance in the paper
@@ -65,13 +66,12 @@ class Yielding:
     @classmethod
     def of(cls, replay: Replay) -> Yielding:
         """Compare a replay with spring and damper."""
-        recording, rows = replay.recording, replay.run.rows
-        if recording.angle is None:
-            raise BadInput(f"{recording.path}: no measured angle was recorded")
+        recording, rows, reference = replay.recording, replay.run.rows, replay.recording.reference
         wanted = spring_and_damper(recording)[replay.run.index]
-        reference = recording.reference
-        assert reference is not None  # spring_and_damper() has checked it
+        if recording.angle is None or reference is None:
+            raise BadInput(f"{recording.path}: no measured angle was recorded")
         stiffness = held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness)
+        centre = held(replay.run.stamp_ns, reference.stamp_ns, reference.value)
         error = recording.angle[replay.run.index] - wanted
         # The law moves the estimated angle to that of spring and damper under the estimated torque.
         of_torque = rows["external_torque_covariance"]
@@ -79,37 +79,12 @@ class Yielding:
         known = np.isfinite(error)
         if not known.any():
             raise BadInput(f"{recording.path}: no sample has both a reference and a measurement")
-        centre = held(replay.run.stamp_ns, reference.stamp_ns, reference.value)
         return cls(
-            math.degrees(math.sqrt(np.mean(error[known] ** 2))),
+            math.degrees(rmse(error[known])),
             math.degrees(np.max(np.abs(error[known]))),
-            math.degrees(math.sqrt(np.mean((wanted - centre)[known] ** 2))),
+            math.degrees(rmse((wanted - centre)[known])),
             float(np.mean(np.abs(error[known]) <= 1.96 * np.sqrt(variance[known]))),
         )
-
-    @property
-    def sentence(self) -> str:
-        """The result in words."""
-        return (
-            f"The pushes would move the spring and damper by {number(self.moved_deg, 2)}° (RMS); the joint differed "
-            f"from them by {number(self.rmse_deg, 2)}°."
-        )
-
-    def tiles(self) -> list[Tile]:
-        """The two main numbers."""
-        return [
-            Tile("Joint minus spring and damper", f"{number(self.rmse_deg, 2)}°", "root mean square"),
-            Tile("They move by", f"{number(self.moved_deg, 2)}°", "root mean square"),
-        ]
-
-    def rows(self) -> list[tuple[str, str]]:
-        """Rows of the table."""
-        return [
-            ("Measured angle minus that of spring and damper, RMSE", f"{number(self.rmse_deg)}°"),
-            ("The same, largest", f"{number(self.largest_deg)}°"),
-            ("Motion of spring and damper, RMS", f"{number(self.moved_deg)}°"),
-            ("Difference within the 95 % interval of angle and torque", percent(self.within)),
-        ]
 
 
 @dataclass(frozen=True)
@@ -145,28 +120,11 @@ class Demo(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        unit, followed = _UNIT[self.mode.quantity], self.tracking
         about = {
             "mode": self.mode.name.lower(),
             "simulated_joint": self.simulated,
             "gains": self.gains,
-            "tracking": {
-                f"rmse_{unit}": followed.rmse,
-                f"max_{unit}": followed.largest,
-                f"worst_steady_error_{unit}": followed.worst_steady_error,
-                f"reference_range_{unit}": followed.range,
-                "steady_state_performance": followed.performance,
-                "steps": [
-                    {
-                        "start_s": step.start_s,
-                        "length_s": step.length_s,
-                        f"reference_{unit}": step.reference,
-                        f"steady_error_{unit}": step.steady_error,
-                        "settling_s": step.settling_s,
-                    }
-                    for step in followed.steps
-                ],
-            },
+            "tracking": self.tracking.numbers(_UNIT[self.mode.quantity]),
             "stiffness": self.stiffness,
             "yielding": self.yielding,
             "pipeline": self.accounting,
@@ -192,74 +150,48 @@ class Demo(Result):
         )
         # Lede and verdict of the replay are in the section on the estimate.
         verdict, estimate, ends = replayed.blocks[1], replayed.blocks[2:-2], replayed.blocks[-2:]
-        blocks: list[Block] = [Text(lede, "lede"), Text(_verdict(self), "verdict")]
-        if self.stopped:
-            blocks.reverse()
-        if figures:
-            blocks.append(_figure(self))
-            blocks += [_stiffness_figure(self)] if self.stiffness is not None else []
-        blocks += [
-            Tiles(_tiles(self)),
+        first: tuple[Block, ...] = (Text(lede, "lede"), Text(_verdict(self), "verdict"))
+        blocks: tuple[Block, ...] = (
+            *(first[::-1] if self.stopped else first),
+            *((_figure(self), *_stiffness_figure(self)) if figures else ()),
             Section("Control and pipeline", (control_table(self),), 2, "loop"),
             Section("How these numbers are defined", (Text(_definitions(self)),), folded=True),
             Section("The estimate", (verdict, *estimate), 2, "estimate"),
             *ends,
-        ]
-        return Document(
-            f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", tuple(blocks)
         )
-
-
-def _slowest(demo: Demo) -> float:
-    """Settling time of the slowest step [s]; NaN if a step did not settle."""
-    return float(np.max([step.settling_s for step in demo.tracking.steps[1:]], initial=0.0))
+        return Document(f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", blocks)
 
 
 def _verdict(demo: Demo) -> str:
     if demo.stopped:
         return f"Stopped for safety by the {demo.stopped}. From then on the valves had the safe voltages."
-    if demo.yielding is not None:
-        return demo.yielding.sentence
-    sign, followed, slowest = _SIGN[demo.mode.quantity], demo.tracking, _slowest(demo)
-    steps = len(followed.steps) - 1
-    held = _held_safe(demo)
-    if held > _MOST_HELD:
+    if (yielding := demo.yielding) is not None:
         return (
-            f"The joint had no commands: in {percent(held)} of the samples the valves had the safe commands. Estimates "
-            "or commands came too late, or were refused: logs/ and /diagnostics in the bag say which."
+            f"The pushes would move the spring and damper by {number(yielding.moved_deg, 2)}° (RMS); the joint "
+            f"differed from them by {number(yielding.rmse_deg, 2)}°."
         )
+    rig, followed = demo.replay.rig, demo.tracking
+    safe = rest_voltage(rig) if rig.drive == "valve" else (rest_pressure(rig),) * 2
+    at_rest = float(np.mean(np.all(demo.replay.recording.voltage == np.array(safe), axis=1)))
+    if at_rest > _MOST_HELD:
+        return (
+            f"The joint had no commands: in {percent(at_rest)} of the samples the valves had the safe commands. "
+            "Estimates or commands came too late, or were refused: logs/ and /diagnostics in the bag say which."
+        )
+    steps, slowest = len(followed.steps) - 1, _slowest(demo)
     settled = (
         f"Each of the {steps} steps settled within {slowest:.1f} s"
         if math.isfinite(slowest)
         else f"Not each of the {steps} steps settled within its time"
     )
-    steady = f", and the largest error in steady state was {number(followed.worst_steady_error, 2)}{sign}"
+    worst = f"{number(followed.worst_steady_error, 2)}{_SIGN[demo.mode.quantity]}"
+    steady = f", and the largest error in steady state was {worst}"
     return f"{settled}{steady if math.isfinite(followed.worst_steady_error) else ''}."
 
 
-def _held_safe(demo: Demo) -> float:
-    """Share of the samples with the safe commands of the rig file [-]."""
-    rig = demo.replay.rig
-    safe = rest_voltage(rig) if rig.drive == "valve" else (rest_pressure(rig),) * 2
-    return float(np.mean(np.all(demo.replay.recording.voltage == np.array(safe), axis=1)))
-
-
-def _tiles(demo: Demo) -> tuple[Tile, ...]:
-    sign, followed, slowest = _SIGN[demo.mode.quantity], demo.tracking, _slowest(demo)
-    settling = f"{slowest:.1f} s" if math.isfinite(slowest) else MISSING
-    error = f"{number(followed.worst_steady_error, 2)}{sign}" if math.isfinite(followed.worst_steady_error) else MISSING
-    out = [
-        Tile("Slowest step settled after", settling, f"to {100.0 * SETTLED:.0f} % of its height"),
-        Tile("Largest steady-state error", error, f"references span {number(followed.range)}{sign}"),
-    ]
-    if demo.yielding is not None:
-        out = demo.yielding.tiles()
-    if demo.accounting is not None:
-        out.append(Tile("Pressure to command", f"{demo.accounting.latency.median:.2f} ms", "median latency"))
-    live = demo.replay.report.live_equal
-    if live is not None:
-        out.append(Tile("Replay equals live", f"{live.equal} of {live.compared}", "estimates, bit by bit"))
-    return tuple(out)
+def _slowest(demo: Demo) -> float:
+    """Settling time of the slowest step [s]; NaN if a step did not settle."""
+    return float(np.max([step.settling_s for step in demo.tracking.steps[1:]], initial=0.0))
 
 
 def follow(recording: Recording, mode: Mode) -> Tracking:
@@ -294,17 +226,21 @@ def control_table(demo: Demo) -> Table:
             f"{percent(followed.performance)} (paper, its rig and gains: {percent(_PAPER[demo.mode.quantity])})",
         ),
     ]
-    if demo.yielding is not None:
-        steady = f"{number(followed.worst_steady_error)}{sign}"
-        rows = [*demo.yielding.rows(), ("Worst steady-state difference from the spring alone", steady)]
+    if (yielding := demo.yielding) is not None:
+        rows = [
+            ("Measured angle minus that of spring and damper, RMSE", f"{number(yielding.rmse_deg)}°"),
+            ("The same, largest", f"{number(yielding.largest_deg)}°"),
+            ("Motion of spring and damper, RMS", f"{number(yielding.moved_deg)}°"),
+            ("Difference within the 95 % interval of angle and torque", percent(yielding.within)),
+            ("Worst steady-state difference from the spring alone", f"{number(followed.worst_steady_error)}{sign}"),
+        ]
     if demo.stiffness is not None:
         stiff = f"{number(demo.stiffness.worst_steady_error)} N m/rad (range: {number(demo.stiffness.range)} N m/rad)"
         rows.append(("Worst steady-state error of the stiffness, estimated", stiff))
     rows += [
         (f"Measured {item.channel.name} within the 95 % interval", percent(item.coverage)) for item in judged(report)
     ]
-    live = report.live_equal
-    if live is not None:
+    if (live := report.live_equal) is not None:
         rows.append(("Live estimates that the replay repeats bit by bit", f"{live.equal} of {live.compared}"))
     return Table(("Control and pipeline", ""), (*rows, *_pipeline(demo.accounting)), prose=True)
 
@@ -364,10 +300,12 @@ def _stiffness(replay: Replay) -> tuple[FloatArray, FloatArray]:
     return held(replay.run.stamp_ns, reference.stamp_ns, reference.stiffness), replay.run.rows["stiffness"]
 
 
-def _stiffness_figure(demo: Demo) -> Figure:
+def _stiffness_figure(demo: Demo) -> list[Figure]:
+    if demo.stiffness is None:
+        return []
     wanted, estimated = _stiffness(demo.replay)
     x = time(demo.replay)
     lines = (Line("UKF", x, estimated, ESTIMATE), Line("reference", x, wanted, MODEL, dash="dash"))
+    panel = Panel(TIME, Axis("Stiffness [N m/rad]"), lines, 250)
     about = "−∂τ/∂ψ of the joint by the estimate; nothing measures it."
-    return Figure("Stiffness: reference and estimate", about, (Panel(TIME, Axis("Stiffness [N m/rad]"), lines, 250),),
-                  demo.replay.name)  # fmt: skip
+    return [Figure("Stiffness: reference and estimate", about, (panel,), demo.replay.name)]

@@ -97,6 +97,11 @@ class Section:
 Block: TypeAlias = Text | Findings | Tiles | Links | Definitions | Table | Figure | Columns | Section
 
 
+def in_first_lines(text: str | None) -> tuple[Text, ...]:
+    """A sentence as a block of a report; empty without one."""
+    return () if text is None else (Text(text),)
+
+
 def figures_of(blocks: Sequence[Block]) -> Iterator[Figure]:
     """All figures in blocks, in their order."""
     for block in blocks:

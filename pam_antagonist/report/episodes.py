@@ -20,13 +20,14 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
-from pam_antagonist.report.result import Result, frame_of, picked
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
-from pam_antagonist.report.units import readable, unit_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, laws_of, value_path
+from pam_antagonist.rig.units import readable, unit_of
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -472,7 +473,7 @@ class EpisodesDiagnoseResult(Result):
         return intervals_frame(self.found.values)
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
         if self.next_rig is not None:
             write_rig(self.rig_extended, folder / self.next_rig, [about])

@@ -101,7 +101,6 @@ class Heatmap:
     bounds: tuple[float, float]
     hover: str  # hover text, a format of ``row``, ``column`` and ``value``
     cell: str = ""  # text in each cell, a format of ``value``; empty: none
-    scale: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,329 +1,346 @@
-"""The result of ``identify``: the identified rig, its numbers, and the rig files."""
+"""The result of ``identify`` with its page: a section is there if its data are."""
 
 from __future__ import annotations
 
-import datetime
 import math
-import textwrap
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.identification.joint_stage import DELAY, ZERO
-from pam_antagonist.identification.result import FromPressures, Held
-from pam_antagonist.identification.unknowns import Fit, Unknown
-from pam_antagonist.recording import Recording, recording_hash
-from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.replays.result import JointFacts
-from pam_antagonist.report import identify_document as pages
-from pam_antagonist.report.assumption import assumption
-from pam_antagonist.report.document import Block, Document
-from pam_antagonist.report.held_out import COLUMNS, entry, pooled_coverage
-from pam_antagonist.report.identify_findings import do_not_use, lacks_an_effect, rejection
-from pam_antagonist.report.result import Result, frame_of, picked
-from pam_antagonist.report.units import unit_of
+from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.identification.held_out import COLUMNS, errors_of, known, rigs_of
+from pam_antagonist.identification.identified import Identified, ParameterEntry
+from pam_antagonist.identification.result import FromPressures, Held, Step
+from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
+from pam_antagonist.replays.channels import CHANNELS
+from pam_antagonist.report.document import (
+    Block,
+    Document,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    in_first_lines,
+)
+from pam_antagonist.report.figure import Axis, Figure, Panel, Points
+from pam_antagonist.report.identify_findings import findings, verdict
+from pam_antagonist.report.replay_figures import replay_figures
+from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.style import FAINT, MODEL
+from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
-from pam_antagonist.software import versions
+from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import readable, unit_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from pam_antagonist.identification.sealed import SealedIdentified
-
-STRONG = 0.9
-"""Least correlation of two parameters that are listed as a pair."""
-_PAIRS = 12
-_CERTAIN = 2.0
-"""A difference is significant from so many standard errors on."""
-_WHAT_SHOWS = (
-    ("joint.inertia", "a free joint that is made to move fast: large voltage steps in opposite directions"),
-    ("joint.viscous_friction", "a free joint that moves fast for long: alternate the valves' extremes every 0.3 s"),
-    ("friction", "a free joint with a measured angle that comes to rest at many angles and pressures"),
-    (".force.", "a free joint over its whole angle range, at low and at high pressures, with torque or angle measured"),
-    ("limb:", "a free joint over its whole angle range, at low and at high pressures"),
-    ("inflow_area", "fast fillings of this muscle from low pressure: steps of its valve to the highest voltage"),
-    ("outflow_area", "fast emptyings of this muscle from high pressure: steps of its valve to the lowest voltage"),
-    (
-        "gas.polytropic_flow",
-        "a separate measurement of the chambers' volume or of the orifice areas: a recording shows only both together",
-    ),
-    ("gas.polytropic_volume", "a free joint that moves while the valves are still, so that only the volume changes"),
-    (".volume.", "the volume of the muscle by length in a graduated cylinder (a static CSV)"),
-    ("supply.pressure", "a steady pressure with the valve fully open, or a gauge on the tank"),
-    ("effects.regulator_", "steps of both commanded pressures of different sizes, a locked joint's as well"),
-    ("effects.", "longer recordings in which the effect is at work"),
-)
-_UNITS = {ZERO: "rad", DELAY: "s"}
-
-
-class ParameterEntry(NamedTuple):
-    """A free parameter before and after the fit, in SI units; `record` would determine it."""
-
-    name: str
-    start: float
-    value: float
-    std: float
-    relative_change: float
-    prior_std: float
-    bound: float | None
-    determined: bool
-    reason: str
-    record: str | None
-    unit: str
-
-
-class Difference(NamedTuple):
-    """Relative differences between the recordings in one parameter."""
-
-    name: str
-    deviations: tuple[float, ...]
-    largest: float
-    std: float
-    certain: bool
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class IdentifyResult(Result):
+class IdentifyResult(Identified, Result):
     """An identified rig.
 
     Attributes:
         rig: with the identified parameters, noise and tuning.
         own: with several recordings, a rig with each one's own values; otherwise empty.
-        found: all results.
+        found: all results; those of a sealed joint have fewer steps and values.
         held: errors on the part of each recording that no step used, with the compared rigs.
         recordings: each with its joint condition and name.
         seed: of further starts.
     """
 
-    rig: Rig
-    own: tuple[Rig, ...]
-    found: FromPressures | SealedIdentified
-    held: tuple[Held, ...]
-    recordings: tuple[tuple[Recording, JointCondition, str], ...]
-    seed: int = 0
-
     @override
-    def _brief(self) -> str:
-        names = ", ".join(name for _, _, name in self.recordings)
-        return f"rig {self.rig.name} from {names}; {len(self.warnings)} warnings; .summary() has the errors"
-
-    @property
-    def full(self) -> FromPressures:
-        """All results of a joint that is not sealed."""
-        assert isinstance(self.found, FromPressures), "of a sealed joint"
-        return self.found
-
-    @cached_property
-    def rejected(self) -> str:
-        """Why the identified rig should not be used, in a sentence; empty if it may."""
-        found = self.full
-        return found.rejected or rejection(self.held, refusal(self.rig), self.parameters, found.start.bounds)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """For the user."""
-        return (*([do_not_use(self.rejected)] if self.rejected else []), *self.full.notes)
-
-    @property
-    def lacks_an_effect(self) -> bool:
-        """Whether the filter got no better on held-out data; :func:`diagnose` then searches for the missing effect."""
-        no_better = self.errors_deg.get("identified", 0.0) > self.errors_deg.get("as_configured", math.inf)
-        return no_better or lacks_an_effect(self.held)
-
-    @cached_property
-    def parameters(self) -> tuple[ParameterEntry, ...]:
-        """All free parameters before and after the fit."""
-        return tuple(item for fit in self.full.fits for item in _parameters(self.full.start, fit))
-
-    @cached_property
-    def errors_deg(self) -> dict[str, float]:
-        """Errors of the angle, over all held-out data of free joints, by what gives it, RMS [deg]."""
-        return {key: self.full.pooled(key) for key in COLUMNS if math.isfinite(self.full.pooled(key))}
-
-    @property
-    def coverage95(self) -> tuple[float, float]:
-        """Mean coverage of the 95 % interval on held-out parts, and with own values; NaN where there is none."""
-        return pooled_coverage(self.held), pooled_coverage(self.held, "own")
-
-    @cached_property
-    def correlations(self) -> tuple[tuple[str, str, float], ...]:
-        """Pairs of strongly correlated parameters, the strongest of each fit first."""
-        return tuple(pair for fit in self.full.fits for pair in _correlations(fit))
-
-    @cached_property
-    def between(self) -> tuple[Difference, ...]:
-        """How the recordings deviate from each other; empty where they may not."""
-        out = [item for fit in self.full.fits for item in _differences(fit)]
-        return tuple(sorted(out, key=lambda item: -item.largest / max(item.std, 1e-12)))
-
-    @override
-    def to_json(self) -> dict[str, Any]:
-        found, asked = self.full, self.full.options
-        now, before = found.rig.tuning("default"), found.start.tuning("default")
-        coverage, own = self.coverage95
-        return {
-            "held_out": [entry(held) for held in self.held],
-            "coverage95": coverage,
-            "coverage95_own": own,
-            "errors_deg": self.errors_deg,
-            "parameters": [item._asdict() for item in self.parameters],
-            "stages": [
-                picked(step, "name", "source")
-                | {"values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()}}
-                | picked(step, "before", "after", "note")
-                for step in found.steps
-            ],
-            "correlations": [{"first": a, "second": b, "correlation": value} for a, b, value in self.correlations],
-            "between": {"differences": [item._asdict() for item in self.between]} if self.between else None,
-            "noise": {"declared": _noise(found.start), "found": _noise(found.rig)},
-            "tuning": {
-                "process": now.process,
-                "process_before": before.process,
-                "measurement": now.measurement,
-                "measurement_before": before.measurement,
-                "unknown_torque_nm": found.covered.torque,
-                "directions": found.rig.directions,
-            },
-            "recordings": self._recordings(),
-            "warnings": found.notes,
-            "settings": {"rig": found.start.name, **picked(asked, "free", "frozen", "holdout", "starts", "seed")},
-            "software": versions(),
-            "assumption": assumption(found.start, identified=True),
-            "rejected": self.rejected,
-        }
-
-    def _recordings(self) -> list[dict[str, Any]]:
-        whole, ends, out = {held.name: held.whole.report for held in self.held}, dict(self.full.fitted), []
-        for recording, state, name in self.recordings:
-            if (report := whole.get(name)) is not None:
-                facts, end = JointFacts.of(state), min(ends.get(name, 0.0), recording.duration_s)
-                about = picked(report.recording, "sha256", "topics", "issues") | {"name": name, **vars(facts)}
-                out.append(about | picked(report, "samples", "duration_s") | {"fitted_until_s": end})
-        return out
-
-    @override
-    def blocks(self) -> Sequence[Block]:
-        return pages.summary(self)
+    def blocks(self) -> tuple[Block, ...]:
+        return (
+            Text(verdict(self), "verdict"),
+            *_angles(self),
+            parameters_table(self),
+            *map(held_out_table, self.held),
+            Findings(findings(self)),
+            *in_first_lines(assumption(self.found.start, identified=True)),
+        )
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return pages.document(self, figures)
+        return document(self, figures)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each identified parameter: start value, identified value, standard error (needs pandas)."""
-        return frame_of(self._values(), ("parameter", "start", "value", "std"), "parameter")
+        rows = [(item.name, item.start, item.value, item.std) for item in self.parameters]
+        return frame_of(rows, ("parameter", "start", "value", "std"), "parameter")
 
-    def _values(self) -> list[tuple[Any, ...]]:
-        return [(item.name, item.start, item.value, item.std) for item in self.parameters]
 
-    def _fitted(self) -> list[str]:
-        """The part of each recording that was fitted, in words."""
-        until = dict(self.full.fitted)
-        return [
-            "held out" if name not in until else "all" if until[name] > one.duration_s else f"first {until[name]:.1f} s"
-            for one, _, name in self.recordings
-        ]
-
-    _ABOUT: ClassVar[tuple[str, ...]] = (
-        "Standard errors are in report.json. The directions below are the combinations of errors that change the "
-        "estimate most.",
+def document(found: Identified, with_figures: bool) -> Document:
+    """The page."""
+    what = f"{len(found.held)} recordings" if len(found.held) > 1 else "one recording"
+    lede = (
+        f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
+        "whole ones, which no step used."
     )
-    """Last lines of the head of rig.yaml."""
+    title = "Identification of a pneumatic muscle joint"
+    if isinstance(found.found, SealedIdentified):
+        title = "Identification of a sealed muscle joint"
+        lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
+    parts: list[Block] = [
+        Text(lede, "lede"),
+        Text(verdict(found), "verdict"),
+        Tiles(_tiles(found)),
+        Findings(findings(found)),
+        *in_first_lines(assumption(found.found.start, identified=True)),
+        *_angles(found),
+        _held_out(found, with_figures),
+        _parameters(found, with_figures),
+        *_between(found),
+        *(_of_sealed(found.found) if isinstance(found.found, SealedIdentified) else _steps(found.found)),
+        *background("identify", _provenance(found)),
+    ]
+    return Document(title, f"Rig {found.found.start.name}", tuple(parts))
 
-    @override
-    def _write_rigs(self, folder: Path) -> None:
-        start = self.found.start
-        when = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-        about = [
-            f"Identified on {when} by pam_antagonist identify, from rig {start.name}, seed {self.seed}.",
-            "Recordings (the part that was fitted, joint, SHA-256):",
-            *(
-                f"  {name}: {until}, {state.condition}, {recording_hash(recording)}"
-                for (recording, state, name), until in zip(self.recordings, self._fitted(), strict=True)
-            ),
-            *self._ABOUT,
+
+def _angles(found: Identified) -> tuple[Block, ...]:
+    """Error of the angle by what gives it, on all held-out data of free joints."""
+    if not found.errors_deg:
+        return ()
+    each = [(held.name, errors) for held in found.held if (errors := errors_of(held))]
+    out = Comparison("Error of the angle on held-out data, RMS [°]", *(name for name, _ in each), "all")
+    for key, title in COLUMNS.items():
+        out.values(title, [*(errors.get(key) for _, errors in each), found.errors_deg.get(key)], best=None)
+    return (out.table(),)
+
+
+def _tiles(found: Identified) -> tuple[Tile, ...]:
+    out = []
+    for channel in CHANNELS:
+        for held in found.held:
+            if errors := known(held, channel):
+                before, now, *_ = errors
+                shares = f"{channel.write(before.rmse)} as configured; {percent(now.coverage95)} in the 95 % interval"
+                out.append(Tile(f"UKF {channel.name} error (RMS)", channel.write(now.rmse), f"{held.name}; {shares}"))
+    for held in found.held:
+        external = held.identified.ukf.external_torque
+        if external is not None and math.isfinite(external.rmse):
+            about = f"{held.name}; estimated by the filter; where the joint sticks, friction hides it"
+            out.append(Tile("External torque (RMS)", f"{external.rmse:.2f} N m", about))
+    return tuple(out)
+
+
+def _held_out(found: Identified, with_figures: bool) -> Section:
+    content: list[Block] = [Text("Errors on data that were neither fitted nor used for tuning. The best is bold.")]
+    for held in found.held:
+        figures = held_out_figures(held) if with_figures else ()
+        content.append(Section(held.name, (held_out_table(held), *figures)))
+    return Section("On held-out data", tuple(content), 2, "held-out")
+
+
+def held_out_figures(held: Held) -> tuple[Figure, ...]:
+    """A recording before and after; the held-out part is shaded."""
+    return replay_figures(held.whole, held.from_s, held.replays["as_configured"])
+
+
+def held_out_table(held: Held) -> Table:
+    """Errors on one recording's held-out part, for all compared rigs."""
+    titles, figures = zip(*rigs_of(held), strict=True)
+    out = Comparison(f"{held.name}, from {held.from_s:.4g} s on", *titles)
+    out.heading("Model alone")
+    for channel in CHANNELS:
+        _rows(out, channel.name, channel.unit, known(held, channel, "model_alone"))
+    for muscle in (0, 1):
+        values = [item.model_alone.pressure.rmse_pa[muscle] for item in figures]
+        out.pressures(f"  pressure {muscle + 1} RMSE 𝕀", values)
+    out.heading("UKF")
+    for channel in CHANNELS:
+        errors = known(held, channel)
+        _rows(out, channel.name, channel.unit, errors)
+        if errors:
+            shares = [item.coverage95 for item in errors]
+            out.values(f"  {channel.name} in the 95 % interval", shares, percent, best=None)
+    external = [item.ukf.external_torque for item in figures]
+    if all(external):
+        out.values("  external torque RMSE 𝕀 [N m]", [None if item is None else item.rmse for item in external])
+    out.values("  mean NIS (2 is right)", [item.innovation.nis_mean for item in figures], best=None)
+    return out.table()
+
+
+def _rows(out: Comparison, name: str, unit: str, errors: Sequence[ChannelErrors]) -> None:
+    if errors:
+        out.values(f"  {name} RMSE 𝕀 [{unit}]", [item.rmse for item in errors])
+        out.values(f"  {name} 𝕄 over range, ℚ", [item.ratio for item in errors], percent)
+
+
+def _parameters(found: Identified, with_figures: bool) -> Section:
+    drawn = (parameters_figure(found.parameters),) if with_figures else ()
+    return Section("Parameters", (*drawn, parameters_table(found, "All free parameters")), 2, "parameters")
+
+
+def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
+    """Change of each parameter with its 95 % interval, and the prior's interval."""
+    items = [item for item in parameters if item.start]
+    rows = np.arange(len(items), dtype=np.float64)
+    change, prior, now = (
+        np.array([100.0 * value / abs(item.start) for value, item in zip(values, items, strict=True)])
+        for values in (
+            [item.value - item.start for item in items], [1.96 * item.prior_std for item in items],
+            [1.96 * item.std for item in items],
+        )
+    )  # fmt: skip
+    parts = (
+        Points("before: prior, 95 %", 0.0 * rows, rows, FAINT, size=1.0, half_width=prior, bar_width=7.0),
+        Points("identified, 95 %", change, rows, MODEL, half_width=now),
+    )
+    across = Axis("Change from the configured value [%]")
+    panel = Panel(across, Axis(labels=tuple(item.name for item in items)), parts, 12 + 24 * len(items))
+    about = "Where a blue bar is as wide as the grey one, the recordings do not determine that parameter."
+    return Figure("Parameters with 95 % intervals", about, (panel,), "parameters")
+
+
+def parameters_table(found: Identified, caption: str = "") -> Table:
+    """Configured and identified value of each parameter."""
+    rows = tuple(
+        (
+            f"{item.name} [{unit.name}]",
+            number(item.start * unit.scale, 4),
+            number(item.value * unit.scale, 5),
+            number(item.std * unit.scale, 2),
+            change(item.relative_change),
+            change(1.96 * item.std / (abs(item.start) or math.nan)).lstrip("+"),
+            f"no: {item.reason}" if item.reason else "yes",
+        )
+        for item in found.parameters
+        for unit in [readable(item.unit)]
+    )
+    header = ("Parameter", "configured", "identified", "std error", "change", "± 95 %", "determined")
+    return Table(header, rows, caption)
+
+
+def change(value: float) -> str:
+    """A relative change in per cent, with its sign."""
+    return f"{100.0 * value:+.2f} %" if math.isfinite(value) else MISSING
+
+
+def _between(found: Identified) -> list[Section]:
+    if not found.between:
+        return []
+    text = (
+        "Each recording may deviate a little from the common values, by about a per cent. The common values lie "
+        "between them."
+    )
+    rows = tuple(
+        (
+            item.name, *map(change, item.deviations), change(item.largest).lstrip("+"),
+            change(1.96 * item.std).lstrip("+"), "yes" if item.certain else "no",
+        )
+        for item in found.between
+    )  # fmt: skip
+    header = ("Direction", *(held.name for held in found.held), "difference", "± 95 %", "certain")
+    table = Table(header, rows, "Deviation of each recording from the common value")
+    return [Section("How the recordings differ", (Text(text), table), 2, "between", folded=True)]
+
+
+def _steps(found: FromPressures) -> list[Section]:
+    content: list[Block] = [
+        Text(
+            "The measured pressures drive joint and muscles, so no valve has to be known for these. Then the measured "
+            "motion drives the chambers, so that the air does not depend on the joint."
+        )
+    ]
+    for step in found.steps:
+        note = f" {step.note[:1].upper()}{step.note[1:]}." if step.note else ""
+        table = (_step_table(step, found.start),) if step.values else ()
+        content.append(Section(step.name, (Text(f"From {step.source}.{note}"), *table)))
+    text = (
+        f"The filter considers a constant torque that is not known, {number(found.covered.torque, 2)} N m (one "
+        "standard deviation), and the directions in which the values are uncertain."
+    )
+    rows = tuple(
+        (name, ", ".join(f"{path} {number(value, 2)}" for path, value in changes.items() if value))
+        for name, changes in found.rig.directions.items()
+    )
+    directions = (Table(("Direction", "changes by one standard deviation [SI]"), rows, prose=True),) if rows else ()
+    noise = (_noise_table(found.start, found.rig), Text(text), *directions)
+    return [
+        Section("Step by step", tuple(content), 2, "steps", folded=True),
+        Section("Noise and tuning", noise, 2, "noise", folded=True),
+    ]
+
+
+def _step_table(step: Step, rig: Rig) -> Table:
+    """Errors of the simulated model and values, before and after one step."""
+    rows = [
+        (f"RMS error, {title}", number(step.before[key] * scale), number(step.after[key] * scale), "")
+        for key, title, scale in (
+            ("angle", "angle [°]", math.degrees(1.0)), ("torque", "torque [N m]", 1.0),
+            ("pressure", "pressure, over a second [kPa]", 1e-3),
+        )
+        if key in step.before and key in step.after
+    ]  # fmt: skip
+    for name, (before, after) in step.values.items():
+        unit = readable(unit_of(rig, name))
+        moved = change((after - before) / abs(before) if before else math.nan)
+        rows.append((f"{name} [{unit.name}]", number(before * unit.scale, 4), number(after * unit.scale, 5), moved))
+    return Table(("", "before", "after", "change"), tuple(rows))
+
+
+def _of_sealed(sealed: SealedIdentified) -> list[Section]:
+    text = (
+        "R is the noise of the pressures. The other values maximise the likelihood of the errors of the measured angle "
+        "on the fitted part, while the innovations are as large as the filter expects. The drift of the readings is a "
+        "state of its own, and not in R."
+    )
+    further = tuple(
+        (name, *(number(sealed.tuning[key][when]) for when in ("before", "after")))
+        for name, key in (
+            ("Drift of the readings, std. dev. [Pa]", "drift_std_pa"), ("Its time constant [s]", "drift_time_s"),
+            ("Random walk of the torque [N m/s^0.5]", "random_walk"),
+        )
+    )  # fmt: skip
+    steps = tuple((stage.name, f"{number(stage.residual)} {stage.unit}", stage.note) for stage in sealed.stages)
+    return [
+        Section("Step by step", (Table(("Step", "residual (RMS)", "note"), steps, prose=True),), folded=True),
+        Section("Noise and tuning", (Text(text), _noise_table(sealed.start, sealed.rig, further)), folded=True),
+        Section("What is assumed", tuple(map(Text, ASSUMED)), folded=True),
+    ]
+
+
+def _noise_table(before: Rig, after: Rig, further: Sequence[tuple[str, ...]] = ()) -> Table:
+    """Sensor noise, Q and R before and after."""
+
+    def values(rig: Rig) -> list[Any]:
+        tuning, sensors = rig.tuning("default"), rig.sensors
+        of_sensors = [
+            sensors.pressure_std, math.degrees(sensors.angle_std), math.degrees(sensors.angle_step),
+            sensors.torque_std, sensors.torque_step,
+        ]  # fmt: skip
+        return [*of_sensors, *tuning.process, *tuning.measurement]
+
+    titles = (
+        "pressure sensor [Pa]", "encoder [°]", "encoder, resolution [°]", "torque meter [N m]",
+        "torque meter, resolution [N m]", "Q a step, angle [rad²]", "Q a step, velocity [rad²/s²]",
+        "Q a step, pressure 1 [Pa²]", "Q a step, pressure 2 [Pa²]", "R, pressure 1 [Pa²]", "R, pressure 2 [Pa²]",
+    )  # fmt: skip
+    pairs = zip(titles, values(before), values(after), strict=True)
+    rows = (*((title, number(old), number(new)) for title, old, new in pairs), *further)
+    return Table(("", "configured", "identified"), rows, "Sensor noise, process noise Q and measurement noise R")
+
+
+def _provenance(found: Identified) -> list[tuple[str, str]]:
+    out, held, numbers = [("Rig at the start", found.found.start.name)], found.held, found.found
+    if isinstance(numbers, FromPressures):
+        asked = numbers.options
+        out += [
+            ("Freed in addition", ", ".join(asked.free) or "none"),
+            ("Kept as configured", ", ".join(asked.frozen) or "none"),
+            ("Held out", percent(asked.holdout)),
+            ("Starts and seed", f"{asked.starts}, {asked.seed}"),
         ]
-        names = ", ".join(name for _, _, name in self.recordings)
-        source = f"identified from {names}; started from: {start.source.strip()}"
-
-        def named(rig: Rig, more: str = "") -> Rig:
-            plain = start.name.removesuffix("_identified")
-            return rig.replaced(
-                name=f"{plain}_identified", source=" ".join(f"{source}{more}".split()), identified=names
-            )
-
-        if self.rejected:
-            lines = textwrap.wrap(f"Do not use this rig: {self.rejected}", 110)
-            write_unread(named(self.rig), folder / "rig_rejected.yaml", [*lines, *about])
-            return
-        write_rig(named(self.rig), folder / "rig.yaml", about)
-        for number, (own, (_, _, name)) in enumerate(zip(self.own, self.recordings, strict=False), 1):
-            remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
-            with suppress(RefusedRig):  # nobody is asked to use it
-                rig = named(own, f"; with the values of {name} alone")
-                write_rig(rig, folder / f"rig_{number}.yaml", [*about, remark])
-
-
-def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
-    stds, reasons, out = fit.stds, fit.reasons, []
-    for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
-        value = item.value(float(amount))
-        if not item.recording:
-            reason = reasons[item.name]
-            out.append(
-                ParameterEntry(
-                    item.name, item.start, value, stds[item.name],
-                    (value - item.start) / abs(item.start) if item.start else math.nan,
-                    item.std * abs(item.start) if item.positive else item.std,
-                    value if item.name in fit.at_bounds else None, not reason, reason,
-                    recording_that_shows(item.name) if reason else None, unit_of_unknown(rig, item),
-                )
-            )  # fmt: skip
+    for one in held:
+        report, joint = one.whole.report, one.identified.joint
+        length = f"{report.duration_s:.1f} s, of which {min(one.from_s, report.duration_s):.1f} s were fitted"
+        out.append((f"Recording {one.name}", f"SHA-256 {report.recording.sha256}"))
+        out.append(("Its joint and length", f"{joint.condition}; source: {joint.source}; {length}"))
+        out += [("Remark", issue) for issue in report.recording.issues[:3]]
     return out
-
-
-def unit_of_unknown(rig: Rig, item: Unknown) -> str:
-    """SI unit of an unknown."""
-    path = next(iter((*item.paths, *item.adds)), "")
-    return unit_of(rig, path) if path else _UNITS.get(item.name, "N m")
-
-
-def recording_that_shows(name: str) -> str:
-    """What to record so that a value shows."""
-    return next((text for part, text in _WHAT_SHOWS if part in name), "a longer recording with larger steps")
-
-
-def _correlations(fit: Fit) -> list[tuple[str, str, float]]:
-    common = [k for k, item in enumerate(fit.unknowns) if not item.recording]
-    stds = np.sqrt(np.diag(fit.covariance))
-    matrix = fit.covariance / np.outer(stds, stds)
-    pairs = [(float(matrix[i, j]), i, j) for i in common for j in common if j < i]
-    strong = sorted((pair for pair in pairs if abs(pair[0]) >= STRONG), key=lambda pair: -abs(pair[0]))
-    return [(fit.unknowns[j].name, fit.unknowns[i].name, value) for value, i, j in strong[:_PAIRS]]
-
-
-def _differences(fit: Fit) -> list[Difference]:
-    out, ways = [], dict[str, list[int]]()
-    for k, item in enumerate(fit.unknowns):
-        if item.recording:
-            ways.setdefault(item.name.removeprefix(f"{item.recording}: "), []).append(k)
-    for name, places in ways.items():
-        values = np.array([fit.unknowns[k].value(float(fit.amounts[k])) for k in places])
-        low, high = places[int(np.argmin(values))], places[int(np.argmax(values))]
-        pick = np.zeros(len(fit.unknowns))
-        pick[low] -= fit.unknowns[low].std
-        pick[high] += fit.unknowns[high].std
-        std, largest = math.sqrt(float(pick @ fit.covariance @ pick)), float(np.ptp(values))
-        out.append(Difference(name, tuple(values.tolist()), largest, std, largest > _CERTAIN * std))
-    return out
-
-
-def _noise(rig: Rig) -> dict[str, float]:
-    return picked(rig.sensors, "pressure_std", "angle_std", "angle_step", "torque_std", "torque_step")

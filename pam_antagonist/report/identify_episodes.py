@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from typing_extensions import override
 
 from pam_antagonist.identification.episodes import EpisodesIdentified
+from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background, note, warn
@@ -22,30 +23,16 @@ from pam_antagonist.report.episodes import (
     times,
     units_findings,
 )
-from pam_antagonist.report.identify_findings import WORSE, do_not_use
-from pam_antagonist.report.result import Result, picked
+from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal, write_rig, write_unread
+from pam_antagonist.rig.write import write_rig, write_unread
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""
-
-
-def rejection(found: EpisodesIdentified) -> str:
-    """Why the identified rig should not be used, in a sentence; empty if it may."""
-    before, now = (found.errors[name][0] for name in ("as configured", "identified"))
-    if complaint := refusal(found.rig):
-        return f"the values that fit best are impossible ({complaint})."
-    if now.value <= WORSE * before.value:
-        return ""
-    return (
-        f"the error of the angle on later episodes is {number(now.value)}°, with the rig file as given "
-        f"{number(before.value)}°. The joint drifts, or it moved too little to be identified."
-    )
 
 
 def _errors(found: EpisodesIdentified) -> Table:
@@ -113,20 +100,11 @@ class EpisodesIdentifyResult(Result):
     @property
     def rejected(self) -> str:
         """Why the identified rig should not be used, in a sentence; empty if it may."""
-        return rejection(self.found)
+        return self.found.rejected
 
     @override
     def to_json(self) -> dict[str, Any]:
-        found = self.found
-        return {
-            "values": found.values,
-            "errors_deg": {name: {"later": a, "interleaved": b} for name, (a, b) in found.errors.items()},
-            "regulators": None if found.regulators is None else regulators_numbers(found.regulators),
-            "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
-            "rig": found.start.name,
-            "recordings_sha256": self.hashes,
-            "rejected": self.rejected,
-        }
+        return {**self.found.to_json(), "recordings_sha256": self.hashes, "rejected": self.rejected}
 
     @override
     def blocks(self) -> tuple[Block, ...]:
@@ -165,16 +143,10 @@ class EpisodesIdentifyResult(Result):
         return intervals_frame({**self.found.values, **regulators})
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         episodes = f"{self.found.counts[0]} episodes of {self.joint.name}."
         remark = f"By pam_antagonist identify, from rig {self.found.start.name} and {episodes}"
         if self.rejected:
             write_unread(self.rig, folder / "rig_rejected.yaml", [remark, self.rejected])
         else:
             write_rig(self.rig, folder / "rig.yaml", [remark])
-
-
-def regulators_numbers(found: RegulatorsFound) -> dict[str, Any]:
-    """Content of ``report.json`` about regulators."""
-    errors = {"errors_pa": found.errors, "command_errors_pa": found.command_errors}
-    return picked(found, "values", "tried") | errors | picked(found, "gains", "resonance")

@@ -28,8 +28,6 @@ FloatArray = NDArray[np.float64]
 _FONT = 'system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans","DejaVu Sans",sans-serif'
 _DECADES = [10.0**power for power in range(-6, 10)]
 _CLEAR = "rgba(0,0,0,0)"
-_LONG, _MOST_DECIMALS = 50, 9
-"""Least length of arrays that are packed as differences, and their largest number of decimals."""
 _LONGEST = 10
 """Largest number of letters in one line of a name below a column."""
 _DENSE = 26.0
@@ -50,24 +48,7 @@ def packed(text: str) -> str:
 
 def text(figure: Figure) -> str:
     """A figure as JSON for the page's script."""
-    out = plot(figure)
-    for trace in out["data"]:
-        trace |= {key: _steps(trace[key]) for key in ("x", "y") if len(trace[key]) >= _LONG}
-    return json.dumps(out, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-
-
-def _steps(values: list[float | None]) -> Values | list[float | None]:
-    """Pack numbers as integer differences, in units of their last decimal place: half as large when compressed.
-
-    Numbers with too many decimals are returned unchanged.
-    """
-    known = np.array([value for value in values if value is not None])
-    for decimals in range(_MOST_DECIMALS + 1):
-        counts = np.round(known * 10.0**decimals)
-        if np.all(np.abs(counts) < 2.0**53) and np.array_equal(counts / 10.0**decimals, known):
-            steps = iter(np.diff(counts, prepend=0.0).astype(np.int64).tolist())
-            return {"decimals": decimals, "steps": [None if value is None else next(steps) for value in values]}
-    return values
+    return json.dumps(plot(figure), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
 
 def plot(figure: Figure) -> Values:
@@ -76,19 +57,13 @@ def plot(figure: Figure) -> Values:
     # A pointer over time or lags reads all series at one place; elsewhere the nearest point.
     along = any(panel.x.is_time or any(isinstance(part, Bars) for part in panel.series) for panel in figure.panels)
     layout: Values = {
-        "height": figure.height,
-        "margin": {"l": left, "r": right, "t": top, "b": bottom},
-        "font": {"family": _FONT, "size": 12, "color": INK},
-        "paper_bgcolor": _CLEAR,
-        "plot_bgcolor": _CLEAR,
+        "height": figure.height, "margin": {"l": left, "r": right, "t": top, "b": bottom},
+        "font": {"family": _FONT, "size": 12, "color": INK}, "paper_bgcolor": _CLEAR, "plot_bgcolor": _CLEAR,
         "hovermode": "x" if along else "closest",
         "modebar": {"bgcolor": _CLEAR, "color": QUIET, "activecolor": "#0b5c8a"},
         "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"},
-        "barmode": "group",
-        "bargap": 0.35,
-        "shapes": [],
-        "annotations": [],
-    }
+        "barmode": "group", "bargap": 0.35, "shapes": [], "annotations": [],
+    }  # fmt: skip
     data: list[Values] = []
     for number, (panel, area) in enumerate(zip(figure.panels, figure.areas(), strict=True)):
         suffix = str(number + 1) if number else ""
@@ -122,16 +97,10 @@ def plot(figure: Figure) -> Values:
 def _axis(axis: Axis, standoff: int) -> Values:
     """Common settings of both axes of a panel."""
     out: Values = {
-        "title": {"text": _text(axis.title), "standoff": standoff},
-        "gridcolor": GRID,
-        "zerolinecolor": ZERO,
-        "linecolor": QUIET,
-        "showline": True,
-        "ticks": "outside",
-        "ticklen": 4,
-        "automargin": bool(axis.labels),
+        "title": {"text": _text(axis.title), "standoff": standoff}, "gridcolor": GRID, "zerolinecolor": ZERO,
+        "linecolor": QUIET, "showline": True, "ticks": "outside", "ticklen": 4, "automargin": bool(axis.labels),
         "exponentformat": "power",
-    }
+    }  # fmt: skip
     if axis.labels:
         out |= {"tickvals": list(range(len(axis.labels))), "ticktext": [_text(name) for name in axis.labels]}
     if axis.log:
@@ -150,11 +119,9 @@ def _horizontal(panel: Panel, lowest: bool) -> Values:
     if axis.is_time:
         out |= {"meta": "time", "hoverformat": ".3f"}
     if axis.labels:
-        out["showgrid"] = False
         # Wrap long names: plotly leaves out names that do not fit, as on a phone.
-        out["ticktext"] = ["<br>".join(_text(line) for line in textwrap.wrap(name, _LONGEST)) for name in axis.labels]
-    if len(axis.labels) > 10:
-        out |= {"tickangle": -60, "tickfont": {"size": 9}}
+        names = ["<br>".join(_text(line) for line in textwrap.wrap(name, _LONGEST)) for name in axis.labels]
+        out |= {"showgrid": False, "ticktext": names}
     if not lowest:
         del out["title"]
         out |= {"showticklabels": False, "ticks": ""}
@@ -208,33 +175,21 @@ def _outline(part: Band, panel: Panel) -> Values:
     for place, low, high in decimate.band(part.x, part.lower, part.upper, panel.x.is_time):
         x += [place, place[::-1], place[:1], gap]
         y += [high, low[::-1], high[:1], gap]
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": _rounded(np.concatenate(x), panel.x, 6),
-        "y": _rounded(np.concatenate(y), panel.y, 4),
-        "fill": "toself",
-        "fillcolor": part.color,
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-    }
+    points = {
+        "x": _rounded(np.concatenate(x), panel.x, 6), "y": _rounded(np.concatenate(y), panel.y, 4)
+    }  # fmt: skip
+    area = {"fill": "toself", "fillcolor": part.color, "line": {"width": 0}, "hoverinfo": "skip"}
+    return {"type": "scatter", "mode": "lines", **points, **area}
 
 
 def _heatmap(part: Heatmap, panel: Panel) -> Values:
     steps = len(part.colors) - 1
     out: Values = {
-        "type": "heatmap",
-        "x": _rounded(part.x, panel.x, 6),
-        "y": list(range(len(part.rows))),
-        "z": [_rounded(row, Axis(), 4) for row in part.values],
-        "hovertemplate": _template(part) + "<extra></extra>",
+        "type": "heatmap", "x": _rounded(part.x, panel.x, 6), "y": list(range(len(part.rows))),
+        "z": [_rounded(row, Axis(), 4) for row in part.values], "hovertemplate": _template(part) + "<extra></extra>",
         "colorscale": [[k / steps, color] for k, color in enumerate(part.colors)],
-        "zmin": part.bounds[0],
-        "zmax": part.bounds[1],
-        "showscale": part.scale,
-    }
-    if part.scale:
-        out["colorbar"] = {"thickness": 10, "len": 0.6}
+        "zmin": part.bounds[0], "zmax": part.bounds[1], "showscale": False,
+    }  # fmt: skip
     if not part.cell:
         return {**out, "text": [[_text(name)] * len(part.x) for name in part.rows]}
     cells = [[part.cell.format(value=value) if math.isfinite(value) else "" for value in row] for row in part.values]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.control import Box, Reachable
+from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
-from pam_antagonist.report.document import Block, Document, Text, Tile, Tiles, background
+from pam_antagonist.report.document import Block, Document, Text, background
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL
@@ -67,15 +67,10 @@ class ReachableResult(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        low, high = (f"{math.degrees(angle):.1f}" for angle in self.angles)
-        tiles = (
-            Tile("Angles of rest", f"{low} to {high}°"),
-            Tile("Stiffness", f"{number(self.softest.min())} to {number(self.stiffest.max())} N m/rad"),
-            Tile("Torque at angle 0", f"{self.torques[0]:.2f} to {self.torques[1]:.2f} N m"),
-        )
+        drawn = _figures(self) if figures else ()
         blocks: tuple[Block, ...] = (
-            Text(_lede(self), "lede"), Tiles(tiles), *(_figures(self) if figures else ()), table(self),
-            *_yielding(self), *background("reachable", [("Rig", self.rig.name)]),
+            Text(_lede(self), "verdict"), *drawn, table(self), *_yielding(self),
+            *background("reachable", [("Rig", self.rig.name)]),
         )  # fmt: skip
         return Document("What a joint can reach", self.rig.name, blocks)
 
@@ -114,26 +109,20 @@ def _yielding(found: ReachableResult) -> tuple[Table, ...]:
 
 def _figures(report: ReachableResult) -> tuple[Figure, ...]:
     """The set over the angle of rest, and over the torque at angle 0."""
-
-    def panel(axis: str, x: NDArray[np.float64], ends: Sequence[NDArray[np.float64]]) -> Panel:
-        series = (
-            Band("within reach", x, ends[0], ends[1], BAND),
-            Line("softest", x, ends[0], MODEL, width=1.8),
-            Line("stiffest", x, ends[1], ESTIMATE, width=1.8),
-        )
-        return Panel(Axis(axis), Axis("Stiffness [N m/rad]", from_zero=True), series, 300)
-
     about = "Lines: the softest and stiffest pressures within the bounds. Beyond their ends nothing is within reach."
-    return (
-        Figure(
-            "Angle and stiffness", about, (panel("Angle of rest [°]", np.degrees(report.angle),
-                                                 (report.softest, report.stiffest)),)
-        ),
-        Figure(
-            "Torque and stiffness, held at angle 0", about,
-            (panel("Torque [N m]", report.torque, (report.torque_softest, report.torque_stiffest)),),
-        ),
-    )  # fmt: skip
+    out = []
+    for title, axis, x, low, high in (
+        ("Angle and stiffness", "Angle of rest [°]", np.degrees(report.angle), report.softest, report.stiffest),
+        ("Torque and stiffness, held at angle 0", "Torque [N m]", report.torque, report.torque_softest,
+         report.torque_stiffest),
+    ):  # fmt: skip
+        series = (
+            Band("within reach", x, low, high, BAND),
+            Line("softest", x, low, MODEL, width=1.8),
+            Line("stiffest", x, high, ESTIMATE, width=1.8),
+        )
+        out.append(Figure(title, about, (Panel(Axis(axis), Axis("Stiffness [N m/rad]", from_zero=True), series, 300),)))
+    return tuple(out)
 
 
 def _lede(report: ReachableResult) -> str:
@@ -142,5 +131,6 @@ def _lede(report: ReachableResult) -> str:
     return (
         f"Rig {report.rig.name} with {lowest * 1e-3:.0f} to {highest * 1e-3:.0f} kPa in its "
         f"muscles and {force:g} N in each at least: it rests at {low} to {high}°, with a stiffness of "
-        f"{number(report.softest.min())} to {number(report.stiffest.max())} N m/rad that depends on the angle."
+        f"{number(report.softest.min())} to {number(report.stiffest.max())} N m/rad that depends on the angle. "
+        f"At angle 0 it gives torques of {report.torques[0]:.2f} to {report.torques[1]:.2f} N m."
     )

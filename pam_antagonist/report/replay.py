@@ -10,17 +10,26 @@ from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
-from pam_antagonist.replays.result import Replay, ReplayReport, columns, write_estimate
-from pam_antagonist.report.assumption import assumption, in_first_lines
-from pam_antagonist.report.channels import CHANNELS, joint_text, judged
-from pam_antagonist.report.document import Block, Columns, Document, Findings, Section, Text, Tile, Tiles, background
+from pam_antagonist.replays.channels import CHANNELS, joint_text, judged
+from pam_antagonist.replays.result import Replay, ReplayReport, columns, numbers, write_estimate
+from pam_antagonist.report.document import (
+    Block,
+    Columns,
+    Document,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    in_first_lines,
+)
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
-from pam_antagonist.report.replay_findings import findings, overall_verdict, verdict
-from pam_antagonist.report.result import Result, frame_of, picked
+from pam_antagonist.report.replay_findings import findings, verdict
+from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
-from pam_antagonist.software import versions
-from pam_antagonist.strict_json import plain
+from pam_antagonist.rig.assumption import assumption
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -47,11 +56,9 @@ class ReplayResult(Replay, Result):
 
     @override
     def blocks(self) -> tuple[Block, ...]:
-        report = self.report
-        head = (
-            f"{self.name}: {report.duration_s:.1f} s, {report.samples} samples, joint {report.joint.condition} "
-            f"(source: {report.joint.source})"
-        )
+        report, joint = self.report, self.report.joint
+        length = f"{report.duration_s:.1f} s, {report.samples} samples"
+        head = f"{self.name}: {length}, joint {joint.condition} (source: {joint.source})"
         how = f"rig {self.rig.name}, tuning {self.tuning}, {report.realtime_factor:.1f} × real time"
         rests_on = in_first_lines(assumption(self.rig, self.tuning))
         return Text(head), Text(how), *rests_on, errors_table(report), Findings(findings(report))
@@ -90,71 +97,40 @@ class ReplayResult(Replay, Result):
         return frame_of(columns(self))
 
 
-def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
-    """Content of ``report.json``: of one recording its numbers, of several those of each in a list."""
-    first, reports = replays[0], [plain(replay.report) for replay in replays]
-    rig, tuning = first.rig, first.rig.tuning(first.tuning)
-    settings = {
-        "rig": rig.name,
-        "rig_source": rig.source.strip(),
-        "sample_period_s": rig.sample_period,
-        "tuning": {
-            "name": first.tuning,
-            **picked(tuning, "initial", "process", "measurement", "kappa"),
-            "consider": rig.uncertainty if tuning.consider else {},
-            "gate": tuning.gate,
-        },
-        "assumption": assumption(rig, first.tuning),
-    }
-    whole = reports[0] if len(reports) == 1 else {"recordings": reports}
-    return {**whole, "settings": settings, "software": versions()}
-
-
 def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
     """The page of one or several recordings; without figures it lacks plotly's 2 MB."""
-    reports = [replay.report for replay in replays]
-    name = replays[0].name if len(replays) == 1 else f"{len(replays)} recordings"
+    reports, several = [replay.report for replay in replays], len(replays) > 1
     seconds = sum(report.duration_s for report in reports)
     lede = (
         f"The estimator that runs live was run again on {seconds:.0f} s of recorded muscle pressures and valve "
         "voltages. The report compares its angle and torque with the measured ones."
     )
-    parts: list[Block] = [Text(lede, "lede"), Text(overall_verdict(reports), "verdict")]
-    rests_on = in_first_lines(assumption(replays[0].rig, replays[0].tuning))
-    if len(replays) == 1:
-        parts += _recording(replays[0], _figures(replays[0], with_figures), with_figures, rests_on)
-    else:
-        # The first figure comes before the table of all recordings, so that it is on the first screen.
-        shown = [_figures(replay, with_figures) for replay in replays]
-        parts += [replace(figure, title=f"{replays[0].name}: {figure.title}") for figure in shown[0][:1]]
-        parts += [*rests_on, overview(reports)]
-        shown[0] = shown[0][1:]
-        for place, (replay, figures) in enumerate(zip(replays, shown, strict=True), 1):
-            above = " Its first figure is at the top of the page." if place == 1 and with_figures else ""
-            head = Text(verdict(replay.report) + above)
-            blocks = (head, *_recording(replay, figures, with_figures))
-            parts.append(Section(replay.name, blocks, 2, f"r{place}"))
-    parts += background("replay", _provenance(replays))
-    return Document("Replay of a pneumatic muscle joint", name, tuple(parts))
-
-
-def _figures(replay: Replay, with_figures: bool) -> Sequence[Figure]:
-    return replay_figures(replay) if with_figures else ()
-
-
-def _recording(
-    replay: Replay, figures: Sequence[Figure], with_figures: bool, rests_on: Sequence[Block] = ()
-) -> list[Block]:
-    report = replay.report
-    inside = filter_figures(replay) if with_figures else ()
-    return [
-        *figures[:1],
-        *rests_on,
-        Tiles(tiles(report)),
-        Columns(Findings(findings(report)), errors_table(report, "Errors. The smaller one is bold.")),
-        *figures[1:],
-        *([Section("Innovations, valve voltages and active equations", inside, folded=True)] if inside else []),
+    shown = [replay_figures(replay) if with_figures else () for replay in replays]
+    # The first figure comes before all tables, so that it is on the first screen.
+    first, shown[0] = shown[0][:1], shown[0][1:]
+    parts: list[Block] = [
+        Text(lede, "lede"),
+        Text(verdict(reports), "verdict"),
+        *(replace(one, title=f"{replays[0].name}: {one.title}") if several else one for one in first),
+        *in_first_lines(assumption(replays[0].rig, replays[0].tuning)),
+        *((overview(reports),) if several else ()),
     ]
+    for place, (replay, figures) in enumerate(zip(replays, shown, strict=True), 1):
+        own = _recording(replay, figures, with_figures)
+        if several:
+            above = " Its first figure is at the top of the page." if first and place == 1 else ""
+            own = (Section(replay.name, (Text(verdict([replay.report]) + above), *own), 2, f"r{place}"),)
+        parts += own
+    parts += background("replay", _provenance(replays))
+    title = f"{len(reports)} recordings" if several else replays[0].name
+    return Document("Replay of a pneumatic muscle joint", title, tuple(parts))
+
+
+def _recording(replay: Replay, figures: Sequence[Figure], with_figures: bool) -> tuple[Block, ...]:
+    report, inside = replay.report, filter_figures(replay) if with_figures else ()
+    beside = Columns(Findings(findings(report)), errors_table(report, "Errors. The smaller one is bold."))
+    folded = Section("Innovations, valve voltages and active equations", inside, folded=True)
+    return Tiles(tiles(report)), beside, *figures, *((folded,) if inside else ())
 
 
 def _provenance(replays: Sequence[Replay]) -> list[tuple[str, str]]:
@@ -171,27 +147,23 @@ def _provenance(replays: Sequence[Replay]) -> list[tuple[str, str]]:
         known = ", ".join(f"{name} ± {std:g}" for name, std in rig.uncertainty.items())
         rows.append(("Parameters carried as uncertain", known))
     for report in (replay.report for replay in replays):
+        about = f"{joint_text(report.joint)}; source: {report.joint.source}"
         rows += [
             (f"Recording {report.recording.name}", f"SHA-256 {report.recording.sha256}"),
-            ("Its joint", f"{joint_text(report.joint)}; source: {report.joint.source}"),
-            ("Its length", f"{report.samples} samples, {report.duration_s:.3f} s"),
+            ("Its joint and length", f"{about}; {report.samples} samples, {report.duration_s:.3f} s"),
         ]
     return rows
 
 
 def tiles(report: ReplayReport) -> tuple[Tile, ...]:
     """The most important numbers of one recording."""
-    known = judged(report)
-    return (
-        *(
-            Tile(f"{channel.title} error (RMS)", channel.write(ukf.rmse), f"model alone {channel.write(model.rmse)}")
-            for channel, ukf, model in known
-        ),
-        *(
-            Tile(f"{item.channel.title} in the 95 % interval", percent(item.coverage), "should be about 95 % or more")
-            for item in known
-        ),
+    known, right = judged(report), "should be about 95 % or more"
+    errors = (
+        Tile(f"{channel.title} error (RMS)", channel.write(ukf.rmse), f"model alone {channel.write(model.rmse)}")
+        for channel, ukf, model in known
     )
+    inside = (Tile(f"{one.channel.title} in the 95 % interval", percent(one.coverage), right) for one in known)
+    return *errors, *inside
 
 
 def errors_table(report: ReplayReport, caption: str = "") -> Table:
@@ -211,20 +183,17 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
             out.values("  𝕄 over measured range, ℚ", (ukf.ratio, model.ratio), percent)
             out.text("  in the 95 % interval", percent(ukf.coverage95), MISSING)
             nees = getattr(report.innovation, f"nees_{channel.name}")
-            out.text("  mean NEES (1 is right)", MISSING if nees is None else number(nees, 2), MISSING)
-    external = report.ukf.external_torque
-    if external:
+            out.text("  mean NEES (1 is right)", number(nees, 2), MISSING)
+    if external := report.ukf.external_torque:
+        late = external.delay_s
         out.heading("External torque")
         out.text("  RMSE 𝕀 [N m]", number(external.rmse), "given")
         out.text("  in the 95 % interval", percent(external.coverage95), MISSING)
-        late = external.delay_s
         out.text("  delay [ms]", MISSING if late is None or math.isnan(late) else f"{1e3 * late:.0f}", MISSING)
     out.heading("Pressure")
     for muscle in (0, 1):
-        out.pressures(
-            f"  RMSE 𝕀, muscle {muscle + 1}",
-            [model.pressure.rmse_pa[muscle] for model in (report.ukf, report.model_alone)],
-        )
+        errors = [model.pressure.rmse_pa[muscle] for model in (report.ukf, report.model_alone)]
+        out.pressures(f"  RMSE 𝕀, muscle {muscle + 1}", errors)
     return out.table(caption)
 
 
@@ -237,12 +206,9 @@ def overview(reports: Sequence[ReplayReport]) -> Table:
     for report in reports:
         row, known = [report.recording.name, joint_text(report.joint)], {item.channel: item for item in judged(report)}
         for channel in CHANNELS:
-            item = known.get(channel)
-            row += [MISSING] * 3 if item is None else [
-                number(item.ukf.rmse), number(item.model.rmse), percent(item.coverage)
-            ]  # fmt: skip
+            one = known.get(channel)
+            errors = (None, None) if one is None else (one.ukf.rmse, one.model.rmse)
+            row += [*map(number, errors), percent(None if one is None else one.coverage)]
         rows.append(tuple(row))
-    caption = (
-        "Errors of the filter and of the model alone, and the share of measured values in the filter's 95 % interval"
-    )
-    return Table(tuple(header), tuple(rows), caption)
+    about = "Errors of the filter and of the model alone; share of measured values in the filter's 95 % interval"
+    return Table(tuple(header), tuple(rows), about)

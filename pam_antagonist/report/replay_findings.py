@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from pam_antagonist.replays.channels import CHANNELS, Judged, joined, joint_text, judged
 from pam_antagonist.replays.live import ENDED, LiveComparison
 from pam_antagonist.replays.result import ReplayReport
-from pam_antagonist.report.channels import CHANNELS, Judged, joined, joint_text, judged
 from pam_antagonist.report.document import Finding, good, note, warn
 from pam_antagonist.report.table import number, percent
 
@@ -26,36 +26,21 @@ SHORTEST_S = 1.0
 _ISSUES = 6
 
 
-def _accuracy(parts: Sequence[tuple[str, str]]) -> str:
-    """Text such as 'the estimator gives the angle to within 0.3° and the torque to within 0.01 N m'."""
-    return "the estimator gives " + joined([f"the {name} to within {value}" for name, value in parts])
-
-
-def verdict(report: ReplayReport) -> str:
-    """The result of one recording."""
-    held = "" if report.joint.condition == "free" else f" The joint was {joint_text(report.joint)}."
-    known = [(item.channel.name, item.channel.write(item.ukf.rmse)) for item in judged(report)]
-    if not known:
-        return "Neither angle nor torque was measured, so the estimate was compared with nothing." + held
-    return f"From the two pressures alone, {_accuracy(known)} (root mean square error).{held}"
-
-
-def overall_verdict(reports: Sequence[ReplayReport]) -> str:
-    """The result of several recordings: the worst of each channel."""
-    if len(reports) == 1:
-        return verdict(reports[0])
-    known = []
+def verdict(reports: Sequence[ReplayReport]) -> str:
+    """The result of a recording, or of several: the worst of each channel."""
+    first, several, known = reports[0], len(reports) > 1, []
     for channel in CHANNELS:
-        errors = [(item.ukf.rmse, r.recording.name) for r in reports for item in judged(r) if item.channel is channel]
+        errors = [(item.ukf.rmse, one) for one in reports for item in judged(one) if item.channel is channel]
         if errors:
             worst, where = max(errors, key=lambda item: item[0])
-            known.append((channel.name, f"{channel.write(worst)} ({where})"))
+            place = f" ({where.recording.name})" if several else ""
+            known.append(f"the {channel.name} to within {channel.write(worst)}{place}")
+    held = "" if several or first.joint.condition == "free" else f" The joint was {joint_text(first.joint)}."
     if not known:
-        return f"None of the {len(reports)} recordings has a measured angle or torque to compare the estimate with."
-    return (
-        f"From the two pressures alone, {_accuracy(known)}. These are root mean square errors, the worst of "
-        f"{len(reports)} recordings."
-    )
+        which = f"In none of the {len(reports)} recordings was angle or" if several else "Neither angle nor"
+        return f"{which} torque measured, so the estimate was compared with nothing.{held}"
+    what = f"root mean square errors, the worst of {len(reports)} recordings" if several else "root mean square error"
+    return f"From the two pressures alone, the estimator gives {joined(known)} ({what}).{held}"
 
 
 def findings(report: ReplayReport) -> tuple[Finding, ...]:
@@ -87,30 +72,26 @@ def _against_model(item: Judged) -> Finding:
 def _honesty(known: Sequence[Judged]) -> list[Finding]:
     if not known:
         return []
-    text = joined([f"{percent(item.coverage)} of the measured {item.channel.name}s" for item in known])
+    shares = [f"{percent(item.coverage)} of the measured {item.channel.name}s" for item in known]
+    holds = f"its 95 % interval holds {joined(shares)}"
     if min(item.coverage for item in known) < HONEST_COVERAGE:
-        return [warn(f"The filter's covariance is too small: its 95 % interval holds {text}.")]
+        return [warn(f"The filter's covariance is too small: {holds}.")]
     wide = [item for item in known if item.wide]
-    if wide:
-        times = [f"that of the {item.channel.name} {number((item.ukf.width or 0.0) / 1.96, 2)} times" for item in wide]
-        return [
-            note(
-                f"The filter's covariance is larger than needed: its 95 % interval holds {text} and is wide. The "
-                f"standard deviations are larger than the RMS errors: {joined(times)}."
-            )
-        ]
-    return [good(f"The filter's covariance is honest: its 95 % interval holds {text}.")]
+    if not wide:
+        return [good(f"The filter's covariance is honest: {holds}.")]
+    times = [f"that of the {item.channel.name} {number((item.ukf.width or 0.0) / 1.96, 2)} times" for item in wide]
+    larger = f"The standard deviations are larger than the RMS errors: {joined(times)}."
+    return [note(f"The filter's covariance is larger than needed: {holds} and is wide. {larger}")]
 
 
 def _innovations(report: ReplayReport) -> list[Finding]:
     mean, p, out = report.innovation.nis_mean, report.innovation.whiteness_p, []
-    size = f"(mean NIS {number(mean, 2)}, 2 is right)."
-    if mean > NIS_HIGH:
-        out.append(warn(f"The innovations are larger than the filter expects {size}"))
-    elif mean < NIS_LOW:
-        out.append(note(f"The innovations are smaller than the filter expects {size}"))
-    elif math.isfinite(mean):
-        out.append(good(f"The innovations are as large as the filter expects {size}"))
+    if math.isfinite(mean):
+        kind, how = good, "as large as"
+        if not NIS_LOW <= mean <= NIS_HIGH:
+            kind, how = (warn, "larger than") if mean > NIS_HIGH else (note, "smaller than")
+        size = f"(mean NIS {number(mean, 2)}, 2 is right)"
+        out.append(kind(f"The innovations are {how} the filter expects {size}."))
     if math.isfinite(p):
         out.append(_whiteness(p, report.innovation.largest_correlation))
     return out
@@ -176,8 +157,7 @@ def _equality(live: LiveComparison, rig: str = "") -> Finding:
         return warn("The recorded live estimate has no sample in common with the replay.")
     if live.equal == live.compared and not live.only_live and not live.only_replay:
         text = f"The replay equals the estimate published live, bit for bit, in all {live.compared} samples"
-        text += " that were compared." if live.not_compared else "."
-        return good(text)
+        return good(text + (" that were compared." if live.not_compared else "."))
     return warn(
         f"The replay equals the estimate published live in {live.equal} of {live.compared} samples "
         f"(fields that differ: {', '.join(live.differing) or 'none'}; {live.only_live} samples only live, "
@@ -196,8 +176,7 @@ def _quality(report: ReplayReport) -> list[Finding]:
         (counts.repaired, "covariances that had to be repaired"),
         (counts.restarts, "restarts after a long gap or a lost estimate"),
     )
-    seen = [f"{count} {text}" for count, text in events if count]
-    if seen:
+    if seen := [f"{count} {text}" for count, text in events if count]:
         out.append(note(f"The filter met {joined(seen)}."))
     if report.joint.source == "nothing":
         out.append(note("The recording does not say whether the joint could move. It was taken as free."))

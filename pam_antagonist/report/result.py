@@ -33,8 +33,8 @@ class Result(Shown):
         """What a page shows; False leaves the figures out."""
         raise NotImplementedError
 
-    def _write_rigs(self, folder: Path) -> None:
-        """Write the rig files of the result, if it has any."""
+    def write_rigs(self, folder: Path) -> None:
+        """Write the rig files of the result, if it has any, into a folder that exists."""
 
     @cached_property
     def report(self) -> Any:
@@ -60,7 +60,7 @@ class Result(Shown):
             BadInput: the folder exists, or cannot be written.
         """
         with output_folder(Path(path), overwrite=overwrite) as folder:
-            self._write_rigs(folder)
+            self.write_rigs(folder)
             self.write(folder, figures)
         return Path(path)
 
@@ -79,17 +79,13 @@ class Result(Shown):
         """
         figures = list(figures_of(self.document().blocks))
         if not 0 <= number < len(figures):
-            raise BadInput(f"number {number!r}: this result has {len(figures)} figures, expected 0 or more, and less")
+            has = f"{len(figures)} figures, expected 0 to {len(figures) - 1}" if figures else "no figure"
+            raise BadInput(f"number {number!r}: this result has {has}")
         with needs("reports", "plot()"):
             from plotly.graph_objects import Figure as Plot
         plot = plotly_renderer.plot(figures[number])
         plot["layout"]["title"] = {"text": figures[number].title}
         return Plot(plot, skip_invalid=True)
-
-
-def picked(of: Any, *names: str) -> dict[str, Any]:
-    """Attributes by their names, as ``report.json`` has them."""
-    return {name: getattr(of, name) for name in names}
 
 
 def frame_of(rows: Any, columns: Sequence[str] | None = None, index: str = "") -> DataFrame:

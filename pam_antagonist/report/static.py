@@ -13,19 +13,17 @@ from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED, MODEL, PALETTE, SECOND
+from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED
 from pam_antagonist.report.table import MISSING, Table, number
-from pam_antagonist.report.units import readable
+from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import write_rig
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-COLORS = {"linear": MEASURED, "hildebrandt": MODEL, "sarosi": ESTIMATE, "polynomial": SECOND, "braided": PALETTE[3]}
-"""Colours of the forms of the force map."""
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
 """Colours from the shortest to the longest length; lighter is longer, also without colour vision."""
 _POINTS = 60
@@ -73,7 +71,7 @@ class StaticResult(StaticFits, Result):
             findings.append(note(text))
         drawn = static_figures(self) if figures else ()
         parts: list[Block] = [
-            Text(lede, "lede"), Text(verdict(self), "verdict"), *drawn[:1], Tiles(_tiles(self)),
+            Text(lede, "lede"), Text(verdict(self), "verdict"), *drawn[:1],
             Findings(tuple(findings)), coefficients_table(self),
         ]  # fmt: skip
         if self.force_map is not None:
@@ -98,7 +96,7 @@ class StaticResult(StaticFits, Result):
         return frame_of(rows, ("coefficient", "value", "std", "unit"), "coefficient")
 
     @override
-    def _write_rigs(self, folder: Path) -> None:
+    def write_rigs(self, folder: Path) -> None:
         if self.fitted is None:
             return
         tables, whose = (" and ".join(map(str, names)) for names in ([t.name for t in self.tables], self.muscles))
@@ -156,35 +154,17 @@ def coefficients_table(result: StaticResult) -> Table:
 
 def verdict(result: StaticResult) -> str:
     """The errors at lengths that were left out, in a sentence."""
-    unknown = "an error that so few lengths do not determine"
+
+    def known(error: float, unit: str) -> str:
+        shown = f"a root mean square error of {number(error)} {unit}"
+        return shown if np.isfinite(error) else "an error that so few lengths do not determine"
+
     parts = []
     if result.volume is not None:
-        error = result.volume.left_out_rmse
-        parts.append(f"the parabola gives the volume with {_known(error * 1e6, 'cm³') or unknown}")
+        parts.append(f"the parabola gives the volume with {known(result.volume.left_out_rmse * 1e6, 'cm³')}")
     if result.force is not None:
-        error = result.force.left_out_rmse
-        parts.append(f"form {result.form} gives the force with {_known(error, 'N') or unknown}")
+        parts.append(f"form {result.form} gives the force with {known(result.force.left_out_rmse, 'N')}")
     return f"At a length that was left out, {' and '.join(parts)}."
-
-
-def _known(error: float, unit: str) -> str:
-    return f"a root mean square error of {number(error)} {unit}" if np.isfinite(error) else ""
-
-
-def _tiles(result: StaticResult) -> tuple[Tile, ...]:
-    out = []
-    if result.volume is not None and result.volumes is not None:
-        about = f"{len(result.volumes)} volumes at {result.volumes.lengths} lengths"
-        out.append(Tile("Volume, lengths left out", f"{number(result.volume.left_out_rmse * 1e6)} cm³", about))
-    if result.force is not None and result.force_map is not None:
-        table = result.force_map
-        seen = len(table) - int(table.slack.sum())
-        out += [
-            Tile("Force, lengths left out", f"{number(result.force.left_out_rmse)} N", f"form {result.form}"),
-            Tile("of them between the ends", f"{number(result.force.inner_rmse)} N", "no extrapolation"),
-            Tile("Forces measured", str(seen), f"and {int(table.slack.sum())} slack, at {table.lengths} lengths"),
-        ]
-    return tuple(out)
 
 
 def _provenance(result: StaticResult) -> list[tuple[str, str]]:
@@ -194,7 +174,10 @@ def _provenance(result: StaticResult) -> list[tuple[str, str]]:
         rows.append(("Muscle length at angle 0", f"{rig.geometry.length:g} m"))
     elif force is not None:
         rows.append(("Length that contractions count from", f"{force.form.rest_length:g} m"))
-    rows += [(f"File {table.name}", f"SHA-256 {table.sha256}") for table in result.tables]
+    for table in result.tables:
+        slack = f", {int(table.slack.sum())} of them slack," if table.slack.any() else ""
+        measured = f"{len(table)} values{slack} at {table.lengths} lengths"
+        rows.append((f"File {table.name}", f"{measured}; SHA-256 {table.sha256}"))
     return rows
 
 
@@ -202,7 +185,7 @@ def static_figures(result: StaticResult) -> list[Figure]:
     """All figures for the available tables."""
     out = []
     if result.force_map is not None and result.force is not None:
-        out += [force_figure(result.force_map, result.force), form_figure(result.forms)]
+        out.append(force_figure(result.force_map, result.force))
     if result.volumes is not None and result.volume is not None:
         out.append(volume_figure(result.volumes, result.volume, result))
     return out
@@ -213,44 +196,23 @@ def force_figure(table: StaticTable, fit: StaticFit) -> Figure:
     parts: list[Series] = []
     grid = np.linspace(table.pressure.min(), table.pressure.max(), _POINTS)
     for group in range(table.lengths):
-        inside = table.group == group
+        inside, color = table.group == group, _color(group, table.lengths)
         length = float(table.length[inside].mean())
-        color = _color(group, table.lengths)
         name = f"{length * 1e3:.4g} mm"
         line = fit.value(np.full(_POINTS, length), grid)
-        shown = np.where(line >= table.limit, line, np.nan)
-        parts.append(Line(name, grid / 1e3, shown, color, width=1.8, quiet=True))
+        parts.append(Line(name, grid / 1e3, np.where(line >= table.limit, line, np.nan), color, width=1.8, quiet=True))
         filled = bool(np.any(inside & ~table.slack))
         for slack in (False, True):
             rows = inside & (table.slack == slack)
             if rows.any():
-                size = 6.0 if slack else 7.0
-                pressure, force = table.pressure[rows] / 1e3, table.value[rows]
-                parts.append(Points(name, pressure, force, color, size, hollow=slack, quiet=slack and filled))
+                at, force, size = table.pressure[rows] / 1e3, table.value[rows], 6.0 if slack else 7.0
+                parts.append(Points(name, at, force, color, size, hollow=slack, quiet=slack and filled))
     panel = Panel(Axis("Absolute pressure [kPa]"), Axis("Contraction force [N]"), tuple(parts), 342)
     about = (
         f"Filled: measured; open: slack or not measured, of which the fit knows only that the force is not above "
         f"{table.limit:g} N. Lines: form {fit.form.name}, cut off where it falls below that."
     )
     return Figure("Force over pressure at each length", about, (panel,), "force")
-
-
-def form_figure(forms: Forms) -> Figure:
-    """Error at each length of a fit without this length, a line for each form."""
-    parts: list[Series] = []
-    for name, fit in forms.items():
-        if isinstance(fit, StaticFit):
-            known = [item for item in fit.left_out if item.measured]
-            lengths = np.array([item.length for item in known]) * 1e3
-            errors = np.array([rms(item.errors) for item in known])
-            parts.append(Line(name, lengths, errors, COLORS[name], width=1.8))
-            parts.append(Points(name, lengths, errors, COLORS[name], 7.0, quiet=True))
-    panel = Panel(Axis("Length left out [mm]"), Axis("RMS error there [N]", from_zero=True), tuple(parts), 222)
-    about = (
-        "Each form was fitted without one length and then predicted the forces measured at it. At the two ends this "
-        "is extrapolation. A length at which every point was slack has no value here."
-    )
-    return Figure("Error of each form at a length that was left out", about, (panel,), "forms")
 
 
 def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> Figure:

@@ -3,32 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from pam_antagonist.report.units import readable
+from pam_antagonist import shown
+from pam_antagonist.rig.units import readable
 
-MISSING = "–"
-"""Text for a missing value."""
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits, without an exponent if possible; a dash for a missing number."""
-    if value is None or not math.isfinite(value):
-        return MISSING
-    if value == 0.0:
-        return "0"
-    magnitude = math.floor(math.log10(abs(value)))
-    if not -5 <= magnitude < 9:
-        return f"{value:.{digits - 1}e}"
-    return f"{value:.{max(digits - 1 - magnitude, 0)}f}"
-
-
-def percent(value: float | None) -> str:
-    """A share as a percentage; a dash for a missing value."""
-    if value is None or not math.isfinite(value):
-        return MISSING
-    return f"{100.0 * value:.1f} %"
+MISSING, number, percent = shown.MISSING, shown.number, shown.percent
+_AFTER_NUMBER = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")
+"""The space between a number and its unit."""
 
 
 @dataclass(frozen=True)
@@ -105,3 +89,8 @@ def markdown(table: Table) -> list[str]:
         return "| " + " | ".join(cell.strip().replace("\\", "\\\\") for cell in cells) + " |"
 
     return [row(table.header), "|" + "---|" * len(table.header), *map(row, table.rows)]
+
+
+def with_unit(text: str) -> str:
+    """Text without line breaks between a number and its unit, or within a unit."""
+    return _AFTER_NUMBER.sub("\u00a0", text.replace("N m", "N\u00a0m"))

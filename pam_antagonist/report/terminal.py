@@ -6,8 +6,7 @@ import textwrap
 from collections.abc import Sequence
 
 from pam_antagonist.report.document import Block, Finding, Findings, Section, Text, warn
-from pam_antagonist.report.table import Table
-from pam_antagonist.report.units import with_unit
+from pam_antagonist.report.table import Table, with_unit
 
 WIDTH = 100
 _MARKS = {"good": "✓", "warn": "!", "note": " "}

@@ -14,17 +14,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import muscle
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
-from pam_antagonist.strict_yaml import fields_of
 
 _NOT_PHYSICS = (
     "name", "source", "identified", "encoder", "calibration", "uncertainty", "directions", "priors", "bounds", "tunings"
@@ -107,21 +104,10 @@ def fingerprint(rig: Rig) -> str:
     It does not depend on name, comments, order, tunings, uncertainties and settings of fits. Default values are left
     out, so that a rig keeps its fingerprint when later versions have more parameters.
     """
-    content = {name: value for name, value in _content(rig).items() if name not in _NOT_PHYSICS}
+    content = rig.plain(exclude=set(_NOT_PHYSICS), exclude_defaults=True, exclude_none=True)
     content["effects"] = _effects(rig.effects)
     text = json.dumps({name: value for name, value in content.items() if value != {}}, sort_keys=True, default=float)
     return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
-
-
-def _content(model: BaseModel) -> dict[str, Any]:
-    out = {}
-    for name, field in fields_of(type(model)).items():
-        value = getattr(model, name)
-        if isinstance(value, BaseModel):
-            out[name] = _content(value)
-        elif value is not None and value != field.default:
-            out[name] = value
-    return out
 
 
 def _effects(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:

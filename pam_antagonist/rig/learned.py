@@ -335,14 +335,11 @@ def laws_of(rig: Rig) -> dict[int, Law]:
 
 
 def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = None) -> Rig:
-    """The rig with a learned law, and with the uncertainty of its values.
+    """The rig with a learned law, as the first free one or in place of that with this number, and its uncertainty.
 
-    The filter carries a covariance in three directions at most: the two largest, and one for what is left of each
-    value's variance, as if these parts were wrong together. So each value keeps its standard deviation. Where only
-    standard deviations are known, all values are taken to be wrong together.
-
-    `law`: the law; its ``std`` is used where no covariance is given. `number`: of the law in the rig, whose place it
-    takes; default: the first free one. `covariance`: of the values (N, N).
+    The filter carries the covariance (N, N) of the values in three directions at most: the two largest, and one for
+    what is left of each value's variance, as if these parts were wrong together. So each value keeps its standard
+    deviation. Where only standard deviations are known (``std`` of the law), all values are taken to be wrong together.
     """
     from pam_antagonist.rig.load import checked  # which imports this module
 

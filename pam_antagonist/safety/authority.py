@@ -90,10 +90,6 @@ class Authority:
         return Verdict.ACCEPTED if self._holds else Verdict.LISTENING
 
 
-_LONGEST_STEP = 100
-"""Largest difference between the numbers of two messages that count as one publisher's."""
-
-
 class ReferenceOwner:
     """Admits the references of one publisher, and refuses those of others while the first one is heard.
 
@@ -122,7 +118,7 @@ class ReferenceOwner:
             now_ns: steady time [ns].
         """
         if publishers > 1 and self._last is not None and 0 <= now_ns - self._heard_ns <= self._silence:
-            if sequence is not None and not 0 < sequence - self._last <= _LONGEST_STEP:
+            if sequence is not None and not 0 < sequence - self._last <= LONGEST_STEP:
                 self.refused += 1
                 return False
         self._last, self._heard_ns = sequence, now_ns

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from pam_antagonist.control import VoltageLimits
+from pam_antagonist.control.command import VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.safety.authority import Authority, Verdict
 
@@ -42,11 +42,7 @@ class SafeAction:
             raise BadInput(f"vent rate {self.rate!r}: expected a finite number above 0")
 
     def voltage(self, elapsed_ns: int) -> tuple[float, float]:
-        """The safe voltages (2,) [V] at a time after the safe action began.
-
-        Args:
-            elapsed_ns: time since then [ns].
-        """
+        """The safe voltages (2,) [V], `elapsed_ns` [ns] after the safe action began."""
         if self.vent is None:
             return self.hold
         largest = self.rate * max(elapsed_ns, 0) * 1e-9
@@ -59,17 +55,9 @@ class SafeAction:
 def safe_action(
     choice: str, limits: VoltageLimits, hold: tuple[float, ...], vent: tuple[float, ...], rate: float
 ) -> SafeAction:
-    """The action that a node's parameters describe.
+    """The action that a node's parameters describe: ``safe_action``, ``safe_voltage``, ``vent_voltage``, ``vent_rate``.
 
-    Args:
-        choice: parameter ``safe_action``, one of :data:`ACTIONS`.
-        limits: of the valves.
-        hold: parameter ``safe_voltage`` (2,) [V], or ``safe_pressure`` [Pa].
-        vent: parameter ``vent_voltage`` (2,) [V], or ``vent_pressure`` [Pa].
-        rate: parameter ``vent_rate`` [V/s], or ``vent_pressure_rate`` [Pa/s].
-
-    Raises:
-        BadInput: an unknown action, or voltages beyond the valves' limits.
+    For pressure regulators they are ``safe_pressure``, ``vent_pressure`` and ``vent_pressure_rate``.
     """
     if choice not in ACTIONS:
         raise BadInput(f"parameter safe_action is {choice!r}: expected one of {', '.join(ACTIONS)}")
@@ -103,38 +91,22 @@ class State(Enum):
 
 
 class Decision(NamedTuple):
-    """Voltages of the valves now, and the reason.
+    """Voltages of the valves now, and the reason."""
 
-    Attributes:
-        voltage: (2,) [V].
-        state: of the guard.
-        reason: reason of a stop, else empty.
-    """
-
-    voltage: tuple[float, float]
-    state: State
-    reason: str
+    voltage: tuple[float, float]  # (2,) [V]
+    state: State  # of the guard
+    reason: str  # of a stop, else empty
 
 
 @dataclass
 class GuardCounts:
-    """Numbers of commands and outputs so far.
+    """Numbers of commands and outputs so far."""
 
-    Attributes:
-        commands: accepted commands.
-        not_finite: commands that were ignored because they were not finite.
-        late: commands that were ignored because they were too old.
-        clamped: accepted commands beyond the valves' limits.
-        slewed: outputs that could not reach the command within one sample.
-        safe: outputs of the safe action.
-    """
-
-    commands: int = 0
-    not_finite: int = 0
-    late: int = 0
-    clamped: int = 0
-    slewed: int = 0
-    safe: int = 0
+    commands: int = 0  # accepted commands
+    not_finite: int = 0  # commands that were ignored because they were not finite
+    late: int = 0  # commands that were ignored because they were too old
+    clamped: int = 0  # accepted commands beyond the valves' limits
+    slewed: int = 0  # outputs that could not reach the command within one sample
 
 
 class ValveGuard:
@@ -191,13 +163,9 @@ class ValveGuard:
         return self._reason
 
     def stop(self, reason: str) -> bool:
-        """Give the valves the safe voltages from the next output on, until :meth:`clear`.
+        """Give the valves the safe voltages from the next output on, until :meth:`clear`; whether this is a new stop.
 
-        Args:
-            reason: in words; the first reason is kept, since later ones may be consequences.
-
-        Returns:
-            Whether this is a new stop.
+        The first `reason`, in words, is kept, since later ones may be consequences.
         """
         self._command = None
         if self._reason:
@@ -206,11 +174,7 @@ class ValveGuard:
         return True
 
     def clear(self) -> str:
-        """End a stop; the first publisher from now on is obeyed.
-
-        Returns:
-            The reason of the stop that was cleared; empty where there was none.
-        """
+        """End a stop, and give its reason, empty for none; the first publisher from now on is obeyed."""
         reason, self._reason = self._reason, ""
         self.authority.release()
         self._command, self._heard = None, False
@@ -265,11 +229,7 @@ class ValveGuard:
         return verdict
 
     def output(self, now_ns: int) -> Decision:
-        """Voltages of the valves now.
-
-        Args:
-            now_ns: time [ns]; call once a sample, in the order of time.
-        """
+        """Voltages of the valves at a time [ns]; call once a sample, in the order of time."""
         if now_ns < self._heard_ns:
             self._heard_ns = min(self._heard_ns, now_ns + self._timeout)
         before_ns, self._last_ns = self._last_ns, now_ns
@@ -278,7 +238,6 @@ class ValveGuard:
             if self._safe_since_ns is None or now_ns < self._safe_since_ns:
                 self._safe_since_ns = now_ns
             self._last = self._action.voltage(now_ns - self._safe_since_ns)
-            self.counts.safe += 1
             return Decision(self._last, state, self._reason)
         self._safe_since_ns = None
         assert self._command is not None

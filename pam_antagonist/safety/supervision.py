@@ -15,6 +15,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.memory import MISSING_PRESSURE_1, MISSING_PRESSURE_2, OUTLIER
 from pam_antagonist.estimation.stamps import PATIENCE, RESTART_AFTER_NS
 
+_MISSING = MISSING_PRESSURE_1 | MISSING_PRESSURE_2
 _CHANCE = 1e-15  # probability, for each sample, that a good sensor counts as frozen: once in 30,000 years at 1 kHz
 _SHARE = 0.15  # of the samples; with innovations twice as large as expected, 18 % are out of bounds
 _FEWEST = 3.0  # samples out of bounds, because a window may hold only a few after a stall
@@ -22,23 +23,19 @@ _SLOWEST = 30.0  # assumed low-pass of a sensor's amplifier, a sixth of what doc
 _GAP = 20  # consecutive missing samples, after which the valves have become safe for lack of commands
 _SETTLING = 2 * PATIENCE  # samples until the filter accepts the pressures after a gap
 _NEVER = 3e9  # a century [s]
+_LEAST_FROZEN = 0.02  # some converters repeat each result several times [s]
 _LONGEST_FROZEN = 1.0  # a sensor that may stay constant for longer by chance cannot be checked [s]
 
 
 def frozen_samples(noise: float, step: float, correlation: float = 0.0) -> float:
-    """Number of equal consecutive readings that shows a frozen sensor.
+    """Number of equal consecutive readings that shows a frozen sensor; infinite for one with too little noise.
 
     At constant pressure a reading has the same code as the one before with a probability of at most
     p = erf(step / (2 sqrt(2) s)), where s = noise sqrt(1 - correlation^2) is the standard deviation given the reading
-    before. So n equal readings have a probability of at most p^(n-1).
+    before. So n equal readings have a probability of at most p^(n-1), which is below 1e-15.
 
-    Args:
-        noise: standard deviation of the readings before the converter [Pa].
-        step: of the converter [Pa]; 0: none.
-        correlation: between the noise of two consecutive readings, 0 to below 1 [-].
-
-    Returns:
-        The least n with a probability below 1e-15; infinite for a sensor with too little noise.
+    `noise`: standard deviation of the readings before the converter [Pa]. `step`: of the converter [Pa]; 0: none.
+    `correlation`: between the noise of two consecutive readings, 0 to below 1 [-].
     """
     if noise <= 0.0:
         return math.inf
@@ -48,20 +45,16 @@ def frozen_samples(noise: float, step: float, correlation: float = 0.0) -> float
     return 2.0 if chance <= 0.0 else 1.0 + math.ceil(math.log(_CHANCE) / math.log(chance))
 
 
-def frozen_time(noise: float, step: float, period: float, least: float = 0.02) -> float | None:
+def frozen_time(noise: float, step: float, period: float) -> float | None:
     """Time of equal readings after which a sensor counts as frozen [s]; None: the sensor cannot be checked.
 
     Filtering in an amplifier makes equal readings more likely. The noise is assumed to have passed a first-order
     low-pass of 30 Hz.
 
-    Args:
-        noise: standard deviation of a reading [Pa].
-        step: of the converter [Pa].
-        period: between two readings [s].
-        least: lower bound, because some converters repeat each result several times [s].
+    `noise`, `step`: as for :func:`frozen_samples`. `period`: between two readings [s].
     """
     correlation = math.exp(-2.0 * math.pi * _SLOWEST * period)
-    time = max(least, frozen_samples(noise, step, correlation) * period)
+    time = max(_LEAST_FROZEN, frozen_samples(noise, step, correlation) * period)
     return time if time <= _LONGEST_FROZEN else None
 
 
@@ -94,6 +87,11 @@ class Persistent:
         self._so_far = 0
 
 
+def _above_0(what: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise BadInput(f"{what.format(repr(value))}: expected a finite number above 0")
+
+
 def _pair(time: float, period: float) -> tuple[Persistent, Persistent]:
     return Persistent(time, period), Persistent(time, period)
 
@@ -108,9 +106,6 @@ class PressureSupervision:
         frozen_time: how long a pressure may keep exactly the same value [s]; None: no limit.
         period: between two samples [s].
 
-    Raises:
-        BadInput: a limit or a time that is not above 0.
-
     Attributes:
         present: problem of the last sample that has lasted long enough, in words; empty if there is none.
     """
@@ -124,11 +119,9 @@ class PressureSupervision:
         period: float = 1e-3,
     ) -> None:
         for limit in highest:
-            if not (math.isfinite(limit) and limit > 0.0):
-                raise BadInput(f"pressure limit {limit!r} Pa: expected a finite number above 0")
+            _above_0("pressure limit {} Pa", limit)
         for time in (over_time, missing_time, *(() if frozen_time is None else (frozen_time,))):
-            if not (math.isfinite(time) and time > 0.0):
-                raise BadInput(f"time {time!r} s until a pressure stops the valves: expected a finite number above 0")
+            _above_0("time {} s until a pressure stops the valves", time)
         self.present = ""
         self._highest = highest
         self._frozen_time = frozen_time
@@ -156,29 +149,27 @@ class PressureSupervision:
         Returns:
             The problem that has lasted long enough, in words; empty if there is none.
         """
-        self.present = self._one(0, stamp_ns, pressure_1) or ""
-        second = self._one(1, stamp_ns, pressure_2)
-        if second and not self.present:
-            self.present = second
+        first, second = self._one(0, stamp_ns, pressure_1), self._one(1, stamp_ns, pressure_2)
+        self.present = first or second
         return self.present
 
-    def _one(self, index: int, stamp_ns: int, pressure: float) -> str | None:
+    def _one(self, index: int, stamp_ns: int, pressure: float) -> str:
         last, self._last[index] = self._last[index], pressure
         if not math.isfinite(pressure):
             self._over[index].gone()
             self._frozen[index].gone()
             if self._missing[index].seen(stamp_ns):
                 return f"pressure {index + 1} is missing or not finite"
-            return None
+            return ""
         self._missing[index].gone()
-        words = None
+        words = ""
         if pressure <= self._highest[index]:
             self._over[index].gone()
         elif self._over[index].seen(stamp_ns):
             words = f"pressure {index + 1} is {pressure * 1e-3:.1f} kPa, above {self._highest[index] * 1e-3:.1f} kPa"
         if pressure != last:
             self._frozen[index].gone()
-        elif self._frozen_time is not None and self._frozen[index].seen(stamp_ns) and words is None:
+        elif self._frozen_time is not None and self._frozen[index].seen(stamp_ns) and not words:
             words = f"pressure {index + 1} is frozen at {pressure:.1f} Pa"
         return words
 
@@ -204,9 +195,6 @@ class EstimateSupervision:
             whose pressures are not measured.
         period: between two samples [s].
 
-    Raises:
-        BadInput: a limit or a time that is not above 0.
-
     Attributes:
         present: problem of the last estimate that has lasted long enough, in words; empty if there is none.
         settling: whether the last estimate follows a gap, so that it should not be used.
@@ -222,8 +210,7 @@ class EstimateSupervision:
         period: float = 1e-3,
     ) -> None:
         for value in (highest_angle, angle_time, nis_limit, nis_time, 1.0 if blind_time is None else blind_time):
-            if not (math.isfinite(value) and value > 0.0):
-                raise BadInput(f"limit {value!r} of the estimates: expected a finite number above 0")
+            _above_0("limit {} of the estimates", value)
         self.present = ""
         self.settling = False
         self._highest = highest_angle
@@ -311,9 +298,6 @@ class EstimateSupervision:
                 f"a refused pressure or a normalised innovation squared above {self._limit:g}"
             )
         return ""
-
-
-_MISSING = MISSING_PRESSURE_1 | MISSING_PRESSURE_2
 
 
 _PATIENCE = 0.06  # longer than the latency of a command, and than slewing over the whole range [s]

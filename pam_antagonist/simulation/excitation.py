@@ -102,16 +102,9 @@ PROFILES: dict[str, Callable[[FloatArray, int], FloatArray]] = {"paper": paper, 
 
 
 def profile(name: str, duration: float, period: float, seed: int = 0, span: Span | None = None) -> FloatArray:
-    """Voltages of a built-in profile.
+    """Voltages (N, 2) [V] of a built-in profile, one of ``PROFILES``; row k is held over sample period k [s].
 
-    Args:
-        name: one of ``PROFILES``.
-        duration: [s].
-        period: sample period [s].
-        span: voltages; default: 4.15, 5.5, 7.5 V.
-
-    Returns:
-        (N, 2) [V], N = duration / period; row k is held over sample period k.
+    `span`: of the voltages; default: 4.15, 5.5, 7.5 V.
     """
     if name not in PROFILES:
         raise BadInput(f"profile {name!r}: expected one of {', '.join(PROFILES)}, or a CSV file")
@@ -190,16 +183,9 @@ def read_table(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def held(time: FloatArray, voltage: FloatArray, duration: float, period: float) -> FloatArray:
-    """Voltages at a constant period from a table, each row held until the next.
+    """Voltages (N, 2) [V] at a constant period [s] from a table, each row held until the next.
 
-    Args:
-        time: of the rows, (K,) [s], increasing.
-        voltage: (K, 2) [V].
-        duration: [s], counted from the first row.
-        period: sample period [s].
-
-    Returns:
-        (N, 2) [V].
+    The rows are voltages (K, 2) [V] at increasing times (K,) [s]; the duration [s] counts from the first row.
     """
     # Half a period of tolerance: a row at 0.003 s belongs to sample 3, although 3 * 0.001 is not exactly 0.003.
     at = time[0] + (np.arange(round(duration / period)) + 0.5) * period

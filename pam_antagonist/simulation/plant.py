@@ -70,15 +70,12 @@ class Plant:
     """Ground truth for trials without hardware.
 
     It runs the model's physics with ``substeps`` a sample, friction and the rig's effects included. Its parameters are
-    scattered by ``mismatch``, and its sensors are noisy and quantised, so that it differs from an estimator's model.
-    It is a simulator of this project: agreement with it says nothing about a real joint.
+    scattered by ``mismatch``, their relative standard deviation, and its sensors are noisy and quantised, so that it
+    differs from an estimator's model. It is a simulator of this project: agreement with it says nothing about a real
+    joint.
 
-    Args:
-        joint: ``free`` or ``locked``.
-        lock_angle: angle [rad] at which a locked joint is held.
-        mismatch: relative standard deviation of the parameters [-].
-        initial_pressure: of both muscles [Pa]; default: their pressure at rest.
-        initial_angle: [rad]; default: at rest under the initial pressures.
+    `joint`: ``free``, or ``locked`` at `lock_angle` [rad]. It begins with `initial_pressure` in both muscles (2,) [Pa],
+    by default that at rest, and at `initial_angle` [rad], by default at rest under these pressures.
     """
 
     def __init__(
@@ -155,9 +152,8 @@ class Plant:
     def step(self, voltage: tuple[float, float] | np.ndarray, external_torque: float = 0.0) -> PlantSample:
         """Advance one sample period.
 
-        Args:
-            voltage: on the valves over the period (2,) [V], or commanded to the regulators [Pa].
-            external_torque: torque from outside over the period [N m].
+        `voltage`: on the valves over the period (2,) [V], or commanded to the regulators [Pa]. `external_torque`: from
+        outside, over the period [N m].
         """
         self._u[:2] = voltage
         self._u[2] = external_torque

@@ -207,7 +207,7 @@ def _wrong_arguments() -> dict[str, tuple[Callable[[Recording, Rig], object], st
         "identify nothing": (lambda bag, rig: identify([], rig), "no recording"),
         "identify None": (lambda bag, rig: identify(None, rig), "recording: found a value of type NoneType"),
         "identify kPa": (lambda bag, rig: identify(replace(bag, pressure=bag.pressure / 1e3), rig), "looks like kPa"),
-        "diagnose degrees": (lambda bag, rig: diagnose(replace(bag, angle=90.0 + 0.0 * bag.angle), rig), "degrees"),
+        "diagnose degrees": (lambda bag, rig: diagnose(replace(bag, angle=90.0 + 0.0 * bag.angle), rig), "like deg"),
         "check a number": (lambda bag, rig: check(5, rig), "bag: found a value of type int"),
         "estimator": (lambda bag, rig: Estimator(bag), "rig: found a value of type Recording"),
         "read": (lambda bag, rig: read_bag(None), "bag: found a value of type NoneType"),

@@ -24,6 +24,21 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run a command that is refused in one line, which holds some words; gives that line."""
+
+    def run(command: Callable[[list[str]], int], arguments: list[str], *words: str) -> str:
+        capsys.readouterr()
+        assert command(arguments) == 2, arguments
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and error.count("\n") == 1, error
+        assert all(word in error for word in words), error
+        return error
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def python() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run this checkout's Python code in a process of its own."""

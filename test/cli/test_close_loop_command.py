@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -36,17 +34,17 @@ def done(leaking: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_report_and_rig_are_written(done: Path) -> None:
+def test_report_and_rig_are_written(done):
     assert sorted(path.name for path in done.iterdir()) == ["report.html", "report.json", "rig_extended.yaml"]
     assert not (done.parent / "found.part").exists()
     assert load_rig(done / "rig_extended.yaml").effects["leak"]["area_2"] > 0.0
 
 
-def test_the_report_stays_as_it_is(done: Path, golden: Callable[[str, Any], None]) -> None:
+def test_the_report_stays_as_it_is(done, golden):
     golden("close_loop", json.loads((done / "report.json").read_text()))
 
 
-def test_the_page_needs_no_network(done: Path) -> None:
+def test_the_page_needs_no_network(done):
     page = (done / "report.html").read_text()
     assert "Air leaks from muscle 2" in page
     # The policy keeps a browser from loading anything that is not in the file.
@@ -56,30 +54,30 @@ def test_the_page_needs_no_network(done: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--holdout", "0.9"], ["--holdout", "0.1 to 0.5"]),
-        (["--holdout", "0,3"], ["--holdout", "such as 0.3"]),
-        (["--topic", "pressure_1:=/mine/p1"], ["--topic pressure_1=/NAME"]),
-        (["--jobs", "0"], ["--jobs"]),
-        (["--lock-angle", "3"], ["--lock-angle"]),
-        (["--seed", "-1"], ["--seed"]),
-        (["--holdout", "0.3", "--holdout", "0.2"], ["--holdout", "one share"]),
-        (["--holdout", "0.3", "--holdout", "another_bag"], ["--holdout", "one share"]),
+        ("--holdout 0.9", ["--holdout", "0.1 to 0.5"]),
+        ("--holdout 0,3", ["--holdout", "such as 0.3"]),
+        ("--topic pressure_1:=/mine/p1", ["--topic pressure_1=/NAME"]),
+        ("--jobs 0", ["--jobs"]),
+        ("--lock-angle 3", ["--lock-angle"]),
+        ("--seed -1", ["--seed"]),
+        ("--holdout 0.3 --holdout 0.2", ["--holdout", "one share"]),
+        ("--holdout 0.3 --holdout another_bag", ["--holdout", "one share"]),
+        ("{bag}", ["same recording"]),
+        ("--holdout {bag}", ["same recording"]),
+        ("--rig sealed_joint", ["the chambers of rig sealed_joint are sealed"]),
     ],
 )
-def test_wrong_arguments_are_one_line(
-    leaking: Path, tmp_path: Path, arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o"), *arguments]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and all(word in said for word in words)
+def test_wrong_arguments_are_one_line(leaking, tmp_path, arguments, words, refused):
+    given = arguments.format(bag=leaking).split()
+    bags = [given.pop(0)] if not given[0].startswith("-") else []
+    refused(main, [str(leaking), *bags, "--rig", "shin2022", "--out", str(tmp_path / "o"), *given], *words)
+    assert not (tmp_path / "o").exists() and not (tmp_path / "o.part").exists()
 
 
 @pytest.mark.parametrize(
     ("moves", "said", "expected"), [("free", "locked", "stands still"), ("locked", "free", "expected locked")]
 )
-def test_a_condition_that_the_encoder_contradicts_is_refused_before_any_fit(
-    moves: str, said: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_condition_that_the_encoder_contradicts_is_refused_before_any_fit(moves, said, expected, tmp_path, capsys):
     """It used to end in an error about an option that nobody typed, or in effects that explain the wrong condition."""
     write_bag(tmp_path / "bag", simulate("shin2022", duration=21.0, joint=moves))
     arguments = [str(tmp_path / "bag"), "--rig", "shin2022", "--joint", said, "--out", str(tmp_path / "out")]
@@ -89,30 +87,13 @@ def test_a_condition_that_the_encoder_contradicts_is_refused_before_any_fit(
     assert not (tmp_path / "out.part").exists()
 
 
-def test_the_same_bag_twice_is_refused(leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(leaking), str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")]) == 2
-    assert "same recording" in capsys.readouterr().err
-
-
-def test_what_was_interrupted_wants_resume(leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_was_interrupted_wants_resume(leaking, tmp_path, refused):
     (tmp_path / "o.part").mkdir()
-    assert main([str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")]) == 2
-    assert "--resume" in capsys.readouterr().err
-
-
-def test_a_recording_cannot_be_held_out_from_itself(
-    leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = [str(leaking), "--holdout", str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")]
-    assert main(arguments) == 2
-    assert "same recording" in capsys.readouterr().err
-    assert not (tmp_path / "o.part").exists()
+    refused(main, [str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")], "--resume")
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on_to_the_same_report(
-    leaking: Path, done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupted_run_goes_on_to_the_same_report(leaking, done, tmp_path, monkeypatch, capsys):
     out = tmp_path / "o"
     arguments = [str(leaking), "--rig", "shin2022", "--out", str(out), "--jobs", "1", "--no-figures"]
     save = Checkpoint.save
@@ -137,29 +118,19 @@ def test_an_interrupted_run_goes_on_to_the_same_report(
     assert reports[0] == reports[1]
 
 
-def test_without_dask_the_command_says_how_to_get_it(
-    leaking: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_dask_the_command_says_how_to_get_it(leaking, tmp_path, monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "distributed", None)
     arguments = [str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o"), "--dask", "tcp://127.0.0.1:1"]
-    assert main(arguments) == 2
-    assert "pip install 'pam_antagonist[dask]'" in capsys.readouterr().err
+    refused(main, arguments, "pip install 'pam_antagonist[dask]'")
     assert not (tmp_path / "o.part").exists()
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="recordings of rig A are not beside the project")
 @pytest.mark.slow(20)
-def test_a_shifted_valve_of_rig_a(tmp_path: Path) -> None:
+def test_a_shifted_valve_of_rig_a(tmp_path):
     out = tmp_path / "out"
     arguments = [str(DATA / "case_valve_offset" / "locked"), "--rig", "shin2022", "--out", str(out), "--no-figures"]
     assert main(arguments) == 0
     report = json.loads((out / "report.json").read_text())
     assert [(effect["name"], effect["muscle"]) for effect in report["effects"]] == [("valve_offset", 1)]
     assert report["errors"]["extended"]["pressure"]["rmse_pa"][0] < 700.0
-
-
-def test_valves_that_move_are_not_those_of_a_sealed_rig(
-    leaking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([str(leaking), "--rig", "sealed_joint", "--out", str(tmp_path / "out")]) == 2
-    assert "the chambers of rig sealed_joint are sealed" in capsys.readouterr().err

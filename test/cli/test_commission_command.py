@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-
-import pytest
 
 from pam_antagonist.cli import commission, commission_steps
 from pam_antagonist.nodes.processes import ProcessFailed
 
 
-def test_a_folder_of_something_else_stays_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_of_something_else_stays_as_it_is(tmp_path, capsys):
     assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
     assert "but commission did not write it" in capsys.readouterr().err
     (tmp_path / "state.json").write_text(json.dumps({"rig": "another", "steps": {}}))
@@ -23,9 +20,7 @@ def test_a_folder_of_something_else_stays_as_it_is(tmp_path: Path, capsys: pytes
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
 
 
-def test_the_report_of_a_run_that_failed_says_so_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_report_of_a_run_that_failed_says_so_first(tmp_path, capsys, monkeypatch):
     def drive(*_: object) -> None:
         raise ProcessFailed("plant ended with status 2: the supply is off")
 

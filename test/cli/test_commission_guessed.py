@@ -13,15 +13,16 @@ import pytest
 
 from pam_antagonist.cli import commission, new_rig
 from pam_antagonist.cli.demo_steps import found_gains
-from pam_antagonist.cli.rehearsal import explore
+from pam_antagonist.cli.rehearsal import rehearse
 from pam_antagonist.cli.tried_gains import held_angles, tried_gains
 from pam_antagonist.control.model_law import ModelGains
-from pam_antagonist.design import Limits
+from pam_antagonist.design import Limits, Plan
 from pam_antagonist.design.exploration import FirstAir
 from pam_antagonist.design.first_fill import pulse_faults
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.limits import vented
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.plant import Plant
 
@@ -54,8 +55,24 @@ def joint_of(rig: Rig) -> Rig:
     )
 
 
+def at_rest(rig: Rig, limits: Limits) -> Plan:
+    """Where a joint without air begins, and its limits."""
+    least, command = vented(rig)
+    return Plan(np.empty((0, 2)), rig.sample_period, "free", 0.0, limits, least, command)
+
+
+def test_beyond_a_limit_a_rehearsal_lets_the_air_out(tmp_path):
+    rig = guess(tmp_path, "valves")
+    least, command = vented(rig)
+    limits = replace(Limits.of(rig), pressure=(least, least + 20e3))
+    _, ended = rehearse(joint_of(rig), at_rest(rig, limits), FirstAir(rig), 1, 0.0, tmp_path / "bag")
+    recording = read_bag(tmp_path / "bag", judge=False)
+    assert "above the limit of 121 kPa" in ended
+    assert np.all(recording.voltage[-20:] == command) and recording.pressure[-1].max() < recording.pressure.max() - 5e3
+
+
 @pytest.mark.slow(15)
-def test_a_guess_becomes_a_controlled_joint(tmp_path: Path) -> None:
+def test_a_guess_becomes_a_controlled_joint(tmp_path):
     """With regulators; the tutorial's rig, which the tests of the pages commission, has valves."""
     rig = guess(tmp_path, "regulators")
     write_rig(joint_of(rig), tmp_path / "truth.yaml")
@@ -82,10 +99,10 @@ def test_a_guess_becomes_a_controlled_joint(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("drive", DRIVES)
-def test_first_air_says_what_is_exchanged(drive: str, tmp_path: Path) -> None:
+def test_first_air_says_what_is_exchanged(drive, tmp_path):
     rig = guess(tmp_path, drive)
-    program, limits = FirstAir(rig), Limits.of(rig)
-    _, ended = explore(joint_of(rig), program, limits, 1, 0.0, tmp_path / "bag")
+    program = FirstAir(rig)
+    _, ended = rehearse(joint_of(rig), at_rest(rig, Limits.of(rig)), program, 1, 0.0, tmp_path / "bag")
     recording = read_bag(tmp_path / "bag", judge=False)
     assert ended == "" and pulse_faults(rig, recording, program.pulses) == []
     assert all(pulse.rise.max() < 150e3 for pulse in program.pulses), "a little air only"
@@ -102,7 +119,7 @@ HEAVY = (
 
 
 @pytest.mark.slow(5)
-def test_gains_with_which_a_heavy_joint_swings_are_not_taken(tmp_path: Path) -> None:
+def test_gains_with_which_a_heavy_joint_swings_are_not_taken(tmp_path):
     assert new_rig.main(["--out", str(tmp_path / "rig.yaml"), *HEAVY.split()]) == 0
     rig = load_rig(tmp_path / "rig.yaml").replaced(uncertainty={}, directions={})  # as if it were identified
     rig = moved(rig, {"joint.viscous_friction": 0.18})

@@ -48,8 +48,8 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     """Commissioning with quick designs and findings; air goes in by the rehearsal as ever."""
     out, driven = Stopped(), commission_steps.drive
 
-    def drive(owner: Any, plan: Plan, folder: Path) -> Any:
-        result = driven(owner, plan, folder)
+    def drive(owner: Any, plan: Plan, folder: Path, *more: Any) -> Any:
+        result = driven(owner, plan, folder, *more)
         out.once(folder.name.partition("_")[0])
         return result
 
@@ -80,7 +80,7 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     return out
 
 
-def test_each_step_goes_on_after_ctrl_c(stopped: Stopped, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_step_goes_on_after_ctrl_c(stopped, tmp_path, capsys):
     out = tmp_path / "commissioned"
     words = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
     kinds = ("wiring", "free", "locked", "identified", "found", "apart", "found_again")
@@ -102,9 +102,7 @@ def test_each_step_goes_on_after_ctrl_c(stopped: Stopped, tmp_path: Path, capsys
     assert 5.0 < gains["bias"] < 5.6 and gains["angle_proportional"] > 1.0
 
 
-def test_recordings_that_no_model_fits_are_left_to_close_loop(
-    stopped: Stopped, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recordings_that_no_model_fits_are_left_to_close_loop(stopped, monkeypatch, tmp_path, capsys):
     from pam_antagonist.api import diagnose
 
     def refuse(bags: list[Path], rig: Any, seed: int) -> Any:
@@ -135,9 +133,9 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(
     ],
 )
 def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named(
-    instead: tuple[str, ...], words: str, stopped: Stopped, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    instead, words, stopped, monkeypatch, tmp_path,
+    capsys,
+):  # fmt: skip
     asked: list[Any] = []
 
     def told_apart(*given: Any, channels: Any, **more: Any) -> Verdict:
@@ -157,9 +155,7 @@ def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named
     assert "leak" in load_rig(str(out / "rig.yaml")).effects
 
 
-def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(
-    stopped: Stopped, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(stopped, monkeypatch, tmp_path, capsys):
     """A smaller --max-angle does not help: it is the limit at which the experiment ends."""
 
     def narrow(*given: Any, **more: Any) -> Plan:
@@ -176,9 +172,7 @@ def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(
     assert "pressures nearer to each other (--min-pressure, --max-pressure)" in said and "tighter limits" not in said
 
 
-def test_a_sensor_that_always_shows_the_same_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sensor_that_always_shows_the_same_is_named(monkeypatch, tmp_path, capsys):
     from pam_antagonist.cli import rehearsal
 
     class Frozen(rehearsal.Plant):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_work_is_done_by_both_workers_and_not_here(scheduler: str) -> None:
+def test_work_is_done_by_both_workers_and_not_here(scheduler):
     def where(number: int) -> int:
         return os.getpid()
 
@@ -52,9 +52,7 @@ def without_times(file: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("command", "options"), [(identify.main, ["free", *FEW]), (close_loop.main, ["locked"])])
-def test_a_report_is_the_same(
-    command: Callable[[list[str]], int], options: list[str], scheduler: str, bags: Path, tmp_path: Path
-) -> None:
+def test_a_report_is_the_same(command, options, scheduler, bags, tmp_path):
     bag, *further = options
     reports, statuses = [], []
     for name, where in (("here", []), ("there", ["--dask", scheduler])):
@@ -66,7 +64,7 @@ def test_a_report_is_the_same(
     assert statuses in ([0, 0], [1, 1])
 
 
-def test_cases_of_a_battery_are_the_same(scheduler: str, tmp_path: Path) -> None:
+def test_cases_of_a_battery_are_the_same(scheduler, tmp_path):
     for name, where in (("here", []), ("there", ["--dask", scheduler])):
         arguments = ["--out", str(tmp_path / name), "--count", "0", "--nothing", "2", "--duration", "12", *where]
         assert battery.main(arguments) == 0

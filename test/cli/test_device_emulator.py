@@ -22,7 +22,7 @@ from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
 from pam_antagonist.safety import SafeAction
 
 
-def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_overwritten(tmp_path, capsys):
     precious = tmp_path / "precious"
     precious.write_text("data")
     for option in ("--log", "--link"):
@@ -34,12 +34,12 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     "text", ["", "flip", "silent=1", "flip=x", "flip=nan", "unplug@3-2", "unplug@-1", "unplug@a", "nan=0", "drop=-1"]
 )
-def test_faults_that_are_none_are_refused(text: str) -> None:
+def test_faults_that_are_none_are_refused(text):
     with pytest.raises(BadInput, match="fault"):
         parse_fault(text)
 
 
-def test_faults_begin_and_end_and_hit_what_they_name() -> None:
+def test_faults_begin_and_end_and_hit_what_they_name():
     plan = FaultPlan([parse_fault("nan=1@1-2"), parse_fault("flip=1@1.5-3"), parse_fault("drop=1@4")], seed=0)
     assert plan.at(0.5) == ([], [])
     assert plan.damaged(b"abc") == b"abc" and not plan.dropped()
@@ -85,8 +85,8 @@ def emulated(
 
 @pytest.mark.realtime
 def test_a_host_finds_a_device_with_a_joint_behind_the_link(
-    emulated: Callable[..., tuple[subprocess.Popen[str], Path, Path]],
-) -> None:
+    emulated,
+):
     # its counter wraps half a second after the start
     emulator, link, log = emulated("--first-us", str(2**32 - 500_000), "--fault", "stop@0.5-0.6")
     assert os.path.exists(link)
@@ -125,8 +125,8 @@ def test_a_host_finds_a_device_with_a_joint_behind_the_link(
 
 @pytest.mark.realtime
 def test_faults_that_begin_or_end_during_a_stall_are_not_lost(
-    emulated: Callable[..., tuple[subprocess.Popen[str], Path, Path]],
-) -> None:
+    emulated,
+):
     faults = ("unplug@0.1-0.5", "stall@0.3-1.2", "stop@0.7-0.9", "restart@1")
     options = [word for fault in faults for word in ("--fault", fault)]
     emulator, link, log = emulated("--first-us", str(2**31), *options)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +57,7 @@ def result(bags: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.mark.slow
-def test_two_bags_give_a_rig_that_everything_loads(result: Path, bags: tuple[Path, Path]) -> None:
+def test_two_bags_give_a_rig_that_everything_loads(result, bags):
     assert {path.name for path in result.iterdir()} == {
         "rig.yaml", "rig_1.yaml", "rig_2.yaml", "report.html", "report.json"
     }  # fmt: skip
@@ -79,7 +78,7 @@ def test_two_bags_give_a_rig_that_everything_loads(result: Path, bags: tuple[Pat
 
 
 @pytest.mark.slow
-def test_the_report_judges_only_what_was_held_out(result: Path, golden: Callable[[str, Any], None]) -> None:
+def test_the_report_judges_only_what_was_held_out(result, golden):
     found = report(result)
     golden("identify", found)
     for entry in found["held_out"]:
@@ -97,9 +96,7 @@ def test_the_report_judges_only_what_was_held_out(result: Path, golden: Callable
 
 
 @pytest.mark.slow
-def test_one_recording_without_a_reference_tells_what_pressures_tell(
-    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_recording_without_a_reference_tells_what_pressures_tell(bags, tmp_path, capsys):
     blind = changed(bags[0], tmp_path / "blind", angle=None, torque=None)
     out = tmp_path / "out"
     assert main([str(blind), "--rig", "shin2022", "--out", str(out), "--no-figures"]) == 0
@@ -114,9 +111,7 @@ def test_one_recording_without_a_reference_tells_what_pressures_tell(
     assert all(undetermined.values())
 
 
-def test_bad_input_is_one_line_that_names_it(
-    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line_that_names_it(bags, tmp_path, capsys):
     free, locked = bags
     samples = len(read_bag(locked).stamp_ns)
     changed(locked, tmp_path / "still", voltage=np.full((samples, 2), 5.5))
@@ -149,9 +144,7 @@ def test_bad_input_is_one_line_that_names_it(
 
 
 @pytest.mark.slow
-def test_a_rejected_rig_is_said_first_and_nothing_proposes_it(
-    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rejected_rig_is_said_first_and_nothing_proposes_it(bags, tmp_path, capsys):
     rig, out = tmp_path / "narrow.yaml", tmp_path / "out"
     rig.write_text("based_on: shin2022\nname: narrow\nbounds: {valve_1.outflow_area: [7.775e-8, 7.777e-8]}\n")
     kept = [word for name in ("valve_1.inflow_area", "valve_2", "supply") for word in ("--freeze", name)]
@@ -167,9 +160,7 @@ def test_a_rejected_rig_is_said_first_and_nothing_proposes_it(
 
 
 @pytest.mark.slow
-def test_noise_that_no_sensor_may_have_rejects_the_rig(
-    bags: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_noise_that_no_sensor_may_have_rejects_the_rig(bags, tmp_path, capsys):
     """It is found by the fit, so it is no bad value of the rig file that was given."""
     torque = read_bag(bags[1]).torque
     assert torque is not None
@@ -185,7 +176,7 @@ def test_noise_that_no_sensor_may_have_rejects_the_rig(
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="the recordings of rig A are not beside the project")
 @pytest.mark.skipif(not os.environ.get("PAM_PROOF"), reason="one to three minutes: PAM_PROOF=1 ./run test runs it")
-def test_rig_a_comes_near_to_its_sensors_noise(tmp_path: Path) -> None:
+def test_rig_a_comes_near_to_its_sensors_noise(tmp_path):
     out = tmp_path / "out"
     begin = time.perf_counter()
     arguments = [str(DATA / "free"), str(DATA / "locked"), "--rig", "shin2022", "--out", str(out), "--no-figures"]
@@ -203,9 +194,7 @@ def test_rig_a_comes_near_to_its_sensors_noise(tmp_path: Path) -> None:
     assert free["identified"]["ukf"]["angle"]["coverage95"] >= 0.90
 
 
-def test_a_damaged_bag_is_fitted_up_to_the_damage_if_that_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_bag_is_fitted_up_to_the_damage_if_that_is_asked_for(tmp_path, capsys):
     made = ["--rig", "shin2022", "--out", str(tmp_path / "cut"), "--duration", "12", "--profile", "steps"]
     assert simulate.main([*made, "--seed", "3", "--joint", "locked"]) == 0
     (file,) = (tmp_path / "cut").glob("*.mcap")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -20,12 +19,12 @@ from validation.__main__ import COMMANDS as MEASUREMENTS
 )
 @pytest.mark.parametrize("absent", ["rclpy", "pam_antagonist_msgs"])
 def test_without_ros_what_needs_it_says_so(
-    arguments: list[str],
-    absent: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    arguments,
+    absent,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, absent, None)
     assert main(arguments, {**COMMANDS, **MEASUREMENTS}) == 2
@@ -34,9 +33,7 @@ def test_without_ros_what_needs_it_says_so(
     assert not list(tmp_path.iterdir())
 
 
-def test_without_plotly_a_report_has_no_figures(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_plotly_a_report_has_no_figures(bag, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "plotly", None)
     assert main(["replay", str(bag), "--rig", "shin2022", "--out", str(tmp_path / "out")]) == 0
     (said,) = [line for line in capsys.readouterr().err.splitlines() if "plotly" in line]
@@ -45,15 +42,13 @@ def test_without_plotly_a_report_has_no_figures(
     assert "<table" in page
 
 
-def test_without_pyserial_a_port_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyserial_a_port_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(BadInput, match=r"/dev/ttyACM0: serial is not installed.*'pam_antagonist\[hardware\]'"):
         SerialTransport("/dev/ttyACM0")
 
 
-def test_without_shtab_completion_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_shtab_completion_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["--completion", "bash"]) == 2
     assert "'pam_antagonist[completion]'" in capsys.readouterr().err

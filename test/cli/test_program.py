@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -25,9 +24,7 @@ from pam_antagonist.program import VARIABLE, program, typed
         ("", "", "pam"),
     ],
 )
-def test_a_command_is_shown_as_it_is_typed(
-    monkeypatch: pytest.MonkeyPatch, given: str, started: str, expected: str
-) -> None:
+def test_a_command_is_shown_as_it_is_typed(monkeypatch, given, started, expected):
     monkeypatch.setenv(VARIABLE, given)
     monkeypatch.setattr(sys, "argv", [started])
     assert program() == expected
@@ -35,9 +32,7 @@ def test_a_command_is_shown_as_it_is_typed(
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_help_shows_it_and_holds_no_other_form(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_shows_it_and_holds_no_other_form(name, monkeypatch, capsys):
     monkeypatch.setenv(VARIABLE, "here/run")
     assert main([name, "--help"]) == 0
     said = capsys.readouterr().out
@@ -48,18 +43,18 @@ def test_help_shows_it_and_holds_no_other_form(
         assert line.startswith("  here/run ") or not line.startswith("  "), line
 
 
-def test_refused_arguments_name_the_help(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refused_arguments_name_the_help(monkeypatch, capsys):
     monkeypatch.setenv(VARIABLE, "ros2 run pam_antagonist")
     assert main(["replay", "bag"]) == 2
     assert capsys.readouterr().err.endswith("(see ros2 run pam_antagonist replay --help)\n")
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"pam_antagonist {__version__}\n"
 
 
-def test_bash_completes_names_options_choices_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bash_completes_names_options_choices_and_files(tmp_path, capsys):
     bash = shutil.which("bash")
     pytest.importorskip("shtab", reason="the extra [completion] is not installed")
     assert bash is not None and main(["--completion", "bash"]) == 0
@@ -82,7 +77,7 @@ def test_bash_completes_names_options_choices_and_files(tmp_path: Path, capsys: 
     assert completed("plant", "--ros") == ["--ros-args"]
 
 
-def test_an_unknown_shell_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_shell_is_refused_in_one_line(capsys):
     assert main(["--completion", "dos"]) == 2
     said = capsys.readouterr().err
     assert "expected one of bash, zsh" in said and said.count("\n") == 1

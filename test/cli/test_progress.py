@@ -20,7 +20,7 @@ def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     return lambda: capsys.readouterr().err
 
 
-def test_off_a_terminal_there_are_lines(said: Said) -> None:
+def test_off_a_terminal_there_are_lines(said):
     with progress.phases("close_loop") as begin:
         begin("second phase")
         time.sleep(0.13)
@@ -29,7 +29,7 @@ def test_off_a_terminal_there_are_lines(said: Said) -> None:
     assert all(line == "close_loop: second phase, 0 s" for line in lines)
 
 
-def test_what_fails_stays_where_it_was(said: Said) -> None:
+def test_what_fails_stays_where_it_was(said):
     with pytest.raises(ValueError), progress.counted(100, "replay") as advance:
         advance(40)
         time.sleep(0.12)
@@ -38,7 +38,7 @@ def test_what_fails_stays_where_it_was(said: Said) -> None:
     assert "replay: 40 %" in lines and "100 %" not in lines
 
 
-def test_on_a_terminal_the_bar_reaches_the_end(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_terminal_the_bar_reaches_the_end(said, monkeypatch):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with progress.counted(100, "replay") as advance:
         advance(30)
@@ -48,7 +48,7 @@ def test_on_a_terminal_the_bar_reaches_the_end(said: Said, monkeypatch: pytest.M
     assert "replay  30 % |" in drawn and "left" in drawn and "100 % |" in drawn
 
 
-def test_what_is_quick_shows_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_quick_shows_nothing(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with progress.counted(10, "replay") as advance:
         advance(10)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-
-import pytest
 
 from pam_antagonist.cli.reachable import main
 
 
-def test_the_table_and_the_page_hold_the_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_and_the_page_hold_the_set(tmp_path, capsys):
     out = tmp_path / "reach"
     assert main(["--rig", "shin2022", "--out", str(out)]) == 0
     text = capsys.readouterr().out
@@ -22,6 +19,6 @@ def test_the_table_and_the_page_hold_the_set(tmp_path: Path, capsys: pytest.Capt
     assert "Angle and stiffness" in (out / "report.html").read_text()
 
 
-def test_narrower_bounds_reach_less(capsys: pytest.CaptureFixture[str]) -> None:
+def test_narrower_bounds_reach_less(capsys):
     assert main(["--rig", "shin2022", "--lowest-pressure", "300e3", "--supply-margin", "100e3"]) == 0
     assert "300 to 610 kPa" in capsys.readouterr().out

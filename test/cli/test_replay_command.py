@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ import pytest
 from pam_antagonist.cli.replay import main
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rig_a"
-Python = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def _strict(text: str) -> Any:
@@ -24,7 +21,7 @@ def _strict(text: str) -> Any:
     return json.loads(text, parse_constant=refuse)
 
 
-def test_a_bag_gives_report_and_table(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bag_gives_report_and_table(bag, tmp_path, capsys):
     out = tmp_path / "out"
     assert main([str(bag), "--rig", "shin2022", "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["report.html", "report.json"]
@@ -37,7 +34,7 @@ def test_a_bag_gives_report_and_table(bag: Path, tmp_path: Path, capsys: pytest.
     assert "Plotly" in (out / "report.html").read_text()
 
 
-def test_several_bags_and_other_settings(bag: Path, tmp_path: Path) -> None:
+def test_several_bags_and_other_settings(bag, tmp_path):
     arguments = [str(bag), str(bag), "--rig", "shin2022", "--tuning", "published", "--joint", "locked"]
     assert main([*arguments, "--lock-angle", "2", "--out", str(tmp_path / "out"), "--no-figures"]) == 0
     report = _strict((tmp_path / "out" / "report.json").read_text())
@@ -46,7 +43,7 @@ def test_several_bags_and_other_settings(bag: Path, tmp_path: Path) -> None:
     assert report["recordings"][0]["joint"]["lock_angle_rad"] == pytest.approx(0.0349, abs=1e-4)
 
 
-def test_topics_may_have_other_names(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_topics_may_have_other_names(bag, tmp_path, capsys):
     # The bag's own names, given by hand, with the muscles exchanged: everything else is found as before.
     exchanged = ["--topic", "pressure_1=/pam/pressure_2", "--topic", "pressure_2=/pam/pressure_1"]
     arguments = [str(bag), "--rig", "shin2022", "--no-figures"]
@@ -57,9 +54,7 @@ def test_topics_may_have_other_names(bag: Path, tmp_path: Path, capsys: pytest.C
     assert crossed["ukf"]["angle"]["rmse_deg"] > 3.0 * straight["ukf"]["angle"]["rmse_deg"]
 
 
-def test_json_to_standard_output_and_the_estimate_beside_it(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_to_standard_output_and_the_estimate_beside_it(bag, tmp_path, capsys):
     arguments = [str(bag), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--no-figures", "--json", "-"]
     assert main([*arguments, "--save", str(tmp_path / "estimate.csv")]) == 0
     printed = capsys.readouterr()
@@ -68,58 +63,48 @@ def test_json_to_standard_output_and_the_estimate_beside_it(
     assert (tmp_path / "estimate.csv").read_text().startswith("stamp_ns,time_s,angle_rad,angle_std_rad,")
 
 
-@pytest.mark.parametrize(("save", "says"), [("estimate.txt", ".csv or .mcap"), ("there.csv", "exists")])
-def test_a_file_for_the_estimate_that_cannot_be_is_refused_first(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], save: str, says: str
-) -> None:
-    (tmp_path / "there.csv").write_text("precious")
-    arguments = [str(bag), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--save", str(tmp_path / save)]
-    assert main(arguments) == 2
-    assert says in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+@pytest.fixture
+def cut(bag: Path, tmp_path: Path) -> Path:
+    """A copy of the bag that lacks its end."""
+    shutil.copytree(bag, tmp_path / "cut")
+    (file,) = (tmp_path / "cut").glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-5000])
+    return tmp_path / "cut"
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["{bag}", "--rig", "shin2202"], "unknown rig 'shin2202'"),
-        (["{bag}", "--rig", "{tmp}/none.yaml"], "none.yaml"),
-        (["{tmp}/none", "--rig", "shin2022"], "none"),
-        (["{tmp}/empty", "--rig", "shin2022"], "empty"),
-        (["{tmp}/text.mcap", "--rig", "shin2022"], "text.mcap"),
-        (["{tmp}/cut", "--rig", "shin2022"], "cut"),
-        (["{bag}", "--rig", "shin2022", "--tuning", "none"], "tuning 'none'"),
-        (["{bag}", "--rig", "shin2022", "--topic", "pressure_3=/x"], "pressure_3"),
-        (["{bag}", "--rig", "shin2022", "--topic", "pressure_1=/x"], "/x"),
-        (["{bag}", "--rig", "shin2022", "--joint", "loose"], "loose"),
-        (["{bag}", "--rig", "shin2022", "--lock-angle", "3"], "--joint locked"),
-        (["{bag}", "--rig", "shin2022", "--joint", "locked", "--lock-angle", "80"], "80"),
-        (["{bag}", "--rig", "shin2022", "--joint", "locked", "--lock-angle", "nan"], "nan"),
-        (["{bag}"], "--rig"),
-        (["--rig", "shin2022"], "BAG"),
-        (["{bag}", "--rig", "shin2022", "--no-such-thing"], "--no-such-thing"),
+        ("{bag} --rig shin2202", "unknown rig 'shin2202'"),
+        ("{bag} --rig {tmp}/none.yaml", "none.yaml"),
+        ("{tmp}/none --rig shin2022", "none"),
+        ("{tmp}/empty --rig shin2022", "empty"),
+        ("{tmp}/text.mcap --rig shin2022", "text.mcap"),
+        ("{tmp}/cut --rig shin2022", "cut"),
+        ("{bag} --rig shin2022 --tuning none", "tuning 'none'"),
+        ("{bag} --rig shin2022 --topic pressure_3=/x", "pressure_3"),
+        ("{bag} --rig shin2022 --topic pressure_1=/x", "/x"),
+        ("{bag} --rig shin2022 --joint loose", "loose"),
+        ("{bag} --rig shin2022 --lock-angle 3", "--joint locked"),
+        # A lock angle is told in degrees, refused in the rig's radians.
+        ("{bag} --rig shin2022 --joint locked --lock-angle 80", "1.39626"),
+        ("{bag} --rig shin2022 --joint locked --lock-angle nan", "nan"),
+        ("{bag} --rig shin2022 --save {tmp}/estimate.txt", ".csv or .mcap"),
+        ("{bag} --rig shin2022 --save {tmp}/text.mcap", "exists"),
+        ("{bag}", "--rig"),
+        ("--rig shin2022", "BAG"),
+        ("{bag} --rig shin2022 --no-such-thing", "--no-such-thing"),
     ],
 )
-def test_bad_input_is_one_line_that_names_it(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
-) -> None:
+def test_bad_input_is_one_line_that_names_it(bag, cut, tmp_path, refused, arguments, says):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.mcap").write_text("not a bag")
-    shutil.copytree(bag, tmp_path / "cut")
-    (file,) = (tmp_path / "cut").glob("*.mcap")
-    file.write_bytes(file.read_bytes()[:-5000])
-    given = [text.format(bag=bag, tmp=tmp_path) for text in arguments]
-    assert main([*given, "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and error.count("\n") == 1, error
-    # A lock angle is told in degrees, refused in the rig's radians.
-    assert says in error or (says == "80" and "1.39626" in error), error
-    assert "Traceback" not in error
-    assert not (tmp_path / "out").exists()
+    refused(main, [*arguments.format(bag=bag, tmp=tmp_path).split(), "--out", str(tmp_path / "out")], says)
+    assert not (tmp_path / "out").exists() and (tmp_path / "text.mcap").read_text() == "not a bag"
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"no recordings of rig A at {DATA}")
-def test_a_recording_of_a_joint_that_this_project_did_not_make(tmp_path: Path) -> None:
+def test_a_recording_of_a_joint_that_this_project_did_not_make(tmp_path):
     bags = [str(DATA / "nominal" / joint) for joint in ("free", "locked")]
     assert main([*bags, "--rig", "shin2022", "--out", str(tmp_path / "out"), "--no-figures"]) == 0
     report = _strict((tmp_path / "out" / "report.json").read_text())
@@ -131,26 +116,8 @@ def test_a_recording_of_a_joint_that_this_project_did_not_make(tmp_path: Path) -
     assert locked["ukf"]["torque"]["rmse_nm"] < 0.1
 
 
-def test_a_damaged_bag_can_be_read_up_to_the_damage(bag: Path, tmp_path: Path) -> None:
-    shutil.copytree(bag, tmp_path / "cut")
-    (file,) = (tmp_path / "cut").glob("*.mcap")
-    file.write_bytes(file.read_bytes()[:-5000])
-    arguments = [str(tmp_path / "cut"), "--rig", "shin2022", "--recover", "--no-figures"]
+def test_a_damaged_bag_can_be_read_up_to_the_damage(cut, tmp_path):
+    arguments = [str(cut), "--rig", "shin2022", "--recover", "--no-figures"]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
     report = _strict((tmp_path / "out" / "report.json").read_text())
     assert report["recording"]["issues"]
-
-
-def test_a_reader_that_goes_away_is_no_error(bag: Path, tmp_path: Path, python: Python) -> None:
-    code = f"""
-import os, subprocess, sys
-command = [sys.executable, "-m", "pam_antagonist", "replay", {str(bag)!r}, "--rig", "shin2022",
-           "--out", {str(tmp_path / "out")!r}, "--no-figures"]
-process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-process.stdout.close()
-print(process.stderr.read().decode())
-sys.exit(process.wait())
-"""
-    done = python("-c", code)
-    assert "Traceback" not in done.stdout + done.stderr
-    assert "Exception ignored" not in done.stdout

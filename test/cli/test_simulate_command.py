@@ -21,7 +21,7 @@ def _bag(folder: Path, *arguments: str) -> Path:
     return folder
 
 
-def test_a_bag_holds_what_a_live_joint_publishes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bag_holds_what_a_live_joint_publishes(tmp_path, capsys):
     recording = read_bag(_bag(tmp_path / "bag", "--duration", "2", "--profile", "multisine"))
     assert recording.issues == ()
     assert len(recording.stamp_ns) == 2000
@@ -34,7 +34,7 @@ def test_a_bag_holds_what_a_live_joint_publishes(tmp_path: Path, capsys: pytest.
     assert "2000 samples" in capsys.readouterr().out
 
 
-def test_the_same_arguments_give_the_same_recording_and_another_seed_another(tmp_path: Path) -> None:
+def test_the_same_arguments_give_the_same_recording_and_another_seed_another(tmp_path):
     arguments = ("--duration", "1", "--profile", "steps", "--mismatch", "0.01")
     seeds = {"a": (), "b": (), "c": ("--seed", "1")}
     first, again, other = (read_bag(_bag(tmp_path / name, *arguments, *seed)) for name, seed in seeds.items())
@@ -43,14 +43,14 @@ def test_the_same_arguments_give_the_same_recording_and_another_seed_another(tmp
     assert not np.array_equal(first.pressure, other.pressure)
 
 
-def test_without_noise_and_mismatch_the_pressures_are_the_models(tmp_path: Path) -> None:
+def test_without_noise_and_mismatch_the_pressures_are_the_models(tmp_path):
     recording = read_bag(_bag(tmp_path / "bag", "--duration", "2", "--no-noise", "--joint", "locked"))
     assert recording.angle is not None and not recording.angle.any()
     model = simulate_model(load_rig("shin2022"), recording.voltage, recording.pressure[0], joint="locked", substeps=4)
     assert recording.pressure == pytest.approx(model.pressure, rel=1e-9)
 
 
-def test_a_table_of_voltages_is_held_between_its_rows(tmp_path: Path) -> None:
+def test_a_table_of_voltages_is_held_between_its_rows(tmp_path):
     (tmp_path / "u.csv").write_text("t_s,u1,u2\n10.0,5.5,5.5\n10.003,6.0,5.0\n10.005,5.0,6.0\n")
     recording = read_bag(_bag(tmp_path / "bag", "--profile", str(tmp_path / "u.csv")))
     assert recording.voltage[:, 0].tolist() == [5.5, 5.5, 5.5, 6.0, 6.0, 5.0]
@@ -70,19 +70,17 @@ def test_a_table_of_voltages_is_held_between_its_rows(tmp_path: Path) -> None:
         ("t_s,u1,u2\n0,5,5\n1,5,12\n", "row 3 is outside the rig's valve voltages, 0 to 10 V"),
     ],
 )
-def test_a_bad_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, says: str) -> None:
+def test_a_bad_table_is_refused(tmp_path, refused, content, says):
     (tmp_path / "u.csv").write_text(content)
     arguments = ["--rig", "shin2022", "--out", str(tmp_path / "bag"), "--profile", str(tmp_path / "u.csv")]
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert "u.csv" in error and says in error and error.count("\n") == 1
+    refused(main, arguments, "u.csv", says)
     assert not (tmp_path / "bag").exists()
 
 
 # ------------------------------------------------------------------ profiles
 
 
-def test_the_papers_profile_reaches_the_papers_pressures_and_angles() -> None:
+def test_the_papers_profile_reaches_the_papers_pressures_and_angles():
     rig = load_rig("shin2022")
     voltage = excitation.profile("paper", excitation.PAPER_DURATION, rig.sample_period)
     assert len(voltage) == 130_000
@@ -94,7 +92,7 @@ def test_the_papers_profile_reaches_the_papers_pressures_and_angles() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(excitation.PROFILES))
-def test_profiles_start_at_rest_and_stay_within_their_span(name: str) -> None:
+def test_profiles_start_at_rest_and_stay_within_their_span(name):
     span = excitation.Span(4.0, 5.0, 8.0)
     voltage = excitation.profile(name, 150.0, 1e-3, seed=4, span=span)
     assert voltage[0] == pytest.approx([5.0, 5.0], abs=0.01)
@@ -104,6 +102,6 @@ def test_profiles_start_at_rest_and_stay_within_their_span(name: str) -> None:
     assert np.corrcoef(voltage.T)[0, 1] < 0.9, "and not always together"
 
 
-def test_an_unknown_profile_is_refused() -> None:
+def test_an_unknown_profile_is_refused():
     with pytest.raises(BadInput, match="paper, steps, multisine"):
         excitation.profile("square", 1.0, 1e-3)

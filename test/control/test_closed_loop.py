@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.control import PI_MODES, PUBLISHED_GAINS, Mode, PiController, Status
+from pam_antagonist.control.command import PI_MODES, Mode, Status
+from pam_antagonist.control.pi import PUBLISHED_GAINS, PiController
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
 

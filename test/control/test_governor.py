@@ -7,7 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.control import Governor, Laws, Limits, Mode, ModelController, PiController, Reachable, Seen, Wanted
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.governor import Governor, Limits
+from pam_antagonist.control.laws import Laws, Reachable
+from pam_antagonist.control.model_law import ModelController, Seen
+from pam_antagonist.control.pi import PiController
+from pam_antagonist.control.reference import Wanted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import load_rig

@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.control import Box, Mode, ModelController, ModelGains, Seen, Status
+from pam_antagonist.control.command import Mode, Status
+from pam_antagonist.control.model_law import ModelController, ModelGains, Seen
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import load_rig

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.control import PI_MODES, PUBLISHED_GAINS, Gains, Mode, PiController, Status, VoltageLimits
+from pam_antagonist.control.command import PI_MODES, Mode, Status, VoltageLimits
+from pam_antagonist.control.pi import PUBLISHED_GAINS, Gains, PiController
 from pam_antagonist.errors import BadInput
 
 PERIOD = 1e-3

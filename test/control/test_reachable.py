@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.control import Box, Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.rig import load_rig

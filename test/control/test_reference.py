@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from pam_antagonist.control import PI_MODES, Mode, References, Rules, Trajectory
+from pam_antagonist.control.command import PI_MODES, Mode
+from pam_antagonist.control.reference import References, Rules, Trajectory
 from pam_antagonist.errors import BadInput
 
 MS = 1_000_000

@@ -7,15 +7,39 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.control import Box, Mode, Wanted
+from pam_antagonist.cli.tried_gains import seen
+from pam_antagonist.control.command import Mode, VoltageLimits
+from pam_antagonist.control.laws import Laws, Reachable
+from pam_antagonist.control.model_law import ModelController
+from pam_antagonist.control.pi import PiController
+from pam_antagonist.control.reference import Wanted
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import Estimator
 from pam_antagonist.rig import Rig, load_rig
-from validation.control.loop import make_laws, run
+from pam_antagonist.simulation.plant import Plant
 
 RIG = load_rig("shin2022")
 P, BOX = RIG.parameters(), Box.of(RIG.parameters())
 SMOOTH = RIG.replaced(friction=RIG.friction.replaced(shaft=0.002, muscle=4.0e6))
+
+
+def pushed(rig: Rig, reference: Wanted, push: np.ndarray) -> np.ndarray:
+    """Angles of a joint that the law through the model controls, which is told of a torque from outside."""
+    plant, estimator = Plant(rig), Estimator(rig)
+    p, period = rig.parameters(), rig.sample_period
+    valves = VoltageLimits(rig.valves.voltage_min, rig.valves.voltage_max)
+    pi = PiController(sample_period=period, limits=valves)
+    laws = Laws(pi, ModelController(p, BOX, sample_period=period, limits=valves), Reachable(p, BOX), "model", None)
+    voltage, angle = pi.safe_voltage, []
+    for k, torque in enumerate(push.tolist()):
+        sample = plant.step(voltage, torque)
+        row = estimator.step((k + 1) * round(period * 1e9), *sample.pressure, *sample.voltage)
+        estimate = seen(row)._replace(external_torque=torque, external_variance=0.0)
+        voltage = laws.step(reference, estimate).voltage
+        angle.append(sample.truth[0])
+    return np.array(angle)
 
 
 def transfer(rig: Rig, torque: float, frequency: float, stiffness: float, damping: float) -> complex:
@@ -24,13 +48,11 @@ def transfer(rig: Rig, torque: float, frequency: float, stiffness: float, dampin
     turn = 2.0 * math.pi * frequency * period
     count = 500 + round(cycles / frequency / period)
     reference = Wanted(Mode.IMPEDANCE, 0.0, stiffness=stiffness, damping=damping)
-    course = run(
-        rig, make_laws(rig, "model"), [reference] * count, mismatch=0.0, push=lambda k: torque * math.sin(turn * k),
-        push_is_known=True,
-    )  # fmt: skip
+    push = torque * np.sin(turn * np.arange(count))
+    angle = pushed(rig, reference, push)
     k = np.arange(count - round((cycles - 1) / frequency / period), count)
     carrier = np.exp(-1j * turn * k)
-    ratio = np.mean((course.angle[k] - np.mean(course.angle[k])) * carrier) / np.mean(course.push[k] * carrier)
+    ratio = np.mean((angle[k] - np.mean(angle[k])) * carrier) / np.mean(push[k] * carrier)
     return complex(ratio * (stiffness + 2j * math.pi * frequency * damping))
 
 

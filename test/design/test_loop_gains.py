@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from pam_antagonist.control import Gains, Mode, PiController
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.pi import Gains, PiController
 from pam_antagonist.design.loop_gains import loop_gains
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant

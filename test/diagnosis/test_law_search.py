@@ -12,7 +12,9 @@ import pytest
 from pam_antagonist import diagnose, load_rig, simulate
 from pam_antagonist.api import diagnose as api
 from pam_antagonist.diagnosis import Diagnosis, learned_law
-from pam_antagonist.diagnosis.learned_law import Learned, joined, learn, leaves_excess, refusal
+from pam_antagonist.diagnosis.arguments import Group
+from pam_antagonist.diagnosis.law_simulation import Simulation, Subject
+from pam_antagonist.diagnosis.learned_law import Learned, is_better, joined, learn, leaves_excess, refusal
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.recording import Recording
 from pam_antagonist.report import html
@@ -125,6 +127,26 @@ def test_an_effect_that_leaves_a_clear_excess_does_not_end_the_search(exchange: 
     assert not leaves_excess(exchange.diagnoses[1])
     events = dataclasses.replace(exchange.like("leak").effects[0], onset_s=10.0)
     assert not leaves_excess(dataclasses.replace(exchange.like("leak"), effects=(events,)))
+
+
+def test_a_torque_that_comes_and_goes_alone_may_be_a_law(exchange: Course) -> None:
+    pushed = exchange.like("external_torque")
+    assert leaves_excess(pushed)
+    assert not leaves_excess(dataclasses.replace(pushed, effects=(*pushed.effects, *exchange.like("leak").effects)))
+    assert is_better(pushed, exchange.diagnoses[1].extended)
+    assert not is_better(pushed, pushed.recalibrated)
+
+
+def test_a_law_of_a_rate_leaves_a_held_joint_as_it_is() -> None:
+    held = simulate(rig(), profile("steps", 8.0, 0.004, seed=5), joint="locked", seed=8)
+    subject = Subject(learned_law.stretches(held), held.sample_period_s, True, rig().parameters())
+    simulation = Simulation(rig(), [subject], 1)
+    law = Law("force", (-2e-4, 0.0, 2e-4), (-20.0, 0.0, 20.0), "both", "length_rate")
+    amounts = [np.zeros(len(simulation.groups))]
+    without, with_it = (simulation.evaluated(each, amounts).excess[0, 2] for each in (None, law))
+    assert with_it == pytest.approx(without, rel=1e-6)
+    # At rest there is nothing to damp, so no constant stands for a force of the base.
+    assert Group("force_1", "length_rate").law(np.array([-1.0, 1.0]), np.array([2.0, 6.0])).value(0.0) == 0.0
 
 
 @pytest.mark.parametrize(("name", "names"), [("leak", ["leak", "learned"]), ("thermal", ["learned"])])

@@ -11,6 +11,7 @@ from other_rigs import commands, described, drawn, recorded
 
 from pam_antagonist import simulate
 from pam_antagonist.cli import close_loop
+from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
@@ -36,6 +37,13 @@ def test_a_supply_that_droops_is_named(tmp_path: Path) -> None:
     report = closed(guessed, [recorded(true, 8.0, seed) for seed in range(TRIALS)], tmp_path)
     assert report["verdict"] == "effect"
     assert [effect["name"] for effect in report["effects"]] == ["supply_droop"]
+    assert report["effects"][0]["splits"]["agree"] >= 3
+    best, *others = report["candidates"]
+    assert (best["name"], best["place"]) == ("supply_droop", "chambers and valves")
+    assert best["held_out_evidence"] >= thresholds.STRONG
+    # What a data sheet's law leaves makes nothing unexplained.
+    assert report["unexplained"] == []
+    assert all((item["delta_bic"] or 0.0) < best["delta_bic"] for item in others)
     assert "learned" not in {item["name"] for item in report["candidates"]}
     assert "supply_droop" in load_rig(tmp_path / "out" / "rig_extended.yaml").effects
 

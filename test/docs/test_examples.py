@@ -41,7 +41,7 @@ def expanded(words: list[str], folder: Path) -> list[str]:
 
 
 def test_scripts_are_short() -> None:
-    assert len(SCRIPTS) == 4
+    assert len(SCRIPTS) == 5
     assert all(len(path.read_text(encoding="utf-8").splitlines()) <= 30 for path in SCRIPTS)
 
 

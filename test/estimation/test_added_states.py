@@ -7,15 +7,14 @@ import time
 
 import numpy as np
 import pytest
-from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 from recordings import trial
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.estimator import considered, parameter_sets
-from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, parameter_path
+from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE
 from pam_antagonist.rig import Rig, load_rig
 
 RIG = load_rig("shin2022")
@@ -56,88 +55,6 @@ def test_stays_definite_over_a_recording(names: tuple[str, ...], joint: str) -> 
         assert np.isfinite(run.added[state.name]).all()
     if joint == "free":
         assert np.sqrt(np.mean((run.rows["angle"] - recording.truth[:, 0]) ** 2)) < math.radians(2.0)
-
-
-def _oracle(rig: Rig, recording, effects_of_states: list[tuple[str, str]]) -> np.ndarray:
-    chosen = rig.tuning("default")
-    p = rig.parameters()
-    n = 4 + len(effects_of_states)
-    by_name = {state.name: state for _, state in ADDED_STATES}
-
-    def advance(x: np.ndarray, _dt: float, u: np.ndarray) -> np.ndarray:
-        result = np.empty(n)
-        integration.rk4_step(x, u, p, rig.sample_period, result)
-        return result
-
-    ukf = UnscentedKalmanFilter(
-        dim_x=n,
-        dim_z=2,
-        dt=rig.sample_period,
-        fx=advance,
-        hx=lambda x: np.array([sensor.reading(i, x[2 + i], p) for i in (0, 1)]),
-        points=JulierSigmaPoints(n, kappa=chosen.kappa),
-    )
-    first = [sensor.pressure_behind(i, recording.pressure[0, i], p) for i in (0, 1)]
-    angle = equilibrium.rest_angle(*first, p)
-    ukf.x = equilibrium.initial_state(angle, *first, recording.voltage[0], p)
-    initial = [by_name[state].initial_std ** 2 for _, state in effects_of_states]
-    noise = [
-        rig.value("effects.external_torque.noise") if effect == "external_torque" else by_name[state].noise
-        for effect, state in effects_of_states
-    ]
-    ukf.P = np.diag([*chosen.initial, *initial])
-    ukf.Q = np.diag([*chosen.process, *(value**2 * rig.sample_period for value in noise)])
-    ukf.R = np.diag(chosen.measurement)
-    states = [ukf.x.copy()]
-    for y, u in zip(recording.pressure[1:], recording.voltage[1:], strict=True):
-        ukf.predict(u=u)
-        ukf.update(y)
-        states.append(ukf.x.copy())
-    return np.array(states)
-
-
-MUSCLE_AND_VALVE = {
-    "hysteresis": {"amplitude_1": 3.0, "amplitude_2": -2.0, "width": 2e-3},
-    "valve_lag": {"time_1": 0.01},
-    "pressure_sensor": {"offset_1": 3e3, "offset_2": -1e3, "gain_2": 0.0},
-    "creep": {"share_2": 0.05, "time": 1.0},
-    "thermal": {"share_1": 0.05, "time": 1.0},
-}
-
-
-@pytest.mark.parametrize(
-    ("effects", "order", "seconds"),
-    [
-        (
-            MUSCLE_AND_VALVE,
-            [
-                ("hysteresis", "hysteresis_1"),
-                ("hysteresis", "hysteresis_2"),
-                ("valve_lag", "open_rate_1"),
-                ("creep", "creep_2"),
-                ("thermal", "warmth_1"),
-            ],
-            6.0,
-        ),
-        # The pressures hardly tell an outer torque from the angle: rounding grows, a hundredfold in a second.
-        ({"external_torque": {"noise": 0.05}}, [("external_torque", "external_torque")], 2.0),
-    ],
-    ids=["muscle and valve", "external torque"],
-)
-def test_equals_filterpy_with_added_states(effects, order, seconds) -> None:
-    open_gate = RIG.tuning("default").replaced(consider=False, gate=1e9)
-    rig = RIG.replaced(effects=effects, tunings={"default": open_gate})
-    recording = trial(seconds, seed=8)
-    expected = _oracle(rig, recording, order)
-    run = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
-    assert list(run.added) == [state for _, state in order]
-    rows = run.rows
-    ours = np.column_stack([rows["angle"], rows["velocity"], rows["pressure"], *run.added.values()])
-    scale = {"creep": 50.0, "warmth": 1e4}
-    scales = [0.1, 1.0, 1e5, 1e5, *(scale.get(state.rsplit("_", 1)[0], 1.0) for _, state in order)]
-    assert np.abs((ours - expected) / scales).max() < 1e-8
-    assert np.ptp(rows["angle"]) > 0.05
-    assert all(np.ptp(values) > 0.0 for values in run.added.values())
 
 
 def test_the_innovation_is_in_true_pressure() -> None:
@@ -196,19 +113,3 @@ def test_eight_added_states_are_within_a_fifth_of_the_sample_period() -> None:
     print(f"{whole * 1e6:.0f} µs a sample, {bare * 1e6:.0f} µs of {count} bare Runge-Kutta steps")
     assert whole < 2.0 * bare
     assert whole < 0.2 * rig.sample_period
-
-
-def test_noise_of_the_outer_torque_is_the_rig_s() -> None:
-    """Its variance grows by σ² t: a filter that sees no pressure does nothing but that."""
-    sigma = 0.07
-    rig = RIG.replaced(effects={"external_torque": {"noise": sigma}})
-    path = parameter_path("external_torque", "noise")
-    assert rig.parameters()[par.INDEX[path]] == sigma
-    recording = trial(5.0, seed=11)
-    pressed = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
-    still = Estimator(rig.replaced(effects={"external_torque": {"noise": 1e-6}}))
-    calm = still.run(recording.stamp_ns, recording.pressure, recording.voltage)
-    # Without noise the state keeps what its first variance let it take; with it, it follows the recording.
-    assert np.std(np.diff(pressed.added["external_torque"][2000:])) > 3.0 * np.std(
-        np.diff(calm.added["external_torque"][2000:])
-    )

@@ -92,16 +92,6 @@ def test_without_a_prior_it_is_the_random_walk_of_before() -> None:
     np.testing.assert_allclose(locked**2, 0.2**2 + 0.3**2 * t, rtol=1e-9)
 
 
-def test_settings_keep_the_hash_of_recorded_checkpoints() -> None:
-    """As it was written before there were a prior and an angle sensor: of these settings, by commit edefdd3's code."""
-    recording = driven("still")
-    for name, known in (("shin2022", "fdb4f2161ec7a0ec"), ("sealed_joint", "56f929969598def4")):
-        estimator = Estimator(load_rig(name))
-        estimator.run(recording.stamp_ns[:3], recording.pressure[:3], recording.voltage[:3])
-        checkpoint = estimator.checkpoint()
-        assert checkpoint is not None and checkpoint.identity.settings == known
-
-
 def test_a_push_that_sets_in_is_found_within_milliseconds_and_nobody_is_no_push() -> None:
     """By pressures alone. Without an onset, a random walk as quick as that takes the joint's own motion for a push."""
     rig = RIG.replaced(effects={"external_torque": {"noise": 1.0, "prior": PRIOR}})

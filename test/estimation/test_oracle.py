@@ -2,53 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter, unscented_transform
 from recordings import trial
 
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import equilibrium, integration
+from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model.effects import ADDED_STATES
 from pam_antagonist.rig import Rig, load_rig
 
 SCALE = np.array([0.1, 1.0, 1e5, 1e5])
 
 
-def _step(p: np.ndarray, dt: float):
-    def step(x: np.ndarray, _dt: float, u: np.ndarray) -> np.ndarray:
-        result = np.empty(4)
-        integration.rk4_step(x, u, p, dt, result)
-        return result
-
-    return step
-
-
-def _oracle(rig: Rig, tuning: str, recording, joint: str) -> tuple[np.ndarray, np.ndarray]:
-    chosen = rig.tuning(tuning)
-    held = np.array([0.0, 0.0, 1.0, 1.0]) if joint == "locked" else np.ones(4)
+def _oracle(
+    rig: Rig, tuning: str, recording, joint: str = "free", added: Sequence[tuple[str, str]] = ()
+) -> tuple[np.ndarray, np.ndarray]:
+    """States (N, n) and covariances of angle and velocity (N, 2, 2). `added`: effect and name of each added state."""
+    chosen, p, n = rig.tuning(tuning), rig.parameters(joint), 4 + len(added)
+    held = np.array([0.0, 0.0, *[1.0] * (n - 2)]) if joint == "locked" else np.ones(n)
     # filterpy's Cholesky needs a definite matrix: a locked joint gets a variance far below any rounding.
     tiny = 1e-30 * (1.0 - held)
-    p = rig.parameters(joint)
+    by_name = {state.name: state for _, state in ADDED_STATES}
+
+    def advance(x: np.ndarray, _dt: float, u: np.ndarray) -> np.ndarray:
+        result = np.empty(n)
+        integration.rk4_step(x, u, p, rig.sample_period, result)
+        return result
+
     ukf = UnscentedKalmanFilter(
-        dim_x=4,
+        dim_x=n,
         dim_z=2,
         dt=rig.sample_period,
-        fx=_step(p, rig.sample_period),
-        hx=lambda x: x[2:4],
-        points=JulierSigmaPoints(4, kappa=chosen.kappa),
+        fx=advance,
+        hx=lambda x: np.array([sensor.reading(i, x[2 + i], p) for i in (0, 1)]),
+        points=JulierSigmaPoints(n, kappa=chosen.kappa),
     )
-    first = recording.pressure[0]
-    ukf.x = np.array([0.0 if joint == "locked" else equilibrium.rest_angle(first[0], first[1], p), 0.0, *first])
-    ukf.P = np.diag(np.array(chosen.initial) * held + tiny)
-    ukf.Q = np.diag(np.array(chosen.process) * held + tiny)
+    first = [sensor.pressure_behind(i, recording.pressure[0, i], p) for i in (0, 1)]
+    angle = 0.0 if joint == "locked" else equilibrium.rest_angle(*first, p)
+    ukf.x = equilibrium.initial_state(angle, *first, recording.voltage[0], p)
+    noise = [rig.value("effects.external_torque.noise") if effect == "external_torque" else by_name[state].noise
+             for effect, state in added]  # fmt: skip
+    ukf.P = np.diag(np.array([*chosen.initial, *(by_name[state].initial_std ** 2 for _, state in added)]) * held + tiny)
+    ukf.Q = np.diag(np.array([*chosen.process, *(value**2 * rig.sample_period for value in noise)]) * held + tiny)
     ukf.R = np.diag(chosen.measurement)
     states, covariances = [ukf.x.copy()], [ukf.P[:2, :2].copy()]
     for y, u in zip(recording.pressure[1:], recording.voltage[1:], strict=True):
         before = ukf.x.copy()
         ukf.predict(u=u)
-        for i in (2, 3):
-            ukf.P[i, i] += (chosen.change * (ukf.x[i] - before[i])) ** 2
-        ukf.sigmas_f = ukf.points_fn.sigma_points(ukf.x, ukf.P)
+        if chosen.change:
+            for i in (2, 3):
+                ukf.P[i, i] += (chosen.change * (ukf.x[i] - before[i])) ** 2
+            ukf.sigmas_f = ukf.points_fn.sigma_points(ukf.x, ukf.P)
         ukf.update(y)
         states.append(ukf.x.copy())
         covariances.append(ukf.P[:2, :2].copy())
@@ -77,6 +84,49 @@ def test_equals_filterpy_over_a_whole_recording(tuning: str, joint: str, change:
     assert np.abs(run["covariance"][:, :2, :2] - reference).max() < 1e-9 * max(np.abs(reference).max(), 1e-9)
     # An agreement that means something: the joint moved.
     assert joint == "locked" or np.ptp(run["angle"]) > 0.1
+
+
+MUSCLE_AND_VALVE = {
+    "hysteresis": {"amplitude_1": 3.0, "amplitude_2": -2.0, "width": 2e-3},
+    "valve_lag": {"time_1": 0.01},
+    "pressure_sensor": {"offset_1": 3e3, "offset_2": -1e3, "gain_2": 0.0},
+    "creep": {"share_2": 0.05, "time": 1.0},
+    "thermal": {"share_1": 0.05, "time": 1.0},
+}
+
+
+@pytest.mark.parametrize(
+    ("effects", "order", "seconds"),
+    [
+        (
+            MUSCLE_AND_VALVE,
+            [
+                ("hysteresis", "hysteresis_1"),
+                ("hysteresis", "hysteresis_2"),
+                ("valve_lag", "open_rate_1"),
+                ("creep", "creep_2"),
+                ("thermal", "warmth_1"),
+            ],
+            6.0,
+        ),
+        # The pressures hardly tell an outer torque from the angle: rounding grows, a hundredfold in a second.
+        ({"external_torque": {"noise": 0.05}}, [("external_torque", "external_torque")], 2.0),
+    ],
+    ids=["muscle and valve", "external torque"],
+)
+def test_equals_filterpy_with_added_states(effects, order, seconds) -> None:
+    rig = _without_consider(load_rig("shin2022")).replaced(effects=effects)
+    recording = trial(seconds, seed=8)
+    expected, _ = _oracle(rig, "default", recording, added=order)
+    run = Estimator(rig).run(recording.stamp_ns, recording.pressure, recording.voltage)
+    assert list(run.added) == [state for _, state in order]
+    rows = run.rows
+    ours = np.column_stack([rows["angle"], rows["velocity"], rows["pressure"], *run.added.values()])
+    scale = {"creep": 50.0, "warmth": 1e4}
+    scales = [0.1, 1.0, 1e5, 1e5, *(scale.get(state.rsplit("_", 1)[0], 1.0) for _, state in order)]
+    assert np.abs((ours - expected) / scales).max() < 1e-8
+    assert np.ptp(rows["angle"]) > 0.05
+    assert all(np.ptp(values) > 0.0 for values in run.added.values())
 
 
 def test_consider_parameters_equal_an_augmented_filter() -> None:

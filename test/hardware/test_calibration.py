@@ -46,11 +46,6 @@ def test_example_is_in_si_units() -> None:
     assert converter.angle(None) is None and converter.torque(None) is None
 
 
-def test_rest_is_added_to_both_pressures() -> None:
-    converter = Converter(load_calibration("example"), rest=(-300.0, 200.0))
-    assert converter.pressure((0.5, 0.5)) == pytest.approx((101.0e3, 101.5e3))
-
-
 def test_a_reading_at_rest_takes_the_place_of_the_offset(tmp_path: Path) -> None:
     path = write(tmp_path, pressure_1__offset=None, pressure_1__at_rest=0.52, pressure_2__reference="absolute")
     first, second = Converter(load_calibration(path)).pressure((0.52, 2.5))
@@ -60,12 +55,11 @@ def test_a_reading_at_rest_takes_the_place_of_the_offset(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("reading", [0.29, 4.71, 0.0, 1e9, math.nan, math.inf])
 def test_readings_of_a_broken_sensor_are_no_pressure(reading: float) -> None:
-    first, second = Converter(load_calibration("example")).pressure((reading, 1.0))
+    converter = Converter(load_calibration("example"))
+    first, second = converter.pressure((reading, 1.0))
     assert math.isnan(first) and second == pytest.approx(226.3e3)
-
-
-def test_torque_out_of_its_range_is_none() -> None:
-    assert math.isnan(Converter(load_calibration("example")).torque(5.2) or 0.0)
+    torque = converter.torque(reading)
+    assert torque is not None and math.isnan(torque) == (not 0.0 <= reading <= 5.0)
 
 
 @pytest.mark.parametrize("count", [0, 1, -1, 100])
@@ -95,9 +89,9 @@ def test_a_joint_with_regulators_does_without_pressure_sensors_and_one_with_valv
     converter = Converter(load_calibration(write(tmp_path, **none, **REGULATORS)))
     assert not converter.measures_pressures and all(math.isnan(value) for value in converter.pressure((2.0, 2.0)))
     assert converter.readings((450e3, 300e3), 0.2, 1.5)[:2] == (0.0, 0.0)
-    converter.suits("regulator")
+    converter.adapt("regulator")
     with pytest.raises(BadInput, match="has no pressure sensors .*but the rig has valves"):
-        converter.suits("valve")
+        converter.adapt("valve")
     with pytest.raises(BadInput, match="the calibration has no pressure sensors"):
         ZeroPressureMeasurement(converter).result()
 
@@ -157,3 +151,30 @@ def test_a_device_that_the_calibration_is_not_for_is_refused(info: DeviceInfo, w
     with pytest.raises(BadInput, match=words):
         Converter(load_calibration("example")).check(info)
     Converter(load_calibration("example")).check(INFO)
+
+
+def test_offsets_at_rest_bring_the_pressures_to_the_atmospheres() -> None:
+    converter = Converter(load_calibration("example"), (100.0, -50.0))
+    rest = ZeroPressureMeasurement(converter)
+    for k in range(1000):
+        rest.add(converter.pressure((0.502 + 1e-4 * (-1) ** k, 0.497)))
+    converter.rest = rest.result()
+    assert converter.rest == pytest.approx((-500.0, 750.0), abs=1.0)
+    assert converter.pressure((0.502, 0.497)) == pytest.approx((101.3e3, 101.3e3), abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("pressures", "words"),
+    [
+        ([(101.3e3, 101.3e3)] * 999, "999 samples so far"),
+        ([(101.3e3, 140e3)] * 1000, "pressure 2 is .38700 Pa off the atmosphere"),
+        ([(math.nan, 101.3e3)] * 1000, "pressure 1 is .nan Pa off"),
+        ([(91.3e3, 101.3e3), (111.3e3, 101.3e3)] * 500, "pressure 1 still changes"),
+    ],
+)
+def test_what_is_not_at_rest_is_not_measured(pressures: list[tuple[float, float]], words: str) -> None:
+    rest = ZeroPressureMeasurement(Converter(load_calibration("example")))
+    for pressure in pressures:
+        rest.add(pressure)
+    with pytest.raises(Exception, match=words):
+        rest.result()

@@ -80,18 +80,11 @@ class Double:
 
 @contextmanager
 def running(
-    device: Any, now_ns: Callable[[], int] = time.time_ns, **wanted: Any
+    device: Any, now_ns: Callable[[], int] = time.time_ns, calibration: str | Path = "example"
 ) -> Iterator[tuple[Link, list[Sample]]]:
     got: list[Sample] = []
-    fields = {**WANTED.__dict__, **wanted}
-    link = Link(
-        device,
-        Converter(load_calibration("example")),
-        Wanted(**fields),
-        now_ns,
-        got.append,
-        lambda: device.command((6.0, 5.0)),
-    )
+    converter = Converter(load_calibration(calibration))
+    link = Link(device, converter, WANTED, now_ns, got.append, lambda: device.command((6.0, 5.0)))
     link.start()
     try:
         yield link, got
@@ -236,33 +229,22 @@ def test_daq_card_of_the_documentation_works(tmp_path: Path) -> None:
     text = (Path(__file__).resolve().parents[2] / "config/hardware/example.yaml").read_text(encoding="utf-8")
     own = tmp_path / "card.yaml"
     own.write_text(text[: text.index("# For validation only")], encoding="utf-8")
-    got: list[Sample] = []
-    device = names["DaqCard"](open_card)
-    link = Link(
-        device, Converter(load_calibration(own)), WANTED, time.time_ns, got.append, lambda: device.command((6.0, 5.0))
-    )
-    link.start()
-    until(lambda: len(got) > 50)
-    assert got[-1].pressure == pytest.approx((226.3e3, 476.3e3))
-    assert got[-1].voltage == (6.0, 5.0) and got[-1].angle is None
-    assert cards[0].written[0] == ACTION.hold
-    cards[0].broken.set()
-    until(lambda: len(cards) == 2)
-    assert "no answer" in link.trouble or link.trouble == ""
-    link.stop()
-    link.check()
+    with running(names["DaqCard"](open_card), calibration=own) as (link, got):
+        until(lambda: len(got) > 50)
+        assert got[-1].pressure == pytest.approx((226.3e3, 476.3e3))
+        assert got[-1].voltage == (6.0, 5.0) and got[-1].angle is None
+        assert cards[0].written[0] == ACTION.hold
+        cards[0].broken.set()
+        until(lambda: len(cards) == 2)
+        assert "no answer" in link.trouble or link.trouble == ""
     assert cards[-1].written[-2] == ACTION.hold
 
 
 def test_tables_of_the_documentation_are_the_bytes() -> None:
     sizes = {"u8": 1, "u16": 2, "u32": 4, "i32": 4, "f32": 4, "f32 ×2": 8, "16 bytes": 16}
     text = PROTOCOL.read_text(encoding="utf-8")
-    for name, layout in (
-        ("Hello", protocol._HELLO),
-        ("Welcome", protocol._WELCOME),
-        ("Telemetry", protocol._TELEMETRY),
-        ("Command", protocol._COMMAND),
-    ):
+    for message in (protocol.Hello, protocol.Welcome, protocol.Telemetry, protocol.Command):
+        name, (_, layout) = message.__name__, protocol.LAYOUTS[message]
         table = text[text.index(f"**{name}**, ") :].split("\n\n")[1]
         end = 0
         for offset, kind in re.findall(r"^\| (\d+) \| ([^|]+) \|", table, re.MULTILINE):

@@ -29,9 +29,6 @@ class Wire:
         self.waiting = b""
         self.closed = False
 
-    def fileno(self) -> int:
-        return -1
-
     def read(self, timeout_s: float) -> bytes:
         if self.closed:
             raise DeviceLost("closed")

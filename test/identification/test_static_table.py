@@ -202,11 +202,6 @@ def test_other_ways_to_write_a_table(file):
         assert read_force_map(file, ATMOSPHERE).value == pytest.approx(wanted, rel=1e-9)
 
 
-def test_a_file_that_is_not_there(file):
-    with pytest.raises(BadInput, match="no such file"):
-        read_volumes(file)
-
-
 def test_volumes_in_any_unit(file):
     file.write_text("L [mm]\tV [ml]\n150\t60\n160\t52\n170\t40\n")
     found = read_volumes(file)

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 import transcription as paper
 from scipy.integrate import trapezoid
-from scipy.optimize import brentq
 from states import ATMOSPHERE, TANK
 
 from pam_antagonist.model import equilibrium, integration, sensor
-from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
 SHUT = {f"valve_{i}.{way}_area": 0.0 for i in (1, 2) for way in ("inflow", "outflow")}
@@ -31,16 +29,6 @@ def held(p, u, seconds, pressures=(450e3, 450e3), before=None, dt=DT):
     return integration.simulate(start, voltage, p, dt, 1)[0]
 
 
-def balance(alpha, supply=TANK, leak=0.0, area=T["A_12"]):
-    """Pressure at which a valve gives what a leak takes; without a leak the area does not matter."""
-
-    def net(pressure):
-        through = alpha * paper.nozzle(T, supply, pressure) - (1 - alpha) * paper.nozzle(T, pressure, ATMOSPHERE)
-        return area * through - leak * paper.nozzle(T, pressure, ATMOSPHERE)
-
-    return brentq(net, ATMOSPHERE, supply, xtol=1e-3)
-
-
 # Leak
 
 
@@ -53,35 +41,6 @@ def test_a_leak_takes_the_air_that_is_missing(rig):
     assert pressure[0] - pressure[-1] == pytest.approx(GAIN * lost, rel=1e-6)
     assert pressure[0] - pressure[-1] > 50e3
     assert np.all(states[:, 3] == 450e3), "muscle 2 does not leak"
-
-
-def test_steady_pressure_with_a_leak(rig):
-    area = 3e-9
-    pressure = held(locked(rig, leak={"area_1": area}), (5.5, 5.5), 60.0)[-1, 2:]
-    # What comes through the valve makes up for the leak: it flows in.
-    expected = balance(0.394, leak=area, area=T["A_11"])
-    assert pressure[0] == pytest.approx(expected, abs=50.0)
-    assert pressure[1] == pytest.approx(balance(0.394), abs=50.0)
-    assert pressure[1] - pressure[0] > 5e3
-
-
-# Supply
-
-
-def test_supply_falls_by_what_is_drawn_and_recovers(rig):
-    stiffness, time = 2e8, 0.4
-    p = locked(rig, supply_droop={"stiffness": stiffness, "time": time})
-    # Wide open to the tank from 150 kPa: choked, so that the flow per Pa of supply is constant.
-    short = held(p, (10.0, 10.0), 0.01, (150e3, 150e3), before=(0.0, 0.0), dt=1e-4)[:, 4]
-    drawn = 2.0 * T["A_11"] * paper.nozzle(T, TANK, 150e3)
-    # ds/dt = −c m_0 (1 + s/P_tank) − s/T, a straight line in s.
-    rate = stiffness * drawn / TANK + 1.0 / time
-    expected = -stiffness * drawn / rate * (1.0 - np.exp(-rate * 1e-4 * np.arange(len(short))))
-    assert short == pytest.approx(expected, rel=1e-6)
-    # Valves open to the atmosphere only draw nothing: the supply comes back with its time constant.
-    x = np.array([0.0, 0.0, 450e3, 450e3, -30e3])
-    states, _, _ = integration.simulate(x, np.zeros((1001, 2)), p, DT, 1)
-    assert states[:, 4] == pytest.approx(-30e3 * np.exp(-DT * np.arange(1001) / time), rel=1e-8)
 
 
 # Play of a valve
@@ -169,20 +128,3 @@ def test_a_sensor_reads_by_offset_and_gain_and_its_inverse_undoes_it(rig):
         assert sensor.reading(1, pressure, p) == pytest.approx(0.9 * pressure - 2e3, rel=1e-15)
         for muscle in (0, 1):
             assert sensor.pressure_behind(muscle, sensor.reading(muscle, pressure, p), p) == pytest.approx(pressure)
-
-
-# Thermal
-
-
-def test_a_filling_leaves_its_share_as_warmth(rig):
-    """Filled fast against the heat exchange, share χ of the rise is warmth, and it is lost afterwards."""
-    share, time = 0.15, 20.0
-    p = locked(rig, thermal={"share_1": share, "time": time})
-    states = held(p, (10.0, 5.5), 0.15, (200e3, 450e3))
-    risen = states[-1, 2] - 200e3
-    assert risen > 30e3
-    assert states[-1, 4] == pytest.approx(share * risen, rel=0.01)
-    # Then the valve is shut (areas of zero), and all of it goes.
-    shut = par.changed(p, SHUT)
-    after, _, _ = integration.simulate(states[-1], np.tile([5.5, 5.5], (200_001, 1)), shut, DT, 1)
-    assert states[-1, 2] - after[-1, 2] == pytest.approx(states[-1, 4], rel=1e-3)

@@ -10,13 +10,11 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.model.effects.hooks import HOOKS, QUANTITIES
-from pam_antagonist.model.effects.page import hooks, page
+from pam_antagonist.model.effects.page import page
 from pam_antagonist.model.effects.registry import catalogue
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
-SECTIONS = dict(re.findall(r"^## `(\w+)`\n(.*?)(?=^## |^<!-- end)", TEXT, flags=re.MULTILINE | re.DOTALL))
 
 
 def test_what_a_sealed_joint_shows():
@@ -26,17 +24,6 @@ def test_what_a_sealed_joint_shows():
 
 def test_the_page_is_up_to_date():
     assert page(TEXT, CATALOGUE) == TEXT, "python -m pam_antagonist.model.effects.page --write docs/effects.md"
-
-
-def test_files_that_it_names_are_there():
-    for name, section in SECTIONS.items():
-        path = re.search(r"\]\(\.\./(pam_antagonist/model/effects/\w+\.py)\)", section).group(1)
-        assert (ROOT / path).is_file(), name
-
-
-def test_hooks_and_quantities_are_listed():
-    text = hooks()
-    assert all(f"| `{name}` |" in text for name in (*HOOKS, *QUANTITIES))
 
 
 def test_a_page_without_its_marks_is_refused():

@@ -41,14 +41,6 @@ def loop_of(rate_scale, amplitude=5e-3, cycles=3, points=4000):
     return length[-points - 1 :], z[-points - 1 :]
 
 
-def test_the_loop_is_closed_and_bounded():
-    length, z = loop_of(1.0)
-    assert z[0] == pytest.approx(z[-1], abs=1e-6)
-    assert np.abs(z).max() <= 1.0
-    assert np.abs(z).max() > 0.98, "a stroke of five widths nearly reaches the bound"
-    assert trapezoid(z, length) > 0.5 * 4.0 * 5e-3, "a loop of this height and length takes energy"
-
-
 def test_the_loop_does_not_depend_on_the_speed():
     slow, fast = loop_of(1.0)[1], loop_of(1024.0)[1]
     assert np.array_equal(slow, fast)
@@ -75,9 +67,6 @@ def test_a_joint_with_hysteresis_takes_more_work_in_a_cycle(rig):
     angle, _ = pushed(rough, 1.0)
     most = 2 * 2 * 4.0 * T["r"] * (np.sin(angle.max()) - np.sin(angle.min()))
     assert 0.4 * most < work[1] - work[0] < most
-
-
-# Creep
 
 
 # Load
@@ -122,11 +111,6 @@ def test_the_stick_band_is_wider_by_what_is_added_at_rest(rig, coulomb, stribeck
         assert not stands(p, way * 1.02 * band)
 
 
-def test_friction_below_none_is_none(rig):
-    p = with_effects(held(rig), friction={"coulomb": -0.5})
-    assert not stands(p, 1e-3)
-
-
 # External torque
 
 
@@ -148,9 +132,6 @@ def test_a_known_push_and_an_estimated_one_move_alike(rig):
     assert known[800, 0] > quiet[800, 0] + math.radians(1.0), "a push about +z turns the joint that way"
     # The muscles' torque is what pulls back: the meter reads less.
     assert dynamics.torque(known[800], base) < torque[800] - 0.2
-
-
-# Warming up
 
 
 # Slack

@@ -11,7 +11,6 @@ from states import random_states
 from pam_antagonist.model import dynamics, equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
-from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation import excitation
 
 VOLTAGE = excitation.profile("steps", 8.0, 1e-3, seed=6)
@@ -114,7 +113,3 @@ def test_the_catalogue_is_whole():
         noises = [state.noise for state in effect.states]
         assert all(noise in names if isinstance(noise, str) else noise >= 0.0 for noise in noises)
         assert all(state.initial_std > 0.0 for state in effect.states)
-
-
-def test_no_rig_of_the_package_has_an_effect_by_default():
-    assert load_rig("shin2022").effects == {}

@@ -46,11 +46,6 @@ def test_the_printed_z_does_not_hold_a_joint_at_rest(rig):
     assert abs(steps(start, held(rig), 3000)[-1, 0] - start[0]) < 1e-8
 
 
-def test_nothing_rubs_without_coefficients(p):
-    smooth = par.changed(p, {"joint.viscous_friction": 0.0})
-    assert joint.friction_torque(2.0, 0.3, 0.0, smooth) == (0.0, 1.0)
-
-
 @pytest.mark.parametrize("share", [-0.999, -0.5, 0.0, 0.5, 0.999])
 def test_a_joint_at_rest_stays_while_the_torque_is_below_the_coulomb_torque(rig, share):
     """For 3 s, without creep: rest is a fixed point of the step but for rounding."""
@@ -68,16 +63,6 @@ def test_a_joint_at_rest_leaves_when_the_torque_is_above(rig, share):
     assert (states[-1, 0] - start) * share > 1e-4
     assert abs(states[-1, 1]) < 1e-12
     assert abs(states[-1, 0] - start) < abs(paper.rest(T, *PRESSURES, 1.01) - paper.rest(T, *PRESSURES, -1.01))
-
-
-def test_a_small_push_is_stopped_within_a_few_steps(rig):
-    """At Z T_c = 0.26 rad/s and below the law asks for rest after one step; the Runge-Kutta stages get to 3/8 of the
-    velocity in each."""
-    start = paper.rest(T, *PRESSURES, 0.3)
-    states = steps([start, 0.01, *PRESSURES], held(rig), 200)
-    assert states[1:6, 1] == pytest.approx(0.01 * 0.375 ** np.arange(1, 6), rel=1e-3)
-    assert states[-1, 0] - start == pytest.approx(0.01 * 1e-3, rel=1e-3)
-    assert abs(states[-1, 1]) < 1e-15
 
 
 def test_muscle_friction_falls_with_pressure_and_is_bounded_at_the_atmosphere(p):

@@ -12,17 +12,6 @@ from pam_antagonist.model import parameters as par
 CRITICAL = CHOKED_BELOW / TANK
 
 
-def test_no_flow_at_equal_pressures(p):
-    for pressure in (ATMOSPHERE, 3e5, TANK):
-        assert flow.orifice_flow(pressure, pressure, p) == 0.0
-
-
-def test_exchanged_ends_reverse_the_flow(p):
-    rng = np.random.default_rng(6)
-    for a, b in rng.uniform(50e3, 800e3, (100, 2)):
-        assert flow.orifice_flow(a, b, p) == -flow.orifice_flow(b, a, p)
-
-
 def test_value_and_slope_are_continuous_where_the_flow_chokes(p):
     """The subsonic branch ends at its maximum: level, like the choked one. A wrong exponent or a wrong
     critical ratio shows as a step or a kink."""
@@ -35,11 +24,6 @@ def test_value_and_slope_are_continuous_where_the_flow_chokes(p):
     assert abs(slope) * TANK < 1e-3 * choked
     # ... and it does fall further on, so that the test above can fail.
     assert flow.orifice_flow(TANK, 1.3 * edge, p) < 0.95 * choked
-
-
-def test_choked_flow_does_not_know_what_is_behind_it(p):
-    flows = {flow.orifice_flow(TANK, CRITICAL * TANK * share, p) for share in (0.0, 0.3, 0.9, 0.999)}
-    assert len(flows) == 1
 
 
 def test_choked_flow_of_air_has_the_textbook_value(p):
@@ -57,14 +41,6 @@ def test_mass_flow_is_continuous_where_the_area_changes(p):
     span = flow.mass_flow(0, 1.0, 300e3, p)
     assert abs(flow.mass_flow(0, low, 300e3, p)) < 1e-12 * span
     assert abs(flow.mass_flow(0, high, 300e3, p)) < 1e-12 * span
-
-
-def test_shut_ends_of_the_curve(p):
-    """At 0 V nothing comes from the tank, at 10 V nothing leaves to the atmosphere."""
-    shut, wide = (flow.open_rate(0, u, p) for u in (0.0, 10.0))
-    assert flow.mass_flow(0, shut, ATMOSPHERE, p) == 0.0
-    assert flow.mass_flow(0, wide, TANK, p) == 0.0
-    assert flow.mass_flow(0, shut, 300e3, p) < 0.0 < flow.mass_flow(0, wide, 300e3, p)
 
 
 def test_flow_below_vacuum_is_that_into_a_vacuum(p):

@@ -89,8 +89,3 @@ def test_a_number_that_does_not_exist_is_refused_with_the_nearest_one(rig):
     for name, nearest in (("joint.inertai", "joint.inertia"), ("effects.leak.area1", "effects.leak.area_1")):
         with pytest.raises(BadInput, match=f"unknown '{name}'.*did you mean '{nearest}'"):
             rig.value(name)
-
-
-def test_unknown_name_is_refused(rig):
-    with pytest.raises(KeyError, match="joint.intertia"):
-        rig.parameters(changes={"joint.intertia": 1.0})

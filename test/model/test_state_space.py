@@ -49,13 +49,6 @@ def test_derivative(p, p_locked, locked):
     assert len(seen) == 18, "the states do not cover every subsystem"
 
 
-def test_torque_and_forces(p):
-    for x, _ in random_states(50, seed=11):
-        assert dynamics.torque(np.array(x), p) == pytest.approx(paper.torque(T, x[0], x[2], x[3]), rel=1e-12, abs=1e-14)
-        expected = [paper.force(T, i, paper.length(T, i, x[0]), x[1 + i]) for i in (1, 2)]
-        assert dynamics.forces(np.array(x), p) == pytest.approx(expected, rel=1e-12, abs=1e-12)
-
-
 @pytest.mark.parametrize("locked", [False, True])
 def test_runge_kutta_step(p, p_locked, locked):
     result = np.zeros(4)

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-import transcription as paper
 from states import steps
 
 from pam_antagonist.model import dynamics, equilibrium, integration
@@ -78,13 +77,6 @@ def test_pressures_at_the_stop_are_those_of_a_joint_locked_there(driven, printed
     alone, torque_alone, _ = integration.simulate(states[arrival], voltages, locked, PERIOD, 1)
     assert states[arrival:3000, 2:] == pytest.approx(alone[:, 2:], rel=1e-12)
     assert torques[arrival:3000] == pytest.approx(torque_alone, rel=1e-9)
-
-
-def test_null_stop_is_none(printed):
-    free = printed.parameters(changes={"joint.stop": math.inf})
-    state = [0.5, 1.0, 450e3, 450e3]
-    expected = paper.runge_kutta(paper.AS_PRINTED, state, (5.5, 5.5), PERIOD)
-    assert steps(state, free, 1)[-1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_joint_with_a_far_stop_rests_beyond_60_degrees():

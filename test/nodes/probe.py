@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -16,10 +19,13 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import FluidPressure, JointState
 
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.nodes.spin import tune_middleware
+from pam_antagonist.nodes.wire import take
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import JointEstimate, JointReference, PressureCommand, ValveCommand
 
+SECOND = 10**9
 _ANSWER = 20.0  # longest time for a service, which may have to compile [s]
 
 TYPES = {
@@ -35,6 +41,39 @@ TYPES = {
     "reference": JointReference,
     "diagnostics": DiagnosticArray,
 }
+
+
+def kill(processes: Processes, name: str) -> int:
+    """Kill a process; the time right before that [ns]."""
+    popen = processes.running.pop(name).popen
+    now = time.time_ns()
+    popen.kill()
+    popen.wait()
+    return now
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the device emulator's log."""
+
+    time_ns: int
+    event: str
+    voltage: tuple[float, float]
+    safe: bool
+
+
+def read_log(path: Path) -> list[Row]:
+    with path.open(newline="") as file:
+        return [
+            Row(
+                int(row["time_ns"]),
+                row["event"],
+                (float(row["voltage_1"]), float(row["voltage_2"])),
+                row["safe"] == "1",
+            )
+            for row in csv.DictReader(file)
+            if row["safe"] is not None
+        ]
 
 
 class Probe:
@@ -65,9 +104,8 @@ class Probe:
 
     def collect(self) -> None:
         for topic, subscription in self._subscriptions.items():
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                    self.seen[topic].append((taken[1]["received_timestamp"], taken[0]))
+            for message, info in take(subscription):
+                self.seen[topic].append((info["received_timestamp"], message))
 
     def clear(self) -> None:
         self.collect()
@@ -88,6 +126,22 @@ class Probe:
         while time.monotonic() < end:
             self.collect()
             time.sleep(0.005)
+
+    def voltages(self, topic: str = "valve_state") -> list[tuple[float, float]]:
+        """The voltages of each message of a topic so far."""
+        self.collect()
+        return [tuple(message.voltage) for _, message in self.seen[topic]]
+
+    def voltage(self, topic: str = "valve_state") -> tuple[float, float]:
+        """The voltages of a topic's last message."""
+        self.collect()
+        return tuple(self.seen[topic][-1][1].voltage)
+
+    def statuses(self, part: str) -> list[tuple[int, int, str]]:
+        """Time of reception [ns], level and message of each status of a part, such as ``pam/plant: safety``."""
+        self.collect()
+        found = ((at, status) for at, message in self.seen["diagnostics"] for status in message.status)
+        return [(at, status.level[0], status.message) for at, status in found if status.name == part]
 
     def publisher(self, topic: str) -> Any:
         if topic not in self._publishers:

@@ -54,14 +54,18 @@ def until(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.01)
 
 
+def problems(node: Any) -> list[str]:
+    return list(node.connections().values.values())
+
+
 def override(topic: str, side: str = "subscription", **policies: Any) -> dict[str, Any]:
     return {f"qos_overrides.{topic}.{side}.{name}": value for name, value in policies.items()}
 
 
 def test_a_best_effort_driver_is_an_error_that_names_it_and_what_to_set(make: Any, driver: Any) -> None:
     node = make()
-    until(lambda: " ".join(node._connections.problems(node)).count("/pam/daq") == 3, "the driver was not found")
-    health = node._connections.health(node)
+    until(lambda: " ".join(problems(node)).count("/pam/daq") == 3, "the driver was not found")
+    health = node.connections()
     assert health.level == 2
     assert health.message == (
         "publisher /pam/daq of /pam/pressure_1 is not connected: best effort offered, reliable asked for; set "
@@ -86,7 +90,7 @@ def test_what_the_error_says_makes_it_work(make: Any, driver: Any) -> None:
     node = make(**given)
     assert STREAM.reliability.name == "RELIABLE"  # the default of all others is untouched
     until(lambda: all(output.get_subscription_count() for output in driver.outputs.values()), "nobody listens")
-    assert node._connections.health(node).level == 0
+    assert node.connections().level == 0
     begin = node.now_ns()
     executor = rclpy.executors.SingleThreadedExecutor()
     executor.add_node(node)
@@ -117,7 +121,7 @@ def test_a_subscriber_that_asks_for_more_is_named_too(make: Any, driver: Any) ->
     node = make()
 
     def words() -> str:
-        return "; ".join(node._connections.problems(node))
+        return "; ".join(problems(node))
 
     until(lambda: "/pam/daq of /pam/joint_states" in words(), "the subscriber was not found")
     assert (
@@ -140,11 +144,3 @@ def test_durability_is_no_ones_to_override(make: Any, ros: None) -> None:
     node = make(**override("/pam/pressure_1", durability="transient_local"))
     (info,) = node.get_subscriptions_info_by_topic("/pam/pressure_1")
     assert info.qos_profile.durability.name == "VOLATILE"
-
-
-def test_a_destroyed_subscription_is_not_watched_any_more(make: Any) -> None:
-    node = make()
-    before = len(node._connections._entities)
-    node.trigger_deactivate()
-    assert len(node._connections._entities) == before - 3
-    assert node._connections.problems(node) == []

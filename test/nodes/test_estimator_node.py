@@ -7,11 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from sent import stamp_of
+from sent import MS, Sent, asked, measure, packed, stamp_of
 
 pytestmark = pytest.mark.ros
-
-MS = 1_000_000
 
 
 @pytest.fixture
@@ -24,54 +22,32 @@ def node(new_node: Callable[..., Any]) -> Any:
     return node
 
 
-def send(node: Any, stamp_ns: int, p1: float | None, p2: float | None, voltage: tuple[float, float] | None) -> None:
-    """One message of each topic that is given a value."""
-    from rclpy.serialization import serialize_message
-    from sensor_msgs.msg import FluidPressure
-
-    from pam_antagonist.nodes.wire import set_stamp
-    from pam_antagonist_msgs.msg import ValveCommand
-
-    for value, callback in ((p1, node._on_pressure_1), (p2, node._on_pressure_2)):
-        if value is not None:
-            message = FluidPressure(fluid_pressure=value)
-            set_stamp(message.header.stamp, stamp_ns)
-            callback(serialize_message(message))
-    if voltage is not None:
-        command = ValveCommand(voltage=voltage)
-        set_stamp(command.header.stamp, stamp_ns)
-        node._on_valves(serialize_message(command))
-
-
-def test_fresh_samples_are_estimated_in_order_and_not_late(node: Any) -> None:
+def test_fresh_samples_are_estimated_in_order_and_old_ones_are_flagged_late(node: Any) -> None:
     begin = node.now_ns()
-    for k in range(20):
-        send(node, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
-    assert [stamp_of(item) for item in node.published] == [begin + k * MS for k in range(20)]
+    measure(node, begin, math.nan)
+    assert node.published == [], "the first whole sample comes later"
+    for k in range(1, 20):
+        measure(node, begin + k * MS)
+    assert [stamp_of(item) for item in node.published] == [begin + k * MS for k in range(1, 20)]
     assert all(math.isfinite(item.angle) and math.isfinite(item.torque) for item in node.published)
     assert all(item.header.frame_id == "joint" for item in node.published)
     assert node.published[-1].flags & 64 == 0
-
-
-def test_old_samples_are_flagged_late(node: Any) -> None:
-    begin = node.now_ns() - 10**9
-    for k in range(5):
-        send(node, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
-    assert len(node.published) == 5
-    assert all(item.flags & 64 for item in node.published)
+    node.now_ns = lambda: begin + 10**9
+    measure(node, begin + 20 * MS)
+    assert node.published[-1].flags & 64
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_pressure_that_is_no_number_is_left_out_and_flagged(node: Any, bad: float) -> None:
     begin = node.now_ns()
-    for k in range(10):
-        send(node, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
-    for k in range(10, 20):
-        send(node, begin + k * MS, bad, 450e3, (5.5, 5.5))
-    for k in range(20, 30):
-        send(node, begin + k * MS, bad, bad, (bad, 5.5))
-    for k in range(30, 40):
-        send(node, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
+    for k in range(40):
+        measure(
+            node,
+            begin + k * MS,
+            bad if 10 <= k < 30 else 450e3,
+            bad if 20 <= k < 30 else 450e3,
+            (bad if 20 <= k < 30 else 5.5, 5.5),
+        )
     flags = [item.flags & 7 for item in node.published]
     assert flags == [0] * 10 + [1] * 10 + [7] * 10 + [0] * 10
     assert all(math.isfinite(item.angle) for item in node.published)
@@ -79,29 +55,8 @@ def test_a_pressure_that_is_no_number_is_left_out_and_flagged(node: Any, bad: fl
     assert math.isnan(node.published[25].nis)
 
 
-def test_nothing_is_published_before_the_first_whole_sample(node: Any) -> None:
-    begin = node.now_ns()
-    send(node, begin, math.nan, 450e3, (5.5, 5.5))
-    assert node.published == []
-    send(node, begin + MS, 450e3, 450e3, (5.5, 5.5))
-    assert [stamp_of(item) for item in node.published] == [begin + MS]
-
-
-def test_diagnostics_tell_what_was_lost(node: Any) -> None:
-    begin = node.now_ns()
-    for k in range(10):
-        send(node, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
-    send(node, begin + 3 * MS, 450e3, None, None)
-    health = node.health(1)
-    assert set(health) == {"samples", "filter"}
-    assert health["samples"].values["estimates"] == 10
-    assert health["samples"].values["messages too late for their sample"] == 1
-    assert health["filter"].values["processed"] == 10
-
-
-def test_diagnostics_are_named_after_node_and_part(node: Any) -> None:
-    sent: list[Any] = []
-    node._diagnostics._publisher.publish = sent.append
+def test_diagnostics_are_named_after_node_and_part_and_tell_what_was_lost(node: Any) -> None:
+    sent = node._diagnostics._publisher.publish = Sent(None)
     node._diagnose()
     (message,) = sent
     parts = ["samples", "filter", "connections", "lifecycle"]
@@ -109,14 +64,20 @@ def test_diagnostics_are_named_after_node_and_part(node: Any) -> None:
     assert all(status.hardware_id == "joint" for status in message.status)
     assert message.status[0].level == b"\x01"  # nothing has come yet
     assert message.header.stamp.sec > 0
+    begin = node.now_ns()
+    for k in range(10):
+        measure(node, begin + k * MS)
+    measure(node, begin + 3 * MS, p2=None, voltage=None)
+    health = node.health(1)
+    assert health["samples"].values["estimates"] == 10
+    assert health["samples"].values["messages too late for their sample"] == 1
+    assert health["filter"].values["processed"] == 10
 
 
 def test_a_topic_that_stays_away_is_waited_for_and_then_left_out(node: Any) -> None:
     begin = node.now_ns()
-    for k in range(10):
-        send(node, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
-    for k in range(10, 60):
-        send(node, begin + k * MS, 450e3, None, (5.5, 5.5))
+    for k in range(60):
+        measure(node, begin + k * MS, p2=450e3 if k < 10 else None)
     waiting = node._pairing.expire()
     assert len(node.published) == 10 and waiting == []
     node._pairing._clock = lambda: begin + 10**9
@@ -126,33 +87,43 @@ def test_a_topic_that_stays_away_is_waited_for_and_then_left_out(node: Any) -> N
     assert node.health(1)["samples"].values["incomplete"] == 29
 
 
-@pytest.fixture
-def seeing(new_node: Callable[..., Any]) -> Any:
-    """A node that uses an encoder, and the torques from outside that it publishes."""
+def test_an_encoder_is_used_and_a_bad_one_is_refused_with_the_correction(new_node: Callable[..., Any]) -> None:
+    from sensor_msgs.msg import JointState
+
     from pam_antagonist.nodes.estimator import EstimatorNode
+    from pam_antagonist.nodes.pairing import ANGLE
 
     node = new_node(EstimatorNode, rig="shin2022_external_torque", angle_sensor="encoder")
     node.keep(torques=node._external)
-    return node
-
-
-def test_an_encoder_is_used_and_a_bad_one_is_refused_with_the_correction(seeing: Any) -> None:
-    from rclpy.serialization import serialize_message
-    from sensor_msgs.msg import JointState
-
-    from pam_antagonist.nodes.wire import set_stamp
-
-    begin = seeing.now_ns()
+    begin = node.now_ns()
     for k in range(400):
-        send(seeing, begin + k * MS, 450e3, 450e3, (5.5, 5.5))
-        message = JointState(name=["joint"], position=[1e-6 * k + (0.2 if k >= 200 else 0.0)])
-        set_stamp(message.header.stamp, begin + k * MS)
-        seeing._on_angle(serialize_message(message))
+        measure(node, begin + k * MS)
+        angle = 1e-6 * k + (0.2 if k >= 200 else 0.0)
+        node.take_message(ANGLE, packed(JointState(name=["joint"], position=[angle]), begin + k * MS))
         if k == 199:
-            assert seeing.health(1)["encoder"].message == "used"
-    torques = [message.wrench.torque.z for message in seeing.sent["torques"]]
+            assert node.health(1)["encoder"].message == "used"
+    torques = [message.wrench.torque.z for message in node.sent["torques"]]
     assert len(torques) == 400 and all(map(math.isfinite, torques))
-    state = seeing.health(2)["encoder"]
+    state = node.health(2)["encoder"]
     assert state.message.startswith("refused: the encoder jumped by +11.5°") and "~/reset" in state.message
-    seeing._on_reset(None, type("Response", (), {})())
-    assert seeing._estimator.encoder_complaint == ""
+    assert asked(node._reset)[0]
+    assert node._estimator.encoder_complaint == ""
+
+
+def test_a_checkpoint_is_published_once_a_second_and_when_the_state_is_set(node: Any) -> None:
+    from pam_antagonist_msgs.msg import FilterCheckpoint
+
+    sent = node._checkpoints = Sent(FilterCheckpoint)
+    sent.publish = sent  # type: ignore[attr-defined]
+    node._remember()
+    assert sent == []  # the filter is not started
+    begin = node.now_ns()
+    for k in range(20):
+        measure(node, begin + k * MS)
+    node._remember()
+    node._remember()  # nothing new
+    (first,) = sent
+    assert first.rig == "shin2022" and first.tuning == "default" and len(first.state) == 4
+    assert stamp_of(first) == begin + 19 * MS and first.header.frame_id == "joint"
+    assert asked(node._set_state, angle=0.1, velocity=0.0, pressure=[4e5, 4e5])[0]
+    assert len(sent) == 2 and sent[1].state[0] == 0.1 and sent[1].started == sent[1].header.stamp

@@ -46,6 +46,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
     from std_msgs.msg import String
 
     from pam_antagonist.nodes import qos
+    from pam_antagonist.nodes.wire import take
 
     folder = tmp_path_factory.mktemp("pipeline")
     with Processes(folder) as processes, Probe("valve_command") as probe:
@@ -70,9 +71,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
         listener = probe.node.create_subscription(String, "rig", lambda message: None, qos.LATCHED)
 
         def heard() -> bool:
-            with listener.handle:
-                while (taken := listener.handle.take_message(String, False)) is not None:
-                    late.append(taken[0].data)
+            late.extend(message.data for message, _ in take(listener))
             return len(late) >= 3
 
         probe.until(heard, 10.0, "what was said before")

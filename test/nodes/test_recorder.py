@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from pam_antagonist.nodes.processes import Process, Processes
+from pam_antagonist.paths import config_dir
+from pam_antagonist.recording.topics import TOPICS
 
 pytestmark = pytest.mark.ros
 NAMES = ("pressure_1", "pressure_2", "valve_state")
@@ -53,14 +56,14 @@ def diagnosis(probe: Any) -> list[Any]:
     from diagnostic_msgs.msg import DiagnosticArray
 
     from pam_antagonist.nodes import qos
+    from pam_antagonist.nodes.wire import take
 
     heard: list[Any] = []
     subscription = probe.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: None, qos.DIAGNOSTICS)
 
     def collect() -> list[Any]:
-        with subscription.handle:
-            while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                heard.extend(status for status in taken[0].status if status.name == "pam/recorder: bag")
+        for message, _ in take(subscription):
+            heard.extend(status for status in message.status if status.name == "pam/recorder: bag")
         return heard
 
     return collect
@@ -157,3 +160,28 @@ def test_what_never_came_is_counted(recording: tuple[Any, Process], tmp_path: Pa
     recorded, missing = (int(word) for word in line.split() if word.isdigit())
     assert recorded + missing == 200 + sent + 100
     assert "more were not received" in line
+
+
+def test_rosbag2_subscribes_as_record_does() -> None:
+    from pam_antagonist.nodes import qos
+
+    profiles = yaml.safe_load((config_dir() / "record_qos.yaml").read_text())
+    assert set(profiles) == {topic.resolve("/pam") for topic in TOPICS.values()}
+    ours = qos.RECORD
+    expected = {
+        "history": ours.history.name.lower(),
+        "depth": ours.depth,
+        "reliability": ours.reliability.name.lower(),
+        "durability": ours.durability.name.lower(),
+    }
+    latched = {**expected, "depth": qos.LATCHED.depth, "durability": qos.LATCHED.durability.name.lower()}
+    assert profiles.pop("/pam/rig") == latched and profiles.pop("/pam/filter_checkpoint") == latched
+    assert all(profile == expected for profile in profiles.values())
+
+
+def test_the_documented_command_names_every_topic() -> None:
+    text = (config_dir().parent / "docs" / "how-to" / "recording.md").read_text()
+    command = text.partition("ros2 bag record --storage")[2].partition("\n\n")[0]
+    assert {word for word in command.split() if word.startswith(("/pam/", "/diag"))} == {
+        topic.resolve("/pam") for topic in TOPICS.values()
+    }

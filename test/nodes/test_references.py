@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+import sent
+from sent import MS, refer, stamped
 
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 
 pytestmark = pytest.mark.ros
 
-MS = 1_000_000
 SAFE = (5.5, 5.5)
 
 
@@ -47,14 +48,8 @@ def planner(ros: None) -> Iterator[Any]:
 
 def estimate(node: Any, angle: float = 0.0, torque: float = 0.0, after: int = MS) -> tuple[float, float]:
     """One estimate; the command that answers it [V]."""
-    from rclpy.serialization import serialize_message
-
-    from pam_antagonist_msgs.msg import JointEstimate
-
     node.stamp = getattr(node, "stamp", node.now_ns() + 10**9) + after  # ahead of the clock: never late
-    message = JointEstimate(angle=angle, torque=torque)
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(node.stamp, 10**9)
-    node._on_estimate(serialize_message(message))
+    sent.estimate(node, node.stamp, angle=angle, torque=torque)
     return node.published[-1]
 
 
@@ -172,8 +167,7 @@ def test_a_trajectory_is_followed_in_time_with_feed_forward(make: Any) -> None:
     node = make(reference_source="joint_trajectory", angle_velocity=2.0, angle_proportional=0.0, angle_integral=0.0)
     node.stamp = node.now_ns() + 10**9
     message = trajectory((0.0, [0.0, 0.0]), (0.1, [0.0, 0.1]))
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(node.stamp, 10**9)
-    node.input._accept(message)
+    node.input._accept(stamped(message, node.stamp))
     values = []
     for _ in range(120):
         estimate(node)
@@ -238,10 +232,8 @@ def test_a_second_publisher_is_refused_and_named(make: Any, planner: Any) -> Non
 
 @pytest.mark.parametrize(("mode", "value", "followed"), [(0, 0.5, 0.436333), (0, -20.0, -0.436333), (1, 3.3, 3.204112)])
 def test_a_reference_out_of_range_is_limited_and_said(make: Any, mode: int, value: float, followed: float) -> None:
-    from pam_antagonist_msgs.msg import JointReference
-
     node = make()
-    node.input.reference(JointReference(mode=mode, value=value))
+    refer(node, mode, value)
     estimate(node)
     estimate(node)
     assert node._references.value == pytest.approx(followed, rel=1e-5) and node.published[-1] != SAFE
@@ -250,10 +242,8 @@ def test_a_reference_out_of_range_is_limited_and_said(make: Any, mode: int, valu
 
 
 def test_the_slew_limit_begins_at_the_estimate(make: Any) -> None:
-    from pam_antagonist_msgs.msg import JointReference
-
     node = make(max_angle_rate=1.0)
-    node.input.reference(JointReference(mode=0, value=0.3))
+    refer(node, 0, 0.3)
     values = []
     for _ in range(10):
         estimate(node, angle=0.1)

@@ -8,7 +8,6 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -55,21 +54,17 @@ class TopicSystem:
         self.valves: tuple[float, float] | None = None
 
     def read(self) -> None:
-        for message in self._new(self._states):
+        from pam_antagonist.nodes.wire import take
+
+        for message, _ in take(self._states):
             if self._joint in message.name:
                 index = list(message.name).index(self._joint)
                 for name in self.state:
                     values = getattr(message, name)
                     if len(values) and math.isfinite(values[index]):
                         self.state[name] = values[index]
-        for message in self._new(self._valves):
+        for message, _ in take(self._valves):
             self.valves = (message.voltage[0], message.voltage[1])
-
-    @staticmethod
-    def _new(subscription: Any) -> Iterator[Any]:
-        with subscription.handle:
-            while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
-                yield taken[0]
 
     def write(self) -> None:
         message = self._kind(name=[self._joint], position=[self.command])

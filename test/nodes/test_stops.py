@@ -72,10 +72,6 @@ class Bench:
     def __init__(self, processes: Processes, probe: Any, feeder: Feeder) -> None:
         self.processes, self.probe, self.feeder = processes, probe, feeder
 
-    def voltage(self, topic: str = "valve_state") -> tuple[float, float]:
-        self.probe.collect()
-        return tuple(self.probe.seen[topic][-1][1].voltage)
-
     def trigger(self, name: str) -> Any:
         from std_srvs.srv import Trigger
 
@@ -96,7 +92,7 @@ class Bench:
         self.probe.refer(0, reference)
 
         def moving() -> bool:
-            first, second = self.voltage()
+            first, second = self.probe.voltage()
             return first - second > 0.45 and (first, second) not in (PLANT_SAFE, CONTROLLER_SAFE)
 
         self.probe.clear()
@@ -104,14 +100,12 @@ class Bench:
 
     def said(self, part: str) -> list[tuple[int, str]]:
         """Level and message of each status of a part so far."""
-        self.probe.collect()
-        statuses = [status for _, message in self.probe.seen["diagnostics"] for status in message.status]
-        return [(status.level[0], status.message) for status in statuses if status.name == part]
+        return [(level, message) for _, level, message in self.probe.statuses(part)]
 
     def all_safe(self, safe: tuple[float, float], seconds: float = 0.25) -> bool:
         self.probe.clear()
         self.probe.wait(seconds)
-        states = {tuple(message.voltage) for _, message in self.probe.seen["valve_state"]}
+        states = set(self.probe.voltages())
         assert len(self.probe.seen["valve_state"]) > 100 * seconds
         # The plant has its own ones while the controller has had no estimate for a moment, on a busy machine.
         return safe in states and states <= {safe, PLANT_SAFE}
@@ -170,7 +164,7 @@ def test_controller_stops_latches_and_is_cleared_without_a_bump(bench: Bench, na
     answer = bench.trigger("controller/clear_stop")
     assert answer.success and reason in answer.message
     bench.probe.wait(0.1)
-    commands = [tuple(message.voltage) for _, message in bench.probe.seen["valve_command"]]
+    commands = bench.probe.voltages("valve_command")
     first = next(voltage for voltage in commands if voltage != CONTROLLER_SAFE)
     assert first == pytest.approx(CONTROLLER_SAFE, abs=0.02)
 
@@ -179,10 +173,10 @@ def test_estimates_that_stay_away_do_not_latch(bench: Bench) -> None:
     bench.work()
     bench.feeder.silent = True
     bench.probe.wait(0.1)
-    assert CONTROLLER_SAFE in {tuple(message.voltage) for _, message in bench.probe.seen["valve_state"]}
+    assert CONTROLLER_SAFE in bench.probe.voltages()
     # the controller's commands go on, with the stamp of the last estimate, which is too old by now
     assert bench.all_safe(PLANT_SAFE, 0.1)
-    assert bench.voltage("valve_command") == CONTROLLER_SAFE
+    assert bench.probe.voltage("valve_command") == CONTROLLER_SAFE
     bench.work()
 
 
@@ -190,13 +184,13 @@ def test_disabled_is_safe_once_then_silent_and_enabled_goes_on_from_the_valves(b
     bench.work()
     assert bench.enable(False).success
     bench.probe.wait(0.1)
-    assert bench.voltage("valve_command") == CONTROLLER_SAFE
+    assert bench.probe.voltage("valve_command") == CONTROLLER_SAFE
     assert bench.all_safe(PLANT_SAFE)  # the plant's own, since nobody commands
     assert bench.probe.seen["valve_command"] == []
     answer = bench.enable(True)
     assert answer.success and "5.000 and 5.200 V" in answer.message
     bench.probe.until(lambda: len(bench.probe.seen["valve_command"]) > 50, 5.0, "commands")
-    commands = [tuple(message.voltage) for _, message in bench.probe.seen["valve_command"]]
+    commands = bench.probe.voltages("valve_command")
     assert commands[0] == pytest.approx(PLANT_SAFE, abs=1e-9)
     late = CONTROLLER_SAFE  # for a moment without estimates, on a busy machine
     pairs = [pair for pair in itertools.pairwise(commands) if late not in pair]
@@ -215,7 +209,7 @@ def test_a_second_commander_is_refused_and_reported(bench: Bench) -> None:
     while time.monotonic() < end:
         intruder.publish(ValveCommand(voltage=[10.0, 0.0]))
         bench.probe.wait(0.002)
-    states = [tuple(message.voltage) for _, message in bench.probe.seen["valve_state"]]
+    states = bench.probe.voltages()
     assert len(states) > 300
     assert max(first for first, _ in states) < 8.0 and min(second for _, second in states) > 2.0
     safe = sum(state in (PLANT_SAFE, CONTROLLER_SAFE) for state in states)
@@ -242,7 +236,7 @@ def test_over_pressure_stops_the_plant_and_nothing_whips_when_it_is_cleared(benc
     assert bench.all_safe(PLANT_SAFE, 0.3)
     assert "pressure 1 is" in bench.said("pam/plant: safety")[-1][1]
     # What the controller asks for meanwhile stays near what is on the valves, rather than at ten volts.
-    commands = [tuple(message.voltage) for _, message in bench.probe.seen["valve_command"]]
+    commands = bench.probe.voltages("valve_command")
     assert max(abs(first - PLANT_SAFE[0]) for first, _ in commands) < 1.5
     errors = [text for level, text in bench.said("pam/controller: commands") if level == 2]
     assert errors and "do not get what is commanded" in errors[-1]
@@ -253,7 +247,7 @@ def test_over_pressure_stops_the_plant_and_nothing_whips_when_it_is_cleared(benc
     answer = bench.trigger("plant/clear_stop")
     assert answer.success and "above 500.0 kPa" in answer.message
     bench.probe.wait(0.3)
-    voltages = [PLANT_SAFE, *(tuple(message.voltage) for _, message in bench.probe.seen["valve_state"])]
+    voltages = [PLANT_SAFE, *bench.probe.voltages()]
     assert len(set(voltages)) > 20
     jumps = [max(abs(b - a) for a, b in zip(one, two, strict=True)) for one, two in itertools.pairwise(voltages)]
     assert max(jumps) < 1.5

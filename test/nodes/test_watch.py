@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import re
 import socket
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -107,60 +109,32 @@ def test_it_sends_thirty_frames_a_second_and_a_report_now_and_then() -> None:
     assert play(scene).listening == [True, False]
 
 
-def test_nothing_is_subscribed_while_nobody_looks() -> None:
-    async def scene(joint: Joint, server: Server, address: str) -> None:
-        answer = await AsyncHTTPClient().fetch(address)
-        assert answer.code == 200 and answer.body.decode() == PAGE.read_text()
-
-    assert play(scene).listening == []
-
-
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "https://{host}", "null", "file://"])
 def test_another_page_in_the_same_browser_cannot_read_it(origin: str) -> None:
+    """Nor one whose name points here (DNS rebinding): then Origin and Host agree, and both are somebody else's."""
+
     async def scene(joint: Joint, server: Server, address: str) -> None:
         host = address.removeprefix("http://").rstrip("/")
         assert await refused(address, Origin=origin.format(host=host)) == 403
+        port = host.rpartition(":")[2]
+        assert await refused(address, Origin=f"http://evil.example:{port}", Host=f"evil.example:{port}") == 403
+        with pytest.raises(HTTPClientError, match="403"):
+            await AsyncHTTPClient().fetch(HTTPRequest(address, headers={"Host": "evil.example"}))
+        assert joint.listening == []
         assert await refused(address, Origin=address.rstrip("/")) == 0
 
     assert play(scene).listening[0] is True
 
 
-def test_a_foreign_name_that_points_here_is_refused() -> None:
-    """DNS rebinding: Origin and Host agree, and both are somebody else's."""
-
-    async def scene(joint: Joint, server: Server, address: str) -> None:
-        port = address.rsplit(":", 1)[1].rstrip("/")
-        assert await refused(address, Origin=f"http://evil.example:{port}", Host=f"evil.example:{port}") == 403
-        with pytest.raises(HTTPClientError, match="403"):
-            await AsyncHTTPClient().fetch(HTTPRequest(address, headers={"Host": "evil.example"}))
-
-    assert play(scene).listening == []
-
-
 @pytest.mark.parametrize(
     ("host", "good"),
     [
-        ("localhost", True),
-        ("127.0.0.1", True),
-        ("[::1]", True),
-        ("192.168.0.7", True),
-        (socket.gethostname(), True),
-        ("localhost.evil.example", False),
-        ("", False),
+        *((host, True) for host in ("localhost", "127.0.0.1", "[::1]", "192.168.0.7", socket.gethostname())),
+        *((host, False) for host in ("localhost.evil.example", "")),
     ],
 )
 def test_names_of_this_machine(host: str, good: bool) -> None:
     assert names_this_machine(host) is good
-
-
-def test_it_takes_no_command_unless_it_is_told_to() -> None:
-    async def scene(joint: Joint, server: Server, address: str) -> None:
-        page = await visit(live(address))
-        await page.write_message(json.dumps({"do": "clear_stop", "key": ""}))
-        assert await answer_of(page) == "read-only: start watch with --allow-commands"
-
-    joint = play(scene)
-    assert joint.orders == []
 
 
 async def answer_of(page: Any) -> str:
@@ -170,7 +144,14 @@ async def answer_of(page: Any) -> str:
             return str(content["refused"])
 
 
-def test_a_command_needs_the_key_that_was_printed() -> None:
+def test_it_takes_no_command_unless_it_is_told_to_and_gets_the_key_that_was_printed() -> None:
+    async def read_only(joint: Joint, server: Server, address: str) -> None:
+        page = await visit(live(address))
+        await page.write_message(json.dumps({"do": "clear_stop", "key": ""}))
+        assert await answer_of(page) == "read-only: start watch with --allow-commands"
+
+    assert play(read_only).orders == []
+
     async def scene(joint: Joint, server: Server, address: str) -> None:
         page = await visit(live(address))
         for order in ({"do": "clear_stop"}, {"do": "clear_stop", "key": "x"}, {"do": "clear_stop", "key": None}):
@@ -202,12 +183,13 @@ def test_a_page_too_many_is_refused() -> None:
 def test_the_page_may_load_and_reach_nothing_else() -> None:
     async def scene(joint: Joint, server: Server, address: str) -> None:
         answer = await AsyncHTTPClient().fetch(address)
+        assert answer.code == 200 and answer.body.decode() == PAGE.read_text()
         policy = answer.headers["Content-Security-Policy"]
         assert "default-src 'none'" in policy and "connect-src 'self'" in policy and "frame-ancestors 'none'" in policy
         assert "script-src 'sha256-" in policy
         assert answer.headers["Cache-Control"] == "no-store"
 
-    play(scene)
+    assert play(scene).listening == [], "nothing is subscribed while nobody looks"
     text = PAGE.read_text()
     assert not re.findall(r"(?:src|href)=|https?://(?!www\.w3\.org)", text.replace('"https:"', ""))
     assert text.count("<script>") == 1 and " onclick=" not in text
@@ -248,7 +230,7 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
     from pam_antagonist.nodes.watch import FIELDS, PipelineWatch
 
     watch = PipelineWatch()
-    try:
+    with contextlib.closing(watch):
         assert watch.look().startswith("no joint in namespace /pam of ROS domain ")
         assert watch.report()["absent"] == watch.absent
         with Probe() as probe:
@@ -315,8 +297,6 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
             assert dict(zip(FIELDS, watch.frame(), strict=True))["angle"] is None  # too old to be shown
             watch.listen(False)
             probe.until(lambda: not any(map(probe.matched, names)), 20.0, "the end of the subscriptions")
-    finally:
-        watch.close()
 
 
 @pytest.mark.ros
@@ -327,14 +307,9 @@ def test_commands_are_checked_and_carried_out(domain: None) -> None:
 
     from pam_antagonist.nodes.watch import PipelineWatch
 
-    reader = PipelineWatch()
-    try:
-        with pytest.raises(BadInput, match="read-only"):
-            reader.command({"do": "clear_stop"})
-    finally:
-        reader.close()
-    watch = PipelineWatch(commands=True)
-    try:
+    with contextlib.closing(PipelineWatch()) as reader, pytest.raises(BadInput, match="read-only"):
+        reader.command({"do": "clear_stop"})
+    with contextlib.closing(PipelineWatch(commands=True)) as watch:
         with Probe("reference") as probe:
             for order, why in (
                 ({"do": "reference", "mode": "angle", "value": float("inf")}, "finite"),
@@ -376,5 +351,31 @@ def test_commands_are_checked_and_carried_out(domain: None) -> None:
             probe.until(answered, 20.0, "an answer")
             assert asked == [False] and watch.report()["answers"] == ["controller: disable: disabled: silent"]
             executor.shutdown()
-    finally:
-        watch.close()
+
+
+@pytest.mark.ros
+def test_the_page_shows_the_step_of_a_command_until_it_ends(domain: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pam_antagonist.nodes import watch
+    from pam_antagonist.nodes.client import Announcer
+
+    monkeypatch.setattr(watch, "_GONE", 1.5)
+
+    def report(wanted: str) -> dict[str, Any]:
+        deadline = time.monotonic() + 20.0
+        while time.monotonic() < deadline:
+            page.frame()
+            found = page.report()
+            if (bool(wanted) and wanted in found["at"][0]) if found["at"] else not wanted:
+                return found
+            time.sleep(0.05)
+        raise AssertionError(f"the page never showed {wanted!r}")
+
+    with contextlib.closing(watch.PipelineWatch()) as page:
+        page.listen(True)
+        with Announcer("commission") as announcer:
+            announcer.say("step 2 of 7, free: driving the joint", 40.0)
+            report("step 2 of 7, free: driving the joint, 1 of 40 s")
+            announcer.say("step 4 of 7, identify: working")
+            (status,) = report("step 4 of 7, identify: working, 0 s")["statuses"]
+            assert status["name"] == "commission: step" and status["level"] == 0
+        assert report("")["statuses"] == [], "a command that has ended is no fault"

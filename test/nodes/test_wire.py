@@ -68,27 +68,27 @@ def assert_same(packed: bytes, message: Any) -> None:
 def test_packed_is_what_rclpy_serialises(node: Any, frame: str) -> None:
     from sensor_msgs.msg import FluidPressure, JointState
 
-    from pam_antagonist_msgs.msg import JointEstimate, ValveCommand
+    from pam_antagonist_msgs.msg import ValveCommand
 
     pressure = header(FluidPressure(fluid_pressure=4.5e5, variance=4e5), frame)
-    out = wire.Outgoing(node, FluidPressure, "pressure", frame, wire.PRESSURE)
+    out = wire.Outgoing(node, "pressure_1", frame, wire.PRESSURE)
     assert_same(out.bytes_of(STAMP, 4.5e5, 4e5), pressure)
 
     valves = header(ValveCommand(voltage=[1.25, 9.5]), frame)
-    out = wire.Outgoing(node, ValveCommand, "valves", frame, wire.VALVES)
+    out = wire.Outgoing(node, "valve_state", frame, wire.VALVES)
     assert_same(out.bytes_of(STAMP, 1.25, 9.5), valves)
 
     for velocity in (True, False):
-        body, values = wire.joint_state("joint", velocity=velocity)
+        body, values = wire.joint_state("joint", "position", *(("velocity",) if velocity else ()), "effort")
         state = header(JointState(name=["joint"], position=[0.1], effort=[-2.0]), frame)
         if velocity:
             state.velocity = [3.0]
-        out = wire.Outgoing(node, JointState, f"state_{velocity}", frame, body)
+        out = wire.Outgoing(node, "joint_states", frame, body)
         numbers = values(0.1, 3.0, -2.0) if velocity else values(0.1, -2.0)
         assert_same(out.bytes_of(STAMP, *numbers), state)
 
     message, row = estimate(frame)
-    out = wire.Outgoing(node, JointEstimate, "estimate", frame, wire.ESTIMATE)
+    out = wire.Outgoing(node, "joint_estimate", frame, wire.ESTIMATE)
     assert_same(out.bytes_of(STAMP, 1_795_000_001, 5, row.tobytes()[:192], 17, 9, row.tobytes()[-40:]), message)
 
 
@@ -135,8 +135,8 @@ def test_an_encoder_s_message_is_packed_and_read(node: Any, frame: str) -> None:
     from sensor_msgs.msg import JointState
 
     state = header(JointState(name=["joint"], position=[0.1]), frame)
-    body, values = wire.joint_position("joint")
-    assert_same(wire.Outgoing(node, JointState, "encoder", frame, body).bytes_of(STAMP, *values(0.1)), state)
+    body, values = wire.joint_state("joint", "position")
+    assert_same(wire.Outgoing(node, "angle_sensor", frame, body).bytes_of(STAMP, *values(0.1)), state)
     for message, expected in (
         (state, 0.1),
         (JointState(name=["a", "joint"], position=[0.3, 0.2], effort=[1.0, 2.0]), 0.2),
@@ -147,5 +147,5 @@ def test_an_encoder_s_message_is_packed_and_read(node: Any, frame: str) -> None:
         stamp, angle = wire.position_in(serialize_message(header(message, frame)), "joint")
         assert stamp == STAMP and (math.isnan(angle) if expected is None else angle == expected)
     wrench = WrenchStamped(wrench=Wrench(torque=Vector3(z=1.5)))
-    out = wire.Outgoing(node, WrenchStamped, "external", frame, wire.WRENCH)
+    out = wire.Outgoing(node, "external_torque", frame, wire.WRENCH)
     assert_same(out.bytes_of(STAMP, 0.0, 0.0, 0.0, 0.0, 0.0, 1.5), header(wrench, frame))

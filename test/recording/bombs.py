@@ -13,8 +13,7 @@ from pathlib import Path
 import lz4.frame
 from backports import zstd
 from fake_bags import FLUID
-
-from pam_antagonist.recording.mcap import MAGIC
+from mcap_bytes import FOOTER, HEADER, chunk, message, record, text
 
 CHILD = """
 import json, resource, sys, time
@@ -51,30 +50,16 @@ def assert_refused_in_a_gigabyte(imports: str, reads: str, *words: str, seconds:
 
 
 def mcap(*bodies: bytes) -> bytes:
-    def text(value: str) -> bytes:
-        return struct.pack("<I", len(value)) + value.encode()
-
-    def record(opcode: int, body: bytes) -> bytes:
-        return struct.pack("<BQ", opcode, len(body)) + body
-
     schema = record(3, struct.pack("<H", 1) + text(FLUID) + text("ros2msg") + text(""))
     channels = [
         record(4, struct.pack("<HH", k, 1) + text(f"/pam/pressure_{k}") + text("cdr") + struct.pack("<I", 0))
         for k in (1, 2)
     ]
-    head = MAGIC + record(1, text("ros2") + text("x")) + schema + b"".join(channels)
-    return head + b"".join(bodies) + record(2, bytes(20)) + MAGIC
+    return b"".join([HEADER, schema, *channels, *bodies, FOOTER])
 
 
-def bomb_chunk(data: bytes, packer: str, claimed: int | None = None) -> bytes:
-    packed = zstd.compress(data, 3) if packer == "zstd" else lz4.frame.compress(data)
-    head = struct.pack("<QQQI", 0, 0, len(data) if claimed is None else claimed, 0)
-    head += struct.pack("<I", len(packer)) + packer.encode() + struct.pack("<Q", len(packed))
-    return struct.pack("<BQ", 6, len(head) + len(packed)) + head + packed
-
-
-def message(channel: int, data: bytes) -> bytes:
-    return struct.pack("<BQHIQQ", 5, 22 + len(data), channel, 0, 5, 5) + data
+def bomb_chunk(data: bytes, packer: str) -> bytes:
+    return chunk(zstd.compress(data, 3) if packer == "zstd" else lz4.frame.compress(data), packer, len(data))
 
 
 def many_chunks(folder: Path) -> Path:

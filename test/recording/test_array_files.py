@@ -62,27 +62,17 @@ def test_it_reads_as_csv_does(lab: Lab, write: Callable[[Path], None]) -> None:
 
 
 @pytest.mark.parametrize("write", WRITERS)
-def test_a_missing_column_lists_those_that_are_there(lab: Lab, write: Callable[[Path], None]) -> None:
+def test_what_cannot_be_read_is_refused(
+    lab: Lab, write: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(lab.csv)
     lab.entries(pressure_1={**MAP["pressure_1"], "column": "P1"})
     said = lab.refusal()
     assert "there is no column 'P1'" in said and "did you mean 'p1'" in said and "u2" in said
-
-
-@pytest.mark.parametrize("write", WRITERS)
-def test_a_file_that_was_cut_off_is_refused(lab: Lab, write: Callable[[Path], None]) -> None:
-    write(lab.csv)
+    monkeypatch.setattr(csv_table, "MAX_ROWS", 3)
+    assert "has 4 rows, expected at most 3" in lab.refusal(), "before anything is read"
     lab.csv.write_bytes(lab.csv.read_bytes()[:-300])
     assert str(lab.csv) in lab.refusal()
-
-
-@pytest.mark.parametrize("write", WRITERS)
-def test_too_many_rows_are_refused_before_they_are_read(
-    lab: Lab, write: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write(lab.csv)
-    monkeypatch.setattr(csv_table, "MAX_ROWS", 3)
-    assert "has 4 rows, expected at most 3" in lab.refusal()
 
 
 def test_fields_of_a_structure_and_columns_of_a_matrix(lab: Lab) -> None:
@@ -111,21 +101,6 @@ def test_what_is_no_number_is_refused(lab: Lab) -> None:
     with lab.csv.open("wb") as stream:
         np.savez(stream, **{**COLUMNS, "u2": np.array(["a", "b", "c", "d"])})
     assert "expected real numbers" in lab.refusal()
-
-
-def test_begin_and_end_cut_a_text_file_too(lab: Lab) -> None:
-    lab.entries(time={"column": "t", "unit": "s", "begin": 0.01, "end": 0.03})
-    assert lab.read().pressure[:, 0].tolist() == [310e3, 320e3]
-    lab.entries(time={"column": "t", "unit": "s", "begin": 5.0})
-    assert "no row from time.begin 5" in lab.refusal()
-
-
-def test_a_csv_file_as_excel_writes_it(lab: Lab) -> None:
-    text = lab.read()
-    rows = "\r\n".join(";".join(str(cell).replace(".", ",") for cell in row) for row in ROWS)
-    lab.text("\ufeffsep=;\r\n" + ";".join(HEADER) + "\r\n" + rows + "\r\n")
-    lab.entries(file={"delimiter": ";", "decimal": ","})
-    same(lab.read(), text)
 
 
 @pytest.mark.parametrize(("write", "library"), [(matlab_73, "h5py"), (parquet_table, "pyarrow")])

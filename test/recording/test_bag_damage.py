@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from backports import zstd
 from fake_bags import FakeRig, refusal
+from mcap_bytes import FOOTER, HEADER, chunk, chunks, record
 
 from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.mcap import MAGIC, MAX_CHUNK
@@ -28,23 +29,6 @@ def little_memory(limit: int = 1 << 30) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-
-
-def record(opcode: int, body: bytes, size: int | None = None) -> bytes:
-    return struct.pack("<BQ", opcode, len(body) if size is None else size) + body
-
-
-def text(value: str) -> bytes:
-    return struct.pack("<I", len(value)) + value.encode()
-
-
-def chunk(data: bytes, compression: str, size: int, *, packed: int | None = None, crc: int = 0) -> bytes:
-    head = struct.pack("<QQQI", 0, 0, size, crc) + text(compression)
-    return record(6, head + struct.pack("<Q", len(data) if packed is None else packed) + data)
-
-
-HEADER = MAGIC + record(1, text("ros2") + text("test"))
-FOOTER = record(2, bytes(20)) + MAGIC
 
 
 @pytest.mark.parametrize(
@@ -146,17 +130,6 @@ def test_a_log_beside_an_sqlite3_file_is_mentioned(rig: FakeRig, tmp_path: Path)
     assert "bag.db3-wal holds messages that were not read" in recording.issues[0]
 
 
-def chunks_of(whole: bytes) -> list[tuple[int, int]]:
-    """First byte and end of each chunk record."""
-    at, found = len(MAGIC), []
-    while at < len(whole) - len(MAGIC):
-        opcode, size = struct.unpack_from("<BQ", whole, at)
-        if opcode == 6:
-            found.append((at, at + 9 + size))
-        at += 9 + size
-    return found
-
-
 @pytest.mark.parametrize("place", ["begin", "middle", "head"])
 @pytest.mark.parametrize(("storage", "compression"), [("mcap", "none"), ("mcap", "chunk"), ("sqlite3", "none")])
 def test_what_stands_behind_damage_is_read_on_request(
@@ -167,7 +140,7 @@ def test_what_stands_behind_damage_is_read_on_request(
     long.write(bag, long.streams(), storage=storage, compression=compression)
     file = next(path for path in bag.iterdir() if path.name != "metadata.yaml")
     whole = bytearray(file.read_bytes())
-    where = chunks_of(whole) if storage == "mcap" else [(80_000, 400_000), (400_000, 1_000_000), (0, 0)]
+    where = chunks(whole) if storage == "mcap" else [(80_000, 400_000), (400_000, 1_000_000), (0, 0)]
     assert len(where) > 2
     begin, end = where[0 if place == "begin" else 1]
     at = begin - 100 if place == "head" else (begin + end) // 2

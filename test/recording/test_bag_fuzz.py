@@ -14,6 +14,7 @@ from bombs import BOMBS, assert_refused_in_a_gigabyte
 from fake_bags import FakeRig
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap_bytes import records
 from test_bag_damage import little_memory
 
 from pam_antagonist.errors import BadInput
@@ -79,13 +80,10 @@ def record_starts(data: bytes) -> list[int]:
         return list(range(0, len(data), 4096))
     starts, stack = [], [(len(MAGIC), len(data))]
     while stack:
-        at, end = stack.pop()
-        while at + 9 <= end:
-            opcode, size = struct.unpack_from("<BQ", data, at)
+        for opcode, at, end in records(data, *stack.pop()):
             starts += [at, at + 9]
             if opcode == 6 and data[at + 37 : at + 41] == bytes(4):  # not compressed
-                stack.append((at + 9 + 40, at + 9 + size))
-            at += 9 + size
+                stack.append((at + 9 + 40, end))
     return [start for start in starts if start < len(data)]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import struct
 import subprocess
 import sys
 import time
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_bags import FakeRig
+from mcap_bytes import chunks, records
 from rosbags.rosbag2 import Reader
 
 from pam_antagonist.errors import BadInput
@@ -164,17 +164,6 @@ def test_ctrl_c_leaves_a_whole_bag(tmp_path: Path, last: str) -> None:
     assert recording.issues == ()
 
 
-def chunk_ends(data: bytes) -> list[int]:
-    """Ends of the chunk records of an MCAP file."""
-    at, ends = len(MAGIC), []
-    while at + 9 <= len(data):
-        opcode, size = struct.unpack_from("<BQ", data, at)
-        at += 9 + size
-        if opcode == 6:
-            ends.append(at)
-    return ends
-
-
 @pytest.fixture(scope="module")
 def unclosed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FakeRig]:
     """A bag of several chunks without metadata."""
@@ -196,7 +185,7 @@ def unclosed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FakeRig]:
 def test_without_power_at_any_byte(unclosed: tuple[Path, FakeRig], tmp_path: Path, tail: bytes) -> None:
     folder, rig = unclosed
     whole = (folder / "bag.mcap").read_bytes()
-    ends = chunk_ends(whole)
+    ends = [end for _, end in chunks(whole)]
     assert len(ends) > 5
     cuts = {end + shift for end in ends for shift in ((-1, 0, 1, 9) if DEEP else (-1, 0, 1))}
     cuts |= set(np.linspace(9, len(whole) - 1, 300 if DEEP else 25).astype(int).tolist())
@@ -251,10 +240,8 @@ def test_every_flush_reaches_the_disk_with_whole_chunks(tmp_path: Path, monkeypa
         if os.path.isfile(f"/proc/self/fd/{handle}") and os.readlink(f"/proc/self/fd/{handle}").endswith(".mcap"):
             data = Path(f"/proc/self/fd/{handle}").read_bytes()
             synced.append(len(data))
-            at = len(MAGIC)
-            while at < len(data):  # no record is cut off
-                at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-            assert at == len(data) or data.endswith(MAGIC)
+            *_, (_, _, end) = records(data)
+            assert end == len(data) or data.endswith(MAGIC), "no record is cut off"
         really(handle)
 
     monkeypatch.setattr(os, "fsync", fsync)

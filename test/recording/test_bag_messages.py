@@ -1,34 +1,19 @@
-"""The definitions in Python against the .msg files, and the topic table."""
+"""The definitions of messages, and the topic table."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 import yaml
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import get_types_from_msg
 
 from pam_antagonist.recording import TOPICS
-from pam_antagonist.recording.cdr import CdrError, Payloads, decode
-from pam_antagonist.recording.messages import DEFINITIONS, FORMER, stores_of, typestore
+from pam_antagonist.recording.messages import is_known, typestore
 from pam_antagonist.recording.topics import find_topic
 
-MSG = Path(__file__).parents[2] / "pam_antagonist_msgs" / "msg"
 VALVE = "pam_antagonist_msgs/msg/ValveCommand"
-
-
-def test_definitions_equal_the_msg_files() -> None:
-    files = {f"pam_antagonist_msgs/msg/{file.stem}": file for file in MSG.glob("*.msg")}
-    assert files.keys() == DEFINITIONS.keys()
-    for name, file in files.items():
-        theirs = get_types_from_msg(file.read_text(), name)[name]
-        ours = get_types_from_msg(DEFINITIONS[name], name)[name]
-        assert ours == theirs, f"{file.name} and messages.py differ"
 
 
 def test_valve_command_has_the_hash_of_existing_recordings(rig_a: Path) -> None:
@@ -71,39 +56,4 @@ def test_topic_table_needs_no_bag_library() -> None:
     ],
 )
 def test_other_definitions_are_noticed(digest: str, definition: str, differs: bool) -> None:
-    assert (stores_of(VALVE, digest, definition) == ()) is differs
-
-
-@pytest.mark.parametrize("msgtype", FORMER)
-def test_a_former_definition_is_taken_where_the_bag_declares_it_or_the_length_fits(msgtype: str) -> None:
-    old, new = typestore(former=True), typestore()
-    assert stores_of(msgtype, old.hash_rihs01(msgtype), "") == (old,)
-    assert stores_of(msgtype, "", old.generate_msgdef(msgtype, ros_version=2)[0]) == (old,)
-    assert stores_of(msgtype, new.hash_rihs01(msgtype), "") == (new,)
-    undeclared = stores_of(msgtype, "", "")
-    assert undeclared == (new, old)
-    for store in (old, new):
-        time = store.types["builtin_interfaces/msg/Time"](1, 2)
-        values: dict[str, Any] = {"header": store.types["std_msgs/msg/Header"](time, "ab"), "started": time}
-        numbers = []
-        for name, (kind, what) in store.fielddefs[msgtype][1]:
-            if name in values:
-                continue
-            element = what[0] if kind == Nodetype.BASE else what[0][1][0]
-            if element == "string":
-                values[name] = "1" if kind == Nodetype.BASE else ["1"]
-            else:
-                values[name] = 1 if kind == Nodetype.BASE else np.ones(what[1] or 1, element)
-                numbers.append(name)
-        fields = {name: values[name] for name, _ in store.fielddefs[msgtype][1]}
-        data = Payloads.of([bytes(store.serialize_cdr(store.types[msgtype](**fields), msgtype))])
-        decoded = decode(data, msgtype, undeclared)
-        for name in numbers:
-            assert np.all(decoded.fixed(name) == 1)
-        kind = msgtype.rpartition("/")[2]
-        laters = {"JointEstimate": "external_torque", "JointReference": "stiffness", "FilterCheckpoint": "angle_sensor"}
-        later = laters[kind]
-        assert decoded.has(later) is (store is new)
-        cut = Payloads.of([data.data[:-9].tobytes()])
-        with pytest.raises(CdrError, match="needs"):
-            decode(cut, msgtype, undeclared)
+    assert is_known(VALVE, digest, definition) is not differs

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.recording.cdr import CdrError, Payloads, decode, encode
+from pam_antagonist.recording.cdr import CdrError, decode, encode
 from pam_antagonist.recording.messages import typestore
+from pam_antagonist.recording.raw import Payloads
 
 JOINT = "sensor_msgs/msg/JointState"
 FLUID = "sensor_msgs/msg/FluidPressure"
@@ -130,3 +131,13 @@ def test_nanoseconds_of_a_second_are_refused() -> None:
     payload = PLAIN[:8] + (10**9).to_bytes(4, "little") + PLAIN[12:]
     with pytest.raises(CdrError, match=r"message 0: header.stamp.nanosec is 1000000000"):
         decode(Payloads.of([payload]), FLUID).stamp_ns("header.stamp")
+
+
+def test_a_thousand_layouts_are_no_recording() -> None:
+    columns = {"header.stamp.sec": 1, "header.stamp.nanosec": 2, "fluid_pressure": 1.0, "variance": 0.0}
+    texts = ["x" * size for size in range(1002)]
+    payloads = [encode(FLUID, 1, {**columns, "header.frame_id": text})[0].tobytes() for text in texts]
+    decoded = decode(Payloads.of(payloads[:1000]), FLUID)
+    assert len(decoded.groups) == 1000 and np.all(decoded.fixed("fluid_pressure") == 1.0)
+    with pytest.raises(CdrError, match="has a layout of its own, as 1000 before it"):
+        decode(Payloads.of(payloads), FLUID)

@@ -19,7 +19,6 @@ from pam_antagonist.paths import config_dir
 from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.rig import load_rig
-from validation.paper.scenario import load_scenario
 
 DEEP = bool(os.environ.get("PAM_PROOF"))
 EXAMPLES = settings(
@@ -31,7 +30,6 @@ FILES: dict[str, tuple[Path, Callable[[str], Any]]] = {
     "rig": (config_dir() / "rigs" / "shin2022.yaml", load_rig),
     "sealed": (config_dir() / "rigs" / "sealed_joint.yaml", load_rig),
     "map": (config_dir() / "maps" / "example.yaml", load_map),
-    "scenario": (config_dir() / "scenarios" / "paper.yaml", lambda path: load_scenario(path.removesuffix(".yaml"))),
 }
 VALUES = [
     "", "~", "[]", "{}", "yes", "1e308", "-1e308", "1e-320", "1e999", ".nan", "-.inf", "0x" + "f" * 5000, "9" * 400,

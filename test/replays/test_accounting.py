@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.recording import Arrival, Recording
-from pam_antagonist.replays.accounting import STAGES, account, over_time
+from pam_antagonist.replays.accounting import STAGES, account
 
 MS = 1_000_000
 START = 10**18
@@ -93,38 +93,3 @@ def test_no_account_without_a_stage() -> None:
     whole = recording()
     part = {stage: arrival for stage, arrival in whole.received_ns.items() if stage != "joint_estimate"}
     assert account(Recording("bag", whole.stamp_ns, whole.pressure, whole.voltage, received_ns=part), 1e-3) is None
-
-
-def test_blocks_have_the_losses_where_they_happened() -> None:
-    keep = np.delete(np.arange(1000), [250, 251, 610])
-    found = over_time(recording(joint_estimate=keep, valve_command=np.delete(keep, [0, 1, 2])), 1e-3, 0.2)
-    assert found is not None
-    np.testing.assert_allclose(found.time, [0.1, 0.3, 0.5, 0.7, 0.9])
-    assert found.lost["joint_estimate"].tolist() == found.lost["valve_command"].tolist() == [0, 2, 0, 1, 0]
-    assert found.lost["pressure_1"].tolist() == [0] * 5
-    assert found.median.tolist() == found.p99.tolist() == found.largest.tolist() == [2.0] * 5
-
-
-def test_blocks_add_up_to_the_whole() -> None:
-    """Also where no topic has a sample, and a whole block is gone."""
-    rng = np.random.default_rng(3)
-    whole = recording(5000, valve_command=np.flatnonzero(rng.random(5000) > 0.1))
-    keep = np.delete(np.arange(5000), slice(1900, 3100))
-    received = {}
-    for stage, (log, stamp) in whole.received_ns.items():
-        there = np.isin(stamp, whole.stamp_ns[keep])
-        slower = np.where(stamp > whole.stamp_ns[4000], 7 * MS, 0) if stage == "valve_command" else 0
-        received[stage] = Arrival((log + slower)[there], stamp[there])
-    part = Recording("bag", whole.stamp_ns[keep], whole.pressure[keep], whole.voltage[keep], received_ns=received)
-    total, found = account(part, 1e-3), over_time(part, 1e-3, 1.0)
-    assert total is not None and found is not None
-    assert {stage: values.sum() for stage, values in found.lost.items()} == total.lost
-    assert found.lost["pressure_1"].sum() == 1200.0
-    assert np.isnan(found.median[2]) and found.largest[0] == 2.0 and found.largest[-1] == 9.0
-
-
-def test_blocks_of_a_recording_without_a_stage_are_none() -> None:
-    whole = recording()
-    received = {stage: arrival for stage, arrival in whole.received_ns.items() if stage != "valve_command"}
-    part = Recording("bag", whole.stamp_ns, whole.pressure, whole.voltage, received_ns=received)
-    assert over_time(part, 1e-3, 1.0) is None

@@ -5,18 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
 from pam_antagonist.diagnosis.models import Model
+from pam_antagonist.diagnosis.remaining import Form, RemainingResidual, Surroundings
 from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice
 from pam_antagonist.estimation.errors import ChannelErrors
-from pam_antagonist.report.close_loop import DiagnoseResult
-from pam_antagonist.report.close_loop_document import errors_table, summary
+from pam_antagonist.report.close_loop import DiagnoseResult, errors_table
+from pam_antagonist.report.close_loop_figures import left
 from pam_antagonist.report.close_loop_findings import findings
 from pam_antagonist.report.document import Findings
+from pam_antagonist.report.table import Table
 from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import plain
 
@@ -134,7 +137,23 @@ def test_a_part_that_is_not_explained_is_a_warning(found: DiagnoseResult) -> Non
     assert "The residual of the pressures is above noise" in said(replace(found, parts=parts), "warn")
 
 
+def test_what_is_left_is_a_table_of_all_recordings_without_shares_that_are_nothing() -> None:
+    around = Surroundings(np.zeros((5, 2)), None, np.arange(5.0))
+    form = Form((), 0.0, float("nan"))
+    one, other = (
+        RemainingResidual(name, "torque", "N m", 3.0, {"pressure": share}, {"below 0.1 Hz": 1.0}, 2.0, form,
+                          np.zeros(5), around)
+        for name, share in (("lab/free", 0.4), ("lab/locked", 0.001))
+    )  # fmt: skip
+    said, depends, power = left([one, other], with_figures=False)
+    assert isinstance(said, Findings) and isinstance(depends, Table) and isinstance(power, Table)
+    assert depends.rows == (("lab/free: torque", "40.0 %"), ("lab/locked: torque", "0.1 %"))
+    assert [block for block in left([other], with_figures=False) if isinstance(block, Table)] == [
+        Table(power.header, (("lab/locked: torque", "100.0 %"),), power.caption)
+    ]
+
+
 def test_names_of_recordings_keep_their_first_letter(found: DiagnoseResult) -> None:
-    shown = summary(replace(found, warnings=("lab/free: too short", "the noise is large")))
+    shown = replace(found, warnings=("lab/free: too short", "the noise is large")).blocks()
     warnings, *_ = [block for block in shown if isinstance(block, Findings)]
     assert [item.text for item in warnings.items] == ["lab/free: too short.", "The noise is large."]

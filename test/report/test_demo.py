@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.api.simulate import simulate
-from pam_antagonist.control import Mode
+from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import RecordedReference, Recording
 from pam_antagonist.replays import replay

@@ -130,21 +130,6 @@ def test_a_trace_has_few_points_and_keeps_its_spike() -> None:
     assert trace["x"][int(np.argmax(trace["y"]))] == pytest.approx(12.345)
 
 
-def test_long_rows_are_packed_as_steps_from_which_every_number_comes_back() -> None:
-    values = np.round(np.cumsum(np.random.default_rng(0).normal(size=500)), 4)
-    values[100:110] = np.nan
-    figure = _figure(values)
-    packed = json.loads(plotly_renderer.text(figure))["data"][0]
-    plain = plotly_renderer.plot(figure)["data"][0]
-    for key in ("x", "y"):
-        steps = [step for step in packed[key]["steps"] if step is not None]
-        restored = (np.cumsum(steps) / 10.0 ** packed[key]["decimals"]).tolist()
-        assert restored == [value for value in plain[key] if value is not None]
-        assert [k for k, step in enumerate(packed[key]["steps"]) if step is None] == [
-            k for k, value in enumerate(plain[key]) if value is None
-        ]
-
-
 def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None:
     stamps = np.concatenate((np.arange(50), np.arange(200, 250))) * 1_000_000
     x, ones = figures.seconds(stamps, 0), np.ones(100)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.identification import held_out as held_out_errors
+from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.result import Held
 from pam_antagonist.inference.bootstrap import Interval
-from pam_antagonist.report import identify_episodes, identify_findings
+from pam_antagonist.report import identify_findings
 from pam_antagonist.rig import load_rig
 
 
@@ -20,10 +23,10 @@ def held_out(before: float, now: float, alone: tuple[float, float] = (1.0, 1.0),
 
     def figures(rmse: float, model: float) -> SimpleNamespace:
         both = (
-            ChannelErrors("deg", value, 2.0 * value, 0.1 if math.isfinite(value) else value, 0.95)
+            ChannelErrors("deg", value, 2.0 * value, 0.08 if math.isfinite(value) else value, 0.95)
             for value in (rmse, model)
         )
-        ukf, model_alone = (SimpleNamespace(angle=item, torque=None) for item in both)
+        ukf, model_alone = (SimpleNamespace(angle=item, torque=None, external_torque=None) for item in both)
         model_alone.pressure = SimpleNamespace(rmse_pa=(1e3 * model, 1e3 * model))
         return SimpleNamespace(ukf=ukf, model_alone=model_alone, innovation=SimpleNamespace(nis_mean=nis))
 
@@ -37,13 +40,20 @@ def parameter(name: str, value: float, bound: float | None = None) -> Any:
     return SimpleNamespace(name=name, value=value, bound=bound, unit="-")
 
 
-@pytest.mark.parametrize(("before", "now", "said"), [(0.15, 0.43, 1), (0.15, 0.16, 0), (0.15, 0.05, 0)])
-def test_a_rig_that_became_worse_is_a_warning(before: float, now: float, said: int) -> None:
-    found = identify_findings._worse(held_out(before, now))
-    assert len(found) == said
-    assert identify_findings.lacks_an_effect([held_out(before, now)]) == bool(said)
-    for item in found:
-        assert item.status == "warn" and "0.43°" in item.text and "close_loop" in item.text
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        (held_out(0.15, 0.43), "worse with the identified rig (0.43°, as configured 0.15°)"),
+        (held_out(0.15, 0.16), ""),
+        (held_out(0.15, 0.05), ""),
+        (held_out(9.0, 8.4, (3.0, 2.6)), "(8.4°) is worse than that of the model alone (2.6°)"),
+        (held_out(9.0, 2.6, (3.0, 2.6)), ""),
+    ],
+)
+def test_a_filter_that_became_worse_or_that_pressures_do_not_help_is_a_warning(part: Any, said: str) -> None:
+    found = identify_findings.of_recording(part)
+    assert [item.status for item in found] == ["warn"] * bool(said) and all(said in item.text for item in found)
+    assert held_out_errors.lacks_an_effect([part]) == ("as configured" in said)
 
 
 MET = [parameter("friction.shaft", 1.0, 1.0)]
@@ -65,31 +75,48 @@ MET = [parameter("friction.shaft", 1.0, 1.0)]
     ],
 )
 def test_a_fit_that_did_not_work_says_so(part: Any, options: dict[str, Any], said: str) -> None:
-    found = identify_findings.rejection([part], **options)
+    found = held_out_errors.rejection([part], **options)
     assert said in found and bool(found) == bool(said)
     assert "\n" not in found
 
 
-def test_a_filter_that_is_worse_than_the_model_alone_is_a_warning() -> None:
-    (found,) = identify_findings._against_model(held_out(9.0, 8.4, (3.0, 2.6)))
-    assert found.status == "warn" and "8.4°" in found.text and "2.6°" in found.text
-    assert identify_findings._against_model(held_out(9.0, 2.6, (3.0, 2.6))) == []
+def test_an_error_that_is_large_for_the_range_is_a_warning() -> None:
+    part = held_out(20.0, 5.0, (9.0, 9.0))
+    assert identify_findings.of_recording(part) == []
+    wide = replace(part.reports["identified"].ukf.angle, ratio=0.2)
+    part.reports["identified"].ukf.angle = wide
+    (found,) = identify_findings.of_recording(part)
+    assert "10.0 % of the angle's range: the joint is no plain pair of muscles" in found.text
 
 
-def test_an_error_that_is_large_for_the_range_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The angles of these parts move over twenty times their error."""
-    assert identify_findings._large(held_out(20.0, 5.0)) == []
-    monkeypatch.setattr(identify_findings, "_LARGE", 0.04)
-    (found,) = identify_findings._large(held_out(20.0, 5.0))
-    assert "of the angle's range: the joint is no plain pair of muscles" in found.text
+@pytest.mark.parametrize(
+    ("coverage", "status", "said"),
+    [
+        (
+            0.95,
+            "good",
+            "95.0 % of the held-out readings lie in their 95 % intervals. The filter's covariance is honest.",
+        ),
+        (0.5, "warn", "covariance is too small (angle of lab/free 50.0 %)."),
+        (1.0, "note", "covariance is larger than needed (angle of lab/free 100.0 %)."),
+    ],
+)
+def test_the_coverage_of_all_recordings_is_one_sentence(coverage: float, status: str, said: str) -> None:
+    part = held_out(0.15, 0.05)
+    part.reports["identified"].ukf.angle = replace(part.reports["identified"].ukf.angle, coverage95=coverage)
+    found: Any = SimpleNamespace(
+        found=SimpleNamespace(notes=()), parameters=(), rejected="", held=[part], coverage95=(coverage, math.nan),
+        between=(), correlations=(), recordings=(part,),
+    )  # fmt: skip
+    (item,) = [one for one in identify_findings.findings(found) if "95 % intervals" in one.text]
+    assert item.status == status and item.text.endswith(said)
 
 
 @pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])
 def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: str) -> None:
     errors = {name: (Interval(value, 0.0, 9.0),) * 2 for name, value in (("as configured", 1.0), ("identified", later))}
     rig = load_rig("shin2022_regulators", regulators=True)
-    found: Any = SimpleNamespace(rig=rig, errors=errors)
-    rejected = identify_episodes.rejection(found)
-    assert said in rejected and bool(rejected) == bool(said)
-    found.rig = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
-    assert "impossible (joint.inertia" in identify_episodes.rejection(found)
+    found = EpisodesIdentified(rig, rig, {}, errors, None, (1, 1, 1))
+    assert said in found.rejected and bool(found.rejected) == bool(said)
+    impossible = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
+    assert "impossible (joint.inertia" in replace(found, rig=impossible).rejected

@@ -18,11 +18,11 @@ from pam_antagonist.estimation import EstimateRun, Estimator, simulate_model
 from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
 from pam_antagonist.recording.notes import SEALED, write_notes
 from pam_antagonist.replays import ReplayReport, replay
-from pam_antagonist.replays.result import JointFacts, RecordedRig
+from pam_antagonist.replays.result import JointFacts, RecordedRig, numbers
 from pam_antagonist.report.document import Section
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.html import render, write
-from pam_antagonist.report.replay import document, numbers
+from pam_antagonist.report.replay import document
 from pam_antagonist.report.replay_findings import live_rig
 from pam_antagonist.rig import Rig, RigIdentity, fingerprint, load_rig
 from pam_antagonist.strict_json import plain

@@ -49,7 +49,7 @@ def said(report: ReplayReport, status: str) -> str:
 
 def test_verdict(report: ReplayReport) -> None:
     known = "the estimator gives the angle to within 0.50° and the torque to within 0.10 N m (root mean square error)."
-    assert verdict(report) == f"From the two pressures alone, {known}"
+    assert verdict([report]) == f"From the two pressures alone, {known}"
 
 
 def test_an_interval_ten_times_the_error_is_called_wide(report: ReplayReport) -> None:
@@ -65,8 +65,8 @@ def test_an_interval_ten_times_the_error_is_called_wide(report: ReplayReport) ->
 
 def test_a_locked_joints_angle_is_no_achievement(report: ReplayReport) -> None:
     locked = replace(report, joint=JointFacts("locked", 0.1, "measured angle"))
-    assert "the torque to within 0.10 N m" in verdict(locked)
-    assert "The joint was locked at 5.7°" in verdict(locked)
+    assert "the torque to within 0.10 N m" in verdict([locked])
+    assert "The joint was locked at 5.7°" in verdict([locked])
     assert "Angle: the filter" not in said(locked, "good")
     assert [tile.label for tile in tiles(locked)] == ["Torque error (RMS)", "Torque in the 95 % interval"]
 

@@ -9,11 +9,9 @@ import pytest
 
 from pam_antagonist.cli import new_rig
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import muscle
 from pam_antagonist.model.flow import mass_flow
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.parts import muscle_parts
 
 NOMINAL = 0.25
 
@@ -33,15 +31,6 @@ def written(path: Path, words: str) -> Rig:
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
     return written(tmp_path_factory.mktemp("rigs") / "elbow.yaml", "--valve MPYE-5-M5")
-
-
-def test_the_force_is_that_of_the_data_sheet(rig: Rig) -> None:
-    part, p = muscle_parts()["DMSP-20"], rig.parameters()
-    outside = rig.atmosphere.pressure
-    assert muscle.force(0, NOMINAL, outside + part.pressure, p) == pytest.approx(part.force, rel=0.10)
-    contracted = NOMINAL * (1.0 - part.contraction)
-    assert muscle.force(0, contracted, outside + part.pressure, p) < 0.02 * part.force
-    assert muscle.force(0, contracted, outside, p) >= 0.0, "a muscle does not push"
 
 
 @pytest.mark.parametrize(("words", "overlap"), [("", 0.5), ("--valve-centre open", 0.0)])

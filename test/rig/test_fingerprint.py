@@ -12,7 +12,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, RigIdentity, differences, fingerprint, load_rig
 from pam_antagonist.rig.fingerprint import FACTS
 from pam_antagonist.rig.write import write_rig
-from validation.paper.scenario import load_scenario, virtual_rig
+from validation.paper.virtual import VirtualRig
 
 Laid = Callable[[str], Rig]
 
@@ -125,9 +125,8 @@ def test_a_refined_rig_is_the_same_joint(laid: Laid, changes: str) -> None:
 
 def test_virtual_rigs_of_the_paper_are_the_joint_that_they_stand_for() -> None:
     """Valve curves off by 8 %, and hysteresis that the declared rig lacks: the live experiments run so."""
-    scenario = load_scenario()
     for seed in range(200):
-        rig = virtual_rig(scenario, seed)
+        rig = VirtualRig(seed)
         assert differences(told(rig.declared), told(rig.actual)) == []
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 
-from pam_antagonist.cli import new_rig
+from pam_antagonist import new_rig
 from pam_antagonist.cli.demo_steps import MODEL, law_of, task
-from pam_antagonist.control import Box, Mode, Reachable
+from pam_antagonist.control.command import Mode
+from pam_antagonist.control.laws import Reachable
+from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import controller, plant
 from pam_antagonist.nodes.parameters import Parameter, by_rig
@@ -20,26 +21,22 @@ from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
 
 COMMON = {
-    "inertia": "0.002", "mass": "0.4kg", "nominal-length": "200mm", "length": "187mm", "muscle": "DMSP-10",
+    "inertia": "0.002", "mass": "0.4kg", "nominal_length": "200mm", "length": "187mm", "muscle": "DMSP-10",
 }  # fmt: skip
 RIGS = {
     "lever": {"radius": "20mm", "supply": "6bar", "valve": "MPYE-5-M5", "stop": "40deg", "rate": "500"},
-    "pulley": {"kind": "pulley", "radius": "15mm", "supply": "2.5bar", "valve": "own", "valve-flow": "100",
+    "pulley": {"kind": "pulley", "radius": "15mm", "supply": "2.5bar", "valve": "own", "valve_flow": "100",
                "voltage": "0:5", "stop": "30deg"},
     "slow": {"kind": "pulley", "radius": "16mm", "supply": "7bar", "drive": "regulator", "regulator": "ITV2050",
-             "regulator-time": "0.11", "stop": "38deg", "rate": "50"},
+             "regulator_time": "0.11", "stop": "38deg", "rate": "50"},
     "no_stop": {"radius": "20mm", "supply": "5bar", "drive": "regulator", "regulator": "VEAA-D9"},
 }  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
+def rigs() -> dict[str, Rig]:
     """Rigs of ``new_rig`` that are not of the paper's size."""
-    folder: Path = tmp_path_factory.mktemp("rigs")
-    for name, answers in RIGS.items():
-        words = (word for key, value in {**COMMON, **answers}.items() for word in (f"--{key}", value))
-        assert new_rig.main(["--out", str(folder / f"{name}.yaml"), "--name", name, *words]) == 0
-    return {name: load_rig(folder / f"{name}.yaml", regulators=True) for name in RIGS}
+    return {name: new_rig(name=name, **COMMON, **answers) for name, answers in RIGS.items()}
 
 
 def defaults(table: tuple[Parameter, ...], rig: Rig) -> dict:

@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.control import VoltageLimits
+from pam_antagonist.control.command import VoltageLimits
 from pam_antagonist.errors import BadInput
-from pam_antagonist.safety import SafeAction, State, ValveGuard, Verdict, safe_action
+from pam_antagonist.safety import SafeAction, ValveGuard
+from pam_antagonist.safety.authority import Verdict
+from pam_antagonist.safety.guard import State, safe_action
 
 MS = 1_000_000
 SAFE = (5.0, 5.2)

@@ -14,7 +14,8 @@ from pam_antagonist.nodes.controller import PARAMETERS as CONTROLLER
 from pam_antagonist.nodes.parameters import VALVE_OWNER, by_rig
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.rig import load_rig
-from pam_antagonist.safety import EstimateSupervision, PressureSupervision, frozen_time
+from pam_antagonist.safety import EstimateSupervision, PressureSupervision
+from pam_antagonist.safety.supervision import frozen_time
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data/rig_a"
 CASES = sorted(path.parent.name + "/" + path.name for path in DATA.glob("*/*") if path.is_dir())

@@ -9,7 +9,8 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.memory import OUTLIER
-from pam_antagonist.safety import EstimateSupervision, PressureSupervision, frozen_samples, frozen_time
+from pam_antagonist.safety import EstimateSupervision, PressureSupervision
+from pam_antagonist.safety.supervision import frozen_samples, frozen_time
 
 MS = 1_000_000
 RNG = np.random.default_rng(3)

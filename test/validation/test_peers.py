@@ -89,4 +89,4 @@ def test_the_command_continues_and_shows_its_tables(tmp_path: Path, capsys: pyte
     text = (tmp_path / "peers.md").read_text()
     assert "| the wrist |" in text and (tmp_path / "peers" / "curves.png").is_file()
     figure = page.curves_figure(entries)
-    assert figure is not None and len(figure.panels) == 1
+    assert figure is not None and len(figure.axes) == 1

@@ -47,10 +47,3 @@ def test_the_command_counts_a_rig_that_is_refused(tmp_path: Path, monkeypatch, c
     assert judge.main(["--out", str(tmp_path / "out.json"), "--first", "202", "--count", "1", "--declared"]) == 0
     assert json.loads((tmp_path / "out.json").read_text())[0]["refused"] == "it moves too little"
     assert "0 rigs of 1" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("inside", "count", "low", "high"), [(19, 20, 0.7513, 0.9987), (20, 20, 0.8316, 1.0), (0, 5, 0.0, 0.5218)]
-)
-def test_the_interval_of_a_share_is_that_of_clopper_and_pearson(inside: int, count: int, low: float, high: float):
-    assert judge.interval(inside, count) == pytest.approx((low, high), abs=1e-4)

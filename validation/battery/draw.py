@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from validation.battery.forms import FOREIGN, SINGLE, UNCATALOGUED, Form
+from validation.battery.form import Form
+from validation.battery.forms import FOREIGN, SINGLE, UNCATALOGUED, is_other
 from validation.battery.plants import Case
-from validation.battery.remainders import is_other
 
 LEVELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Sizes of single effects: multiples of the noise of a sample (root mean square over a minute)."""
@@ -45,21 +45,10 @@ def cases(
     """A battery: half of it single effects, the rest pairs, nothing at all, and what is in no catalogue.
 
     Three quarters of the single effects and both of every pair are in forms that the catalogue's law cannot imitate
-    (:func:`~validation.battery.remainders.is_other`), where the effect has such a form.
+    (:func:`~validation.battery.forms.is_other`), where the effect has such a form.
 
-    Args:
-        seed: of the battery.
-        count: how many cases; a longer battery of the same seed begins with the shorter one.
-        nothing: how many further cases with nothing wrong.
-        calibrations: how many further cases whose only fault is a zero or late stamps.
-        effect: if given, the cases are all of this effect, in all its forms in turn and in sizes that count.
-        uncatalogued: how many further cases with an effect from the literature that no law can imitate.
-
-    Returns:
-        Each case with its number.
-
-    Raises:
-        BadInput: a negative seed, numbers of cases that make no battery, or an effect that has no forms.
+    A longer battery of the same seed begins with the shorter one. With `effect`, the cases are all of this effect, in
+    all its forms in turn and in sizes that count. Returns each case with its number.
     """
     if effect is not None and effect not in EFFECTS:
         raise BadInput(f"battery: the effect {effect!r} has no forms here; expected one of {', '.join(EFFECTS)}")
@@ -74,7 +63,8 @@ def cases(
     out = []
     for number in range(count):
         if effect is not None:
-            out.append((number, _case(number, "single", [draw.form_of(effect)], seed, draw, LARGE)))
+            form = draw.next((effect, "form"), [form for form in SINGLE if form.effect == effect])
+            out.append((number, _case(number, "single", [form], seed, draw, LARGE)))
             continue
         # The kind that is furthest behind its share.
         kind = max(_KIND_SHARES, key=lambda item: item[1] * (number + 1) - done[item[0]])[0]
@@ -88,7 +78,8 @@ def cases(
     out += [(number, _misread(_case(number, "calibration", [], seed, draw), draw)) for number in read]
     draw = _Draw(np.random.default_rng([seed, UNCATALOGUED_FROM]))
     outside = range(UNCATALOGUED_FROM, UNCATALOGUED_FROM + uncatalogued)
-    return out + [(number, _case(number, "foreign", [draw.outside()], seed, draw)) for number in outside]
+    out += [(k, _case(k, "foreign", [draw.next("outside", UNCATALOGUED)], seed, draw)) for k in outside]
+    return out
 
 
 def _misread(case: Case, draw: _Draw) -> Case:
@@ -114,69 +105,49 @@ def _case(number: int, kind: str, forms: Sequence[Form], seed: int, draw: _Draw,
 
 
 class _Draw:
-    """What has come up, and what has not yet."""
+    """What has come up, and what has not yet: items of a deck in random order, shuffled again when all have come up."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
-        self._others = {name: [f for f in SINGLE if f.effect == name and is_other(f)] for name in EFFECTS}
-        self._close = {name: [f for f in SINGLE if f.effect == name and not is_other(f)] for name in EFFECTS}
         self._count: dict[str, int] = defaultdict(int)
-        self._decks: dict[object, _Deck[object]] = {}
+        self._left: dict[object, list[Any]] = defaultdict(list)
 
     def forms(self, kind: str) -> list[Form]:
         """The forms of the next case of a kind."""
         if kind == "none":
             return []
         if kind == "foreign":
-            return [self._next("foreign", FOREIGN)]
-        effect = self._next((kind, "effect"), EFFECTS)
+            return [self.next("foreign", FOREIGN)]
+        effect = self.next((kind, "effect"), EFFECTS)
         if kind == "single":
             return [self._form(effect)]
         rest = tuple(name for name in EFFECTS if name != effect)
         return [self._form(effect, always=True), self._form(str(self.rng.choice(rest)), always=True)]
 
-    def form_of(self, effect: str) -> Form:
-        """The form of the next case of an effect, whether or not the catalogue can imitate it."""
-        return self._next((effect, "form"), tuple(form for form in SINGLE if form.effect == effect))
-
-    def outside(self) -> Form:
-        """The form of the next case that is outside of every law."""
-        return self._next("outside", UNCATALOGUED)
-
-    def size(self, kind: str, form: Form, least: float = 0.0) -> float:
+    def size(self, kind: str, form: Form, least: float) -> float:
         """The size of a form in the next case of a kind."""
         least = least if kind == "single" else LARGE
-        levels = tuple(level for level in LEVELS if level >= least)
-        return self._next((kind, form.effect if kind == "single" else "size", "size"), levels)
+        deck = form.effect if kind == "single" else "size"
+        return self.next((kind, deck, "size"), tuple(level for level in LEVELS if level >= least))
 
     def calibration(self) -> tuple[str, float]:
         """Name and value of the next calibration."""
-        name = self._next("calibration", tuple(CALIBRATIONS))
-        return name, self._next((name, "size"), CALIBRATIONS[name]) * float(self.rng.choice((-1.0, 1.0)))
+        name = self.next("calibration", tuple(CALIBRATIONS))
+        return name, self.next((name, "size"), CALIBRATIONS[name]) * float(self.rng.choice((-1.0, 1.0)))
 
     def _form(self, effect: str, always: bool = False) -> Form:
-        others, close = self._others[effect], self._close[effect]
+        mine = [form for form in SINGLE if form.effect == effect]
+        others, close = ([form for form in mine if is_other(form) is wanted] for wanted in (True, False))
         other = always
         if not always:
             self._count[effect] += 1
             other = self._count[effect] % _OTHER_OF != 0
         chosen = (others if other else close) or others or close
-        return self._next((effect, chosen is others), tuple(chosen))
+        return self.next((effect, chosen is others), tuple(chosen))
 
-    def _next(self, deck: object, items: tuple[Item, ...]) -> Item:
-        if deck not in self._decks:
-            self._decks[deck] = _Deck(items, self.rng)  # type: ignore[assignment]
-        return self._decks[deck].draw()  # type: ignore[return-value]
-
-
-class _Deck(Generic[Item]):
-    """Items in random order, shuffled again when all have come up."""
-
-    def __init__(self, items: Sequence[Item], rng: np.random.Generator) -> None:
-        self._items, self._rng = items, rng
-        self._left: list[Item] = []
-
-    def draw(self) -> Item:
-        if not self._left:
-            self._left = [self._items[k] for k in self._rng.permutation(len(self._items))]
-        return self._left.pop()
+    def next(self, deck: object, items: Sequence[Item]) -> Item:
+        """The next item of a deck."""
+        if not self._left[deck]:
+            self._left[deck] = [items[k] for k in self.rng.permutation(len(items))]
+        item: Item = self._left[deck].pop()
+        return item

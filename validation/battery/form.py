@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,27 +17,16 @@ Change = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True)
 class Deviation:
-    """What a form changes on the joint and around it.
+    """What a form changes on the joint and around it."""
 
-    Attributes:
-        numbers: of ``physics.Q``.
-        parameters: factors on parameters of the model, by dotted path.
-        voltage: from times (K,) [s] and voltages (K, 2) [V] to those that the valves act on.
-        pressure: from times (N,) [s] and pressures (N, 2) [Pa] to those that the sensors are given.
-        angle: from angles (N,) [rad] to those that the encoder is given.
-        push: from times (N,) [s] to a torque from outside (N,) [N m].
-        supply: from times (N,) [s] to a deviation of the supply (N,) [Pa].
-        substeps: of the simulation in a sample, at least.
-    """
-
-    numbers: Mapping[str, float] = field(default_factory=dict)
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    voltage: Change | None = None
-    pressure: Change | None = None
-    angle: Callable[[Floats], Floats] | None = None
-    push: Callable[[Floats], Floats] | None = None
-    supply: Callable[[Floats], Floats] | None = None
-    substeps: int = 4
+    numbers: Mapping[str, float] = field(default_factory=dict)  # of ``physics.NUMBERS``
+    parameters: Mapping[str, float] = field(default_factory=dict)  # factors on the model's, by dotted path
+    voltage: Change | None = None  # from times (K,) [s] and voltages (K, 2) [V] to those that the valves act on
+    pressure: Change | None = None  # from times (N,) [s] and pressures (N, 2) [Pa] to those that the sensors are given
+    angle: Callable[[Floats], Floats] | None = None  # from angles (N,) [rad] to those that the encoder is given
+    push: Callable[[Floats], Floats] | None = None  # from times (N,) [s] to a torque from outside (N,) [N m]
+    supply: Callable[[Floats], Floats] | None = None  # from times (N,) [s] to a deviation of the supply (N,) [Pa]
+    substeps: int = 4  # of the simulation in a sample, at least
 
 
 Make = Callable[[float, "int | None", Random], Deviation]
@@ -44,25 +34,15 @@ Make = Callable[[float, "int | None", Random], Deviation]
 
 @dataclass(frozen=True)
 class Form:
-    """One way to write an effect, or something that is in no catalogue.
-
-    Attributes:
-        name: of the form.
-        effect: name in the catalogue; for what is in none, a name of its own.
-        by_muscle: whether it belongs to one muscle.
-        make: from amount (about the size in noises), muscle (1, 2 or None) and a source of randomness.
-        source: where the mechanism is described.
-        largest: amount up to which it makes sense.
-        smallest: amount from which on it can be simulated.
-    """
+    """One way to write an effect, or something that is in no catalogue."""
 
     name: str
-    effect: str
-    by_muscle: bool
-    make: Make
-    source: str
-    largest: float = 30.0
-    smallest: float = 1e-3
+    effect: str  # name in the catalogue; for what is in none, a name of its own
+    by_muscle: bool  # whether it belongs to one muscle
+    make: Make  # from amount (about the size in noises), muscle (1, 2 or None) and a source of randomness
+    source: str  # where the mechanism is described
+    largest: float = 30.0  # amount up to which it makes sense
+    smallest: float = 1e-3  # amount from which on it can be simulated
 
 
 def sides(muscle: int | None) -> tuple[int, ...]:
@@ -71,13 +51,7 @@ def sides(muscle: int | None) -> tuple[int, ...]:
 
 
 def named(name: str, value: float, muscle: int | None) -> dict[str, float]:
-    """A number of the physics for each muscle that is meant.
-
-    Args:
-        name: of the number, without the muscle's.
-        value: of it.
-        muscle: 1, 2 or None for both.
-    """
+    """A number of the physics, by its name without the muscle's, for each muscle that is meant."""
     return {f"{name}_{i}": value for i in sides(muscle)}
 
 
@@ -87,13 +61,7 @@ def sign(rng: Random) -> float:
 
 
 def plain(name: str, unit: float, **others: tuple[float, float]) -> Make:
-    """A number of the physics in proportion to the amount; other numbers drawn between two bounds.
-
-    Args:
-        name: of the number.
-        unit: its value for an amount of 1.
-        others: bounds of the others, by name.
-    """
+    """A number of the physics: a unit times the amount; other numbers drawn between two bounds."""
 
     def make(amount: float, muscle: int | None, rng: Random) -> Deviation:
         drawn = {key: float(rng.uniform(*bounds)) for key, bounds in others.items()}
@@ -125,10 +93,11 @@ def each(muscle: int | None, change: Change) -> Change:
     return changed
 
 
+def remembered(values: Floats, rule: Callable[[float, float], float]) -> Floats:
+    """A signal with a memory: what it held and each value in turn give what it holds then."""
+    return np.array(list(accumulate(values.tolist(), rule)))
+
+
 def played(values: Floats, half: float) -> Floats:
     """Play: the output stands until the input has moved by `half` either way."""
-    out, held = np.empty(len(values)), float(values[0])
-    for k, value in enumerate(values.tolist()):
-        held = min(max(held, value - half), value + half)
-        out[k] = held
-    return out
+    return remembered(values, lambda held, value: min(max(held, value - half), value + half))

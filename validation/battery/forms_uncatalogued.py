@@ -1,16 +1,26 @@
 """Effects from the literature that no law of the catalogue can imitate, to try a search for laws on.
 
-They were written by another hand than the search. Where each sits, and what it depends on, stands in ``places``. What
-the catalogue leaves of them stands in ``LEFT``.
+They were written by another hand than the search. Where each sits, and what it depends on, stands in ``places``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from validation.battery.form import Deviation, Floats, Form, Make, Random, each, named, plain, played, sides, sign
+from validation.battery.form import (
+    Deviation,
+    Floats,
+    Form,
+    Make,
+    Random,
+    each,
+    named,
+    plain,
+    played,
+    remembered,
+    sides,
+    sign,
+)
 
 
 def _on_a_side(name: str, unit: float, way: str = "way", **others: tuple[float, float]) -> Make:
@@ -43,12 +53,8 @@ def _gauge_tube(amount: float, muscle: int | None, rng: Random) -> Deviation:
     slow = amount * 1e-2
 
     def late(time: Floats, pressure: Floats) -> Floats:
-        step = float(time[1] - time[0])
-        out, held = np.empty(len(pressure)), float(pressure[0])
-        for k, value in enumerate(pressure.tolist()):
-            held += (value - held) * min(step / slow * (held / 450e3) ** 2, 1.0)
-            out[k] = held
-        return out
+        rate = float(time[1] - time[0]) / slow
+        return remembered(pressure, lambda held, p: held + (p - held) * min(rate * (held / 450e3) ** 2, 1.0))
 
     return Deviation(pressure=each(muscle, late))
 
@@ -89,20 +95,3 @@ FORMS: tuple[Form, ...] = (
     Form("eccentric code disc", "eccentric", False, _eccentric, "Sanchez-Brea and Morlanes (2008)"),
 )  # fmt: skip
 """Forms outside of every law."""
-LEFT: Mapping[str, tuple[float, float, str]] = {
-    "check valve between the chambers": (0.731, 0.506, "valve_offset"),
-    "relief valve": (0.738, 0.252, "pressure_sensor"),
-    "kinked hose": (0.618, 0.392, "valve_offset"),
-    "fold of the bladder": (0.535, 0.476, "supply_droop"),
-    "flow forces on the spool": (0.753, 0.164, "thermal"),
-    "coil with minor loops": (0.442, 0.240, "valve_play"),
-    "damping other one way": (0.954, 0.213, "creep"),
-    "spring that engages": (0.517, 0.392, "load_torque"),
-    "gauge behind a tube": (0.928, 0.517, "line_resistance"),
-    "multiplexer that remembers": (0.922, 0.814, "creep"),
-    "eccentric code disc": (0.148, 0.127, "creep"),
-}
-"""Shares of what a form does that base parameters leave, and with them the best law of the catalogue, and which it is.
-
-As the remainders of the other forms: 30 s without noise, a size of 8, both recordings, fitted at commit c47df4a.
-"""

@@ -15,6 +15,7 @@ from validation.battery.form import (
     each,
     named,
     played,
+    remembered,
     sides,
     sign,
 )
@@ -43,18 +44,10 @@ def _slew(amount: float, muscle: int | None, rng: Random) -> Deviation:
     """An amplifier's slew, in volts: how quickly the valve opens then depends on where its curve is steep."""
 
     def slewed(time: Floats, voltage: Floats) -> Floats:
-        return _followed(voltage, 140.0 / amount * float(time[1] - time[0]), 140.0 / amount * float(time[1] - time[0]))
+        most = 140.0 / amount * float(time[1] - time[0])
+        return remembered(voltage, lambda held, wanted: min(max(wanted, held - most), held + most))
 
     return Deviation(voltage=each(muscle, slewed))
-
-
-def _followed(wanted: Floats, rise: float, fall: float) -> Floats:
-    """A signal that follows another one by at most so much a step."""
-    out, held = np.empty(len(wanted)), float(wanted[0])
-    for k, value in enumerate(wanted.tolist()):
-        held = min(max(value, held - fall), held + rise)
-        out[k] = held
-    return out
 
 
 def _one_way_lag(amount: float, muscle: int | None, rng: Random) -> Deviation:
@@ -63,11 +56,7 @@ def _one_way_lag(amount: float, muscle: int | None, rng: Random) -> Deviation:
 
     def lagged(time: Floats, voltage: Floats) -> Floats:
         share = 1.0 - math.exp(-float(time[1] - time[0]) / time_constant)
-        out, held = np.empty(len(voltage)), float(voltage[0])
-        for k, value in enumerate(voltage.tolist()):
-            held = held + share * (value - held) if (value > held) is opens else value
-            out[k] = held
-        return out
+        return remembered(voltage, lambda held, u: held + share * (u - held) if (u > held) is opens else u)
 
     return Deviation(voltage=each(muscle, lagged))
 
@@ -163,11 +152,7 @@ def _spool_stiction(amount: float, muscle: int | None, rng: Random) -> Deviation
     band = amount * 8e-3
 
     def stuck(time: Floats, voltage: Floats) -> Floats:
-        out, held = np.empty(len(voltage)), float(voltage[0])
-        for k, value in enumerate(voltage.tolist()):
-            held = value if abs(value - held) > band else held
-            out[k] = held
-        return out
+        return remembered(voltage, lambda held, u: u if abs(u - held) > band else held)
 
     return Deviation(voltage=each(muscle, stuck))
 

@@ -15,15 +15,10 @@ LEARNED = "learned"
 
 
 class Place(NamedTuple):
-    """A place of an effect, and the arguments of its law.
+    """A place of an effect, and the arguments of its law."""
 
-    Attributes:
-        places: names of the place, any of which is right.
-        arguments: any of which are right; a constant has none.
-    """
-
-    places: frozenset[str]
-    arguments: frozenset[str]
+    places: frozenset[str]  # names of the place, any of which is right
+    arguments: frozenset[str]  # any of which are right; a constant has none
 
 
 def _place(places: str, arguments: str) -> Place:
@@ -73,17 +68,11 @@ PLACES: Mapping[str, Place] = {
 
 
 class Found(NamedTuple):
-    """Where a diagnosis says that an effect sits.
+    """Where a diagnosis says that an effect sits."""
 
-    Attributes:
-        place: names of it, any of which may be meant; empty for an effect that only a package knows.
-        muscle: 1, 2, or None for both or none.
-        arguments: of its law.
-    """
-
-    place: tuple[str, ...]
-    muscle: int | None
-    arguments: tuple[str, ...]
+    place: tuple[str, ...]  # names of it, any of which may be meant; empty for an effect that only a package knows
+    muscle: int | None  # None for both or none
+    arguments: tuple[str, ...]  # of its law
 
 
 def found(effect: Any) -> Found:

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.model import parameters as par
-from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import scattered
 from validation.battery import physics
-from validation.battery.forms import FORMS, Deviation
+from validation.battery.form import Deviation
+from validation.battery.forms import FORMS
 
 Floats = NDArray[np.float64]
 KINDS = ("single", "pair", "none", "foreign", "calibration")
@@ -43,52 +44,33 @@ _ROUNDS = 8
 
 @dataclass(frozen=True)
 class Channels:
-    """What happens at a joint, before any sensor.
+    """What happens at a joint, before any sensor."""
 
-    Attributes:
-        angle: (N,) [rad].
-        pressure: absolute (N, 2) [Pa].
-        torque: (N,) [N m].
-    """
-
-    angle: Floats
-    pressure: Floats
-    torque: Floats
+    angle: Floats  # (N,) [rad]
+    pressure: Floats  # absolute (N, 2) [Pa]
+    torque: Floats  # (N,) [N m]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One joint of the battery.
+    """One joint of the battery."""
 
-    Attributes:
-        name: such as ``012 leak 1``.
-        kind: one of ``KINDS``.
-        effects: name in the catalogue and muscle (1, 2 or None: both, or no muscle's) of each effect.
-        form: how they are written, in words.
-        seed: of everything that is random in it.
-        sizes: of each effect: root mean square, over a minute of the free joint, by which it alone moves the channel
-            that it moves most, in noises of a sample.
-        exact: whether the effects are adjusted until they have these sizes; otherwise they are the forms' amounts,
-            and right to a factor of about three.
-        calibration: what the recordings need corrected, of a joint with nothing wrong: a name of
-            :class:`~pam_antagonist.recording.corrections.Corrections` and its value in SI units; None for nothing.
-    """
-
-    name: str
-    kind: str
-    effects: tuple[tuple[str, int | None], ...]
-    form: tuple[str, ...]
-    seed: int
+    name: str  # such as ``012 leak 1``
+    kind: str  # one of ``KINDS``
+    effects: tuple[tuple[str, int | None], ...]  # name in the catalogue; muscle 1, 2 or None (both, or no muscle's)
+    form: tuple[str, ...]  # how they are written
+    seed: int  # of everything that is random in it
+    # Of each effect: root mean square, over a minute of the free joint, by which it alone moves the channel that it
+    # moves most, in noises of a sample.
     sizes: tuple[float, ...]
+    # Whether the effects are adjusted until they have these sizes; otherwise they are the forms' amounts, and right to
+    # a factor of about three.
     exact: bool = False
+    # What the recordings of a joint with nothing wrong need corrected: a name of ``Corrections`` and its value.
     calibration: tuple[str, float] | None = None
 
     def recordings(self, duration: float = DURATION) -> tuple[Recording, Recording]:
-        """The joint free, then locked at 0°.
-
-        Args:
-            duration: of each [s].
-        """
+        """The joint free, then locked at 0°; each of a length [s]."""
         free, locked = (self.recording(joint, duration) for joint in JOINTS)
         return free, locked
 
@@ -114,36 +96,16 @@ class Case:
         undone: dict[str, Any] = {self.calibration[0]: -self.calibration[1]}
         return Corrections(**undone).applied(made)
 
-    def write(self, folder: Path, duration: float = DURATION) -> None:
-        """Write both as bags ``free`` and ``locked`` in a folder.
-
-        Raises:
-            BadInput: one of them exists already.
-        """
-        for joint, recording in zip(JOINTS, self.recordings(duration), strict=True):
-            write_bag(folder / joint, recording, pressure_variance=load_rig(RIG).sensors.pressure_std ** 2)
-
     def voltage(self, joint: str, duration: float = DURATION) -> Floats:
         """What is put on the valves (N, 2) [V]."""
         period = load_rig(RIG).sample_period
         time = np.asarray(np.arange(1, round(duration / period) + 1) * period)
         return staircase(time, self._random(joint, "voltage"))
 
-    def channels(
-        self, joint: str, duration: float = DURATION, effects: bool = True, parameters: np.ndarray | None = None
-    ) -> Channels:
-        """What happens at the joint.
-
-        Args:
-            joint: ``free`` or ``locked``.
-            duration: [s].
-            effects: False for the same joint without them.
-            parameters: of another joint (parameters.SIZE,); default: this one's.
-        """
-        rig = load_rig(RIG)
-        p = self.parameters(joint) if parameters is None else parameters.copy()
-        deviations = self.deviations() if effects else []
-        return _played(p, self.voltage(joint, duration), deviations, rig.sample_period)
+    def channels(self, joint: str, duration: float = DURATION) -> Channels:
+        """What happens at the joint."""
+        period = load_rig(RIG).sample_period
+        return _played(self.parameters(joint), self.voltage(joint, duration), self.deviations(), period)
 
     def parameters(self, joint: str) -> np.ndarray:
         """Base parameters of the joint in one recording (parameters.SIZE,)."""
@@ -170,8 +132,7 @@ class Case:
         """How far its effects move each channel, root mean square over the sensor's noise, by ``joint channel``."""
         out = {}
         for joint in JOINTS:
-            without = _bare(self.parameters(joint), self.voltage(joint, duration), load_rig(RIG).sample_period)
-            moved = _apart(self.channels(joint, duration), without)
+            moved = _apart(self.channels(joint, duration), _bare(self.seed, joint, duration))
             out.update({f"{joint} {name}": value for name, value in moved.items()})
         return out
 
@@ -179,14 +140,10 @@ class Case:
         return np.random.default_rng([self.seed, JOINTS.index(joint), ("base", "voltage", "noise").index(what), 7])
 
 
-def _bare(p: np.ndarray, voltage: Floats, period: float) -> Channels:
-    """A joint without effects: sizes of many effects are measured against the same."""
-    return _bare_of(p.tobytes(), voltage.tobytes(), period)
-
-
 @lru_cache(maxsize=4)
-def _bare_of(p: bytes, voltage: bytes, period: float) -> Channels:
-    return _played(np.frombuffer(p).copy(), np.frombuffer(voltage).reshape(-1, 2), [], period)
+def _bare(seed: int, joint: str, duration: float) -> Channels:
+    """A joint without effects: sizes of many effects are measured against the same."""
+    return Case("", "none", (), (), seed, ()).channels(joint, duration)
 
 
 def _apart(one: Channels, other: Channels) -> dict[str, float]:
@@ -206,7 +163,7 @@ def _of_size(case: Case, index: int) -> tuple[Deviation, float]:
     """One of a case's effects with the amount that gives it its size, and the size that it then has."""
     form, muscle, size = FORMS[case.form[index]], case.effects[index][1], case.sizes[index]
     p, voltage, period = case.parameters("free"), case.voltage("free"), load_rig(RIG).sample_period
-    without = _bare(p, voltage, period)
+    without = _bare(case.seed, "free", DURATION)
     amount, tried = size, []
     for _ in range(_ROUNDS):
         amount = min(max(amount, form.smallest), form.largest)
@@ -223,15 +180,7 @@ def _of_size(case: Case, index: int) -> tuple[Deviation, float]:
 
 
 def staircase(time: Floats, rng: np.random.Generator) -> Floats:
-    """Voltages in pieces of 3 to 7 s: a jump to a random level that is held, or a ramp to one, in 12 bits.
-
-    Args:
-        time: (N,) [s].
-        rng: source of times and levels.
-
-    Returns:
-        (N, 2) [V].
-    """
+    """Voltages (N, 2) [V] in pieces of 3 to 7 s: a jump to a random level that is held, or a ramp, in 12 bits."""
     edges, values = [0.0], [rng.uniform(_LOWEST, _HIGHEST, 2) if rng.random() < 0.5 else np.full(2, _REST)]
     while edges[-1] <= time[-1]:
         begin, now = edges[-1], values[-1]
@@ -260,17 +209,17 @@ def _played(p: np.ndarray, voltage: Floats, deviations: Sequence[Deviation], per
     time = np.asarray(np.arange(1, len(voltage) + 1) * period)
     at_valve: Floats = np.repeat(voltage, substeps, axis=0)
     push, supply = np.zeros(len(voltage)), np.zeros(len(voltage))
-    q = physics.numbers()
+    numbers: dict[str, float] = {}
     factors: dict[str, float] = {}
     for deviation in deviations:
-        for name, value in deviation.numbers.items():
-            q[physics.Q[name]] = value
+        numbers.update(deviation.numbers)
         factors.update(deviation.parameters)
         at_valve = at_valve if deviation.voltage is None else deviation.voltage(fine, at_valve)
         push = push if deviation.push is None else push + deviation.push(time)
         supply = supply if deviation.supply is None else supply + deviation.supply(time)
     changes = {name: p[par.INDEX[name]] * factor for name, factor in factors.items()}
     p = par.changed(p, {**changes, "friction.time_step": step})
+    q = physics.numbers(numbers)
     angle, pressure, torque = physics.simulate(0.0, _START_PRESSURE, at_valve, push, supply, p, q, period, substeps)
     for deviation in deviations:
         angle = angle if deviation.angle is None else deviation.angle(angle)

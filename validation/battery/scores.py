@@ -2,106 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from statistics import median
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.report.table import MISSING, Table, number, percent
 from validation.battery.draw import LARGE, LEVELS
+from validation.battery.forms import REMAINDERS, group_of
 from validation.battery.outcomes import Outcome
 from validation.battery.places import LEARNED
-from validation.battery.plants import KINDS
-from validation.battery.remainders import group_of
 
 FOUND = 0.9
 """Share of the cases of a size that have to be found for the size to count as found."""
+Where = Callable[[Outcome], bool]
+Of = Callable[[Outcome], Any]
 
 
-@dataclass(frozen=True)
-class Share:
-    """So many of so many.
+def interval(hits: int, count: int) -> tuple[float, float] | None:
+    """95 % interval of a share by Clopper and Pearson (1934); None of no case."""
+    if not count:
+        return None
+    # It takes a third of a second to import, which --help need not.
+    from scipy.stats import binomtest
 
-    Attributes:
-        hits: how many.
-        count: of how many.
-    """
-
-    hits: int
-    count: int
-
-    @property
-    def value(self) -> float | None:
-        """The share; None of no case."""
-        return self.hits / self.count if self.count else None
-
-    @property
-    def interval(self) -> tuple[float, float] | None:
-        """Its 95 % interval by Clopper and Pearson (1934); None of no case."""
-        if not self.count:
-            return None
-        # It takes a third of a second to import, which --help need not.
-        from scipy.stats import binomtest
-
-        found = binomtest(self.hits, self.count).proportion_ci(0.95, "exact")
-        return float(found.low), float(found.high)
-
-
-def share(values: Sequence[bool]) -> Share:
-    """The share of values that are true."""
-    return Share(sum(values), len(values))
-
-
-@dataclass(frozen=True)
-class Score:
-    """A figure of a battery.
-
-    Attributes:
-        what: is counted.
-        value: the share or the median, None where there was no such case.
-        count: of how many cases.
-        interval: 95 % interval of a share.
-        bound: the value that is wanted.
-        at_most: whether ``bound`` is the most, not the least.
-    """
-
-    what: str
-    value: float | None
-    count: int
-    interval: tuple[float, float] | None = None
-    bound: float | None = None
-    at_most: bool = False
-
-    @classmethod
-    def of(cls, what: str, values: Sequence[bool], bound: float | None = None, at_most: bool = False) -> Score:
-        """A share as a figure.
-
-        Args:
-            what: is counted.
-            values: whether it was so, case by case.
-            bound: the share that is wanted.
-            at_most: whether that is the most, not the least.
-        """
-        found = share(values)
-        return cls(what, found.value, found.count, found.interval, bound, at_most)
-
-    @property
-    def wanted(self) -> str:
-        """The bound in words."""
-        return "" if self.bound is None else f"at {'most' if self.at_most else 'least'} {100.0 * self.bound:.0f} %"
-
-    @property
-    def holds(self) -> bool | None:
-        """Whether it is what was wanted; None where nothing was, or there is nothing to count."""
-        if self.bound is None or self.value is None:
-            return None
-        return self.value <= self.bound if self.at_most else self.value >= self.bound
-
-
-def sizes(outcome: Outcome) -> tuple[float, ...]:
-    """The sizes that the effects had; as they were asked for where that is not known."""
-    return outcome.reached or outcome.sizes
+    found = binomtest(hits, count).proportion_ci(0.95, "exact")
+    return float(found.low), float(found.high)
 
 
 def level(size: float) -> float:
@@ -109,135 +36,147 @@ def level(size: float) -> float:
     return min(LEVELS, key=lambda one: abs(float(np.log(max(size, 1e-9) / one))))
 
 
-def is_large(outcome: Outcome) -> bool:
+def _large(one: Outcome) -> bool:
     """Whether all effects have a size at which the figures count."""
-    return all(level(size) >= LARGE for size in sizes(outcome))
+    return all(level(size) >= LARGE for size in one.reached or one.sizes)
 
 
-def scores(outcomes: Sequence[Outcome]) -> list[Score]:
-    """The figures that a battery is for."""
-    by_kind = {kind: [item for item in outcomes if item.kind == kind] for kind in KINDS}
-    variations = [item for item in by_kind["single"] if group_of(item.form) == "variation"]
-    every = [item for item in by_kind["single"] if item not in variations]
-    single, small = [item for item in every if is_large(item)], [item for item in every if not is_large(item)]
-    others = [item for item in single if group_of(item.form) == "other"]
-    pairs, foreign = ([item for item in by_kind[kind] if is_large(item)] for kind in ("pair", "foreign"))
-    on_muscle = [item.right_muscle for item in single if item.right_muscle is not None]
-    leads = [
-        item.right or [candidate.effect for candidate in item.leading[:1]] == [item.effects[0][0]] for item in single
-    ]
-    alone = [item for item in (*by_kind["single"], *by_kind["foreign"]) if is_large(item)]
-    angles = [item.angle_left for item in foreign if item.angle_left is not None]
-    removed = [item.excess_removed for item in alone if item.excess_removed is not None]
-    reductions = [item.reduction for item in single if item.right and item.reduction is not None]
-    return [
-        Score.of("single effect: the right one first", [item.right for item in single], 0.95),
-        Score.of("single effect in a form with a remainder above 10 %: the right one first",
-                 [item.right for item in others]),
-        Score.of("single effect: and on its muscle", on_muscle),
-        Score.of("single effect: first, or among those it cannot be told from",
-                 [item.right or item.effects[0][0] in item.ambiguous_with for item in single]),
-        Score.of("single effect: named, or the first of the candidates where none explains enough", leads),
-        Score.of("single effect of a smaller size: the right one first", [item.right for item in small]),
-        Score.of("single effect of a smaller size: another one first", [is_confused(item) for item in small]),
-        Score.of("variation of the catalogue's law, of any size: the right one first",
-                 [item.right for item in variations]),
-        Score.of("two effects: both found", [item.right for item in pairs], 0.85),
-        Score.of("two effects: one of them first",
-                 [bool(item.names) and item.names[0] in dict(item.effects) for item in pairs]),
-        Score.of("one or two effects, some found: none named that is not there",
-                 [not item.superfluous for item in (*by_kind["single"], *by_kind["pair"]) if item.names]),
-        Score.of("one or two effects, some found: no calibration named, which is not there",
-                 [not item.calibrations for item in (*by_kind["single"], *by_kind["pair"]) if item.names]),
-        Score.of("nothing: false alarm", [not item.right for item in by_kind["none"]], 0.02, at_most=True),
-        Score.of("a calibration and nothing else: named, and no effect",
-                 [item.right for item in by_kind["calibration"]], 0.95),
-        Score.of("in no catalogue: unexplained", [item.right for item in foreign], 0.95),
-        Score("error that a true model takes away, taken away (median)",
-              median(reductions) if reductions else None, len(reductions), None, 0.7),
-        Score.of("one effect, in any form or in no catalogue: its place", [item.places_right for item in alone], 0.95),
-        Score.of("one effect, in any form or in no catalogue: and its arguments",
-                 [item.arguments_right for item in alone], 0.9),
-        Score("one effect: held-out excess of the configured rig, removed (median)",
-              median(removed) if removed else None, len(removed), None, 0.9),
-        Score.of("two effects: both places", [item.places_right for item in pairs], 0.85),
-        Score.of("in no catalogue: its place", [item.places_right for item in foreign], 0.9),
-        Score("in no catalogue: held-out error of the angle, of the configured one (median)",
-              median(angles) if angles else None, len(angles), None, 0.1, at_most=True),
-        Score.of("nothing: a law added", [LEARNED in item.names for item in by_kind["none"]], 0.01, at_most=True),
-        Score.of("pushes: a law added", [LEARNED in item.names for item in alone
-                                         if item.effects[0][0] == "external_torque"], 0.0, at_most=True),
-    ]  # fmt: skip
+def _variation(one: Outcome) -> bool:
+    return group_of(one.form) == "variation"
 
 
-def is_confused(outcome: Outcome) -> bool:
-    """Whether an effect was named first that is not there."""
-    return bool(outcome.names) and outcome.names[0] not in dict(outcome.effects)
+def _kind(*kinds: str, large: bool = True) -> Where:
+    return lambda one: one.kind in kinds and (not large or _large(one))
 
 
-@dataclass(frozen=True)
-class Detection:
-    """How often an effect was found, against its size.
-
-    Attributes:
-        effect: its name; empty for all.
-        found: right one first, for each of ``LEVELS``.
-        confused: another one first, likewise.
-    """
-
-    effect: str
-    found: tuple[Share, ...]
-    confused: tuple[Share, ...]
-
-    @property
-    def smallest(self) -> float | None:
-        """The smallest level from which on nine of ten cases are found, in every level that has cases."""
-        least = None
-        for one, found in zip(reversed(LEVELS), reversed(self.found), strict=True):
-            if found.value is None:
-                continue
-            if found.value < FOUND:
-                break
-            least = one
-        return least
-
-    @property
-    def confusion(self) -> float | None:
-        """The largest level at which another effect was named first; None where that never happened."""
-        return max((one for one, part in zip(LEVELS, self.confused, strict=True) if part.hits), default=None)
+def _single(one: Outcome) -> bool:
+    return one.kind == "single" and not _variation(one) and _large(one)
 
 
-def detections(outcomes: Sequence[Outcome]) -> list[Detection]:
-    """Detection against size of each effect that was alone, and of all; variations of a law are left out."""
-    single = [item for item in outcomes if item.kind == "single" and group_of(item.form) != "variation"]
-
-    def of(effect: str, items: Sequence[Outcome]) -> Detection:
-        by_level = [[item for item in items if level(sizes(item)[0]) == one] for one in LEVELS]
-        found = tuple(share([item.right for item in part]) for part in by_level)
-        return Detection(effect, found, tuple(share([is_confused(item) for item in part]) for part in by_level))
-
-    there = [name for name in CATALOGUE if any(item.effects[0][0] == name for item in single)]
-    rows = [of(name, [item for item in single if item.effects[0][0] == name]) for name in there]
-    return [*rows, of("", single)] if rows else []
+def _small(one: Outcome) -> bool:
+    return one.kind == "single" and not _variation(one) and not _large(one)
 
 
-def confusion(outcomes: Sequence[Outcome]) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """What was there against what was found first.
+def _alone(one: Outcome) -> bool:
+    return one.kind in ("single", "foreign") and _large(one)
 
-    Returns:
-        Header and rows of text; a row is an effect that was alone, ``none``, or what is in no catalogue; a column the
-        first effect that was found, ``none`` or ``unexplained``.
-    """
-    counts: dict[str, dict[str, int]] = {}
-    for item in outcomes:
-        if item.kind not in ("pair", "calibration"):
-            row = "none" if item.kind == "none" else item.effects[0][0]
-            row = f"({item.form[0]})" if item.kind == "foreign" else row
-            first = item.names[0] if item.names else item.verdict
-            counts.setdefault(row, {})
-            counts[row][first] = counts[row].get(first, 0) + 1
-    order = [*CATALOGUE, "none", *sorted(row for row in counts if row.startswith("("))]
-    rows = [row for row in order if row in counts]
-    columns = [c for c in (*CATALOGUE, "none", "unexplained", "refused") if any(c in counts[row] for row in rows)]
-    body = tuple((row, *(str(counts[row][c]) if c in counts[row] else "·" for c in columns)) for row in rows)
-    return ("there \\ found first", *columns), body
+
+def _named(one: Outcome) -> bool:
+    return one.kind in ("single", "pair") and bool(one.names)
+
+
+class Figure(NamedTuple):
+    """A figure of a battery: of which cases, what is counted (None: the case does not count), and the bound."""
+
+    what: str
+    cases: Where
+    of: Of
+    bound: float | None = None
+    at_most: bool = False
+    median: bool = False  # of a number, in place of the share of cases for which something is so
+
+
+FIGURES = (
+    Figure("single effect: the right one first", _single, lambda one: one.right, 0.95),
+    Figure("single effect in a form with a remainder above 10 %: the right one first",
+           lambda one: _single(one) and group_of(one.form) == "other", lambda one: one.right),
+    Figure("single effect: and on its muscle", _single, lambda one: one.right_muscle),
+    Figure("single effect: first, or among those it cannot be told from", _single,
+           lambda one: one.right or one.effects[0][0] in one.ambiguous_with),
+    Figure("single effect: named, or the first of the candidates where none explains enough", _single,
+           lambda one: one.right or one.leading[:1] == (one.effects[0][0],)),
+    Figure("single effect of a smaller size: the right one first", _small, lambda one: one.right),
+    Figure("single effect of a smaller size: another one first", _small, lambda one: one.confused),
+    Figure("variation of the catalogue's law, of any size: the right one first",
+           lambda one: one.kind == "single" and _variation(one), lambda one: one.right),
+    Figure("two effects: both found", _kind("pair"), lambda one: one.right, 0.85),
+    Figure("two effects: one of them first", _kind("pair"), lambda one: bool(one.names) and not one.confused),
+    Figure("one or two effects, some found: none named that is not there", _named, lambda one: not one.superfluous),
+    Figure("one or two effects, some found: no calibration named, which is not there", _named,
+           lambda one: not one.calibrations),
+    Figure("nothing: false alarm", _kind("none"), lambda one: not one.right, 0.02, at_most=True),
+    Figure("a calibration and nothing else: named, and no effect", _kind("calibration", large=False),
+           lambda one: one.right, 0.95),
+    Figure("in no catalogue: unexplained, or learned in its place", _kind("foreign"), lambda one: one.right, 0.95),
+    Figure("error that a true model takes away, taken away (median)", lambda one: _single(one) and one.right,
+           lambda one: one.taken_away("recalibrated"), 0.7, median=True),
+    Figure("one effect, in any form or in no catalogue: its place", _alone, lambda one: one.places_right, 0.95),
+    Figure("one effect, in any form or in no catalogue: and its arguments", _alone,
+           lambda one: one.arguments_right, 0.9),
+    Figure("one effect: held-out excess of the configured rig, removed (median)", _alone,
+           lambda one: one.taken_away("as_configured"), 0.9, median=True),
+    Figure("two effects: both places", _kind("pair"), lambda one: one.places_right, 0.85),
+    Figure("in no catalogue: its place", _kind("foreign"), lambda one: one.places_right, 0.9),
+    Figure("in no catalogue: held-out error of the angle, of the configured one (median)", _kind("foreign"),
+           lambda one: one.angle_left, 0.1, at_most=True, median=True),
+    Figure("nothing: a law added", _kind("none"), lambda one: LEARNED in one.names, 0.01, at_most=True),
+    Figure("pushes: a law added", lambda one: _alone(one) and one.effects[0][0] == "external_torque",
+           lambda one: LEARNED in one.names, 0.0, at_most=True),
+)  # fmt: skip
+
+
+def scores(outcomes: Sequence[Outcome]) -> pd.DataFrame:
+    """The figures: what, value (None of no case), cases, low, high, wanted, holds."""
+    rows = []
+    for one in FIGURES:
+        values = [value for item in outcomes if one.cases(item) and (value := one.of(item)) is not None]
+        value = float(np.median(values) if one.median else np.mean(values)) if values else None
+        low, high = (None if one.median else interval(sum(values), len(values))) or (None, None)
+        holds = None
+        if one.bound is not None and value is not None:
+            holds = value <= one.bound if one.at_most else value >= one.bound
+        wanted = "" if one.bound is None else f"at {'most' if one.at_most else 'least'} {100.0 * one.bound:.0f} %"
+        rows.append((one.what, value, len(values), low, high, wanted, holds))
+    frame = pd.DataFrame(rows, columns=["what", "value", "cases", "low", "high", "wanted", "holds"], dtype=object)
+    return frame.set_index("what")
+
+
+def detections(outcomes: Sequence[Outcome]) -> pd.DataFrame:
+    """Single effects by level, variations of a law left out: found, another one first, cases."""
+    rows = [(one.effects[0][0], level((one.reached or one.sizes)[0]), one.right, one.confused) for one in outcomes
+            if one.kind == "single" and not _variation(one)]  # fmt: skip
+    frame = pd.DataFrame(rows, columns=["effect", "size", "found", "another"])
+    both = pd.concat([frame, frame.assign(effect="all")])
+    groups = both.groupby(["effect", "size"], sort=False)
+    return groups.agg(found=("found", "sum"), another=("another", "sum"), cases=("found", "count"))
+
+
+def _interval(low: float | None, high: float | None) -> str:
+    return MISSING if low is None or high is None else f"{100.0 * low:.1f} to {100.0 * high:.1f} %"
+
+
+def figures_table(outcomes: Sequence[Outcome]) -> Table:
+    """The figures, with their intervals and what is wanted."""
+    mark = {True: "yes", False: "NO", None: ""}
+    rows = tuple(
+        (str(what), percent(one.value), _interval(one.low, one.high), str(one.cases), one.wanted, mark[one.holds])
+        for what, one in scores(outcomes).iterrows()
+    )
+    return Table(("figure", "measured", "95 % interval", "cases", "wanted", "holds"), rows)
+
+
+def detection_table(outcomes: Sequence[Outcome]) -> Table:
+    """Right one first, of how many, against the size in noises; sizes from which on nine of ten are found."""
+    counts, rows = detections(outcomes), []
+    for effect in dict.fromkeys(counts.index.get_level_values("effect")):
+        mine = counts.loc[effect].reindex(LEVELS).fillna(0).astype(int)
+        enough = [one for one in reversed(LEVELS) if mine.cases[one]]
+        short = [one for one in enough if mine.found[one] < FOUND * mine.cases[one]]
+        smallest = min([one for one in enough if not short or one > short[0]], default=None)
+        largest = max([one for one in LEVELS if mine.another[one]], default=None)
+        cells = (f"{mine.found[one]}/{mine.cases[one]}" if mine.cases[one] else "·" for one in LEVELS)
+        rows.append((str(effect), *cells, number(smallest, 2), number(largest, 2)))
+    return Table(("effect", *(f"{one:g}" for one in LEVELS), "found from", "another one first up to"), tuple(rows))
+
+
+def misses_table(outcomes: Sequence[Outcome]) -> Table:
+    """What was not right, or had something beside it that was not there."""
+    rows = []
+    for one in outcomes:
+        if not one.right or one.superfluous:
+            left = " + ".join(percent(REMAINDERS.get(name)) for name in one.form) or MISSING
+            sizes = " + ".join(f"{size:.{1 if one.effects else 3}f}" for size in one.reached or one.sizes) or MISSING
+            found = " + ".join(f"{name} {muscle}" if muscle else name for name, muscle in one.found)
+            said = ", ".join([found if one.verdict == "effect" else one.verdict, *one.calibrations])
+            rows.append((one.name, " + ".join(one.form) or MISSING, left, sizes, said))
+    return Table(("case", "form", "remainder", "size", "said"), tuple(rows))

@@ -1,14 +1,16 @@
-"""``benchmark``: what the package costs, as ratios measured in one run."""
+"""``benchmark``: what the package costs on this machine."""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import math
+import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
-from importlib import import_module
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
 from pathlib import Path
 
 from pam_antagonist.cli import common
@@ -17,133 +19,87 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import Table, number
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig import load_rig
 from pam_antagonist.software import versions
-from validation.benchmark.figure import Figure
+from validation import json_option
 
 _DESCRIPTION = """\
 Measure what the package costs on this machine.
 
   kernels   a UKF step against bare RK4 steps of the same model, and against filterpy's UKF around it; a call from
-            Python against the kernel; several models side by side against one by one
+            Python against the kernel
   replay    the whole replay command against the length of the recording
-  pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): losses,
-            and the round trip pressure -> command against that of a pipeline that passes messages through
+  pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): lost samples,
+            the time from pressure to command, memory
 
-  interaction  the pipeline with the torque from outside, the law through the model and the governor (needs ROS 2): the
-            round trip against that of a pipeline that passes messages through; only by --only
-  --soak S  none of these parts, but the pipeline for S seconds (600 is enough for most purposes): growth of memory,
-            lost messages and drift of the clocks. Every process is looked at once a second. --json FILE has the series
-
-Every figure is a ratio of two things that were timed in turn, so that a busy machine slows both.
-Status: 0 whether or not a bound holds, 2 bad input.
+Compare ratios rather than times: a busy machine slows both sides of a ratio.
+Status: 0, or 2 for bad input.
 """
 PARTS = ("kernels", "replay", "pipeline")
-"""What is measured unless something else is asked for."""
-_ALL = (*PARTS, "interaction")
+_RUNS = 3
 
 
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("benchmark", _DESCRIPTION)
-    out.add_argument("--only", choices=_ALL, action="append", help="run this part alone; may be given several times")
-    out.add_argument(
-        "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
-    )
-    out.add_argument("--bag", type=Path, metavar="BAG", help="recording for the replay (default: 60 s are simulated)")
-    out.add_argument(
-        "--duration", type=float, default=60.0, metavar="S", help="length of the pipeline's run [s] (default: 60)"
-    )
-    out.add_argument(
-        "--soak", type=float, metavar="S", help="run the pipeline for this time [s], at least 15, and no other part"
-    )
-    common.add_new_json(out, "the figures")
+    out.option("--only", "run this part alone; may be given several times", choices=PARTS, action="append")
+    out.option("--rig", "a YAML file, or a rig's name (default: shin2022)", default="shin2022", metavar="RIG")
+    out.option("--bag", "recording for the replay (default: 60 s are simulated)", Path, metavar="BAG")
+    out.option("--duration", "length of the pipeline's run [s] (default: 60)", float, 60.0, "S")
+    json_option.add_new_json(out, "the figures")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig)
-    if arguments.soak is not None:
-        return _soak(arguments)
-    parts = [part for part in _ALL if part in (arguments.only or PARTS)]
-    for part in ("pipeline", "interaction"):
-        if part in parts:
-            needs_ros(f"benchmark --only {part}")
-    figures: list[Figure] = []
+    parts = [part for part in PARTS if part in (arguments.only or PARTS)]
+    if "pipeline" in parts:
+        needs_ros("benchmark --only pipeline")
+    figures: dict[str, float] = {}
     with counted(len(parts), "benchmark") as done:
         for part in parts:
-            figures += _measured(part, arguments, rig)
+            if part == "kernels":
+                from validation.benchmark import kernels
+
+                figures |= kernels.measure(rig)
+            elif part == "replay":
+                figures |= _replay(arguments.rig, arguments.bag)
+            else:
+                from validation.benchmark import pipeline
+
+                figures |= pipeline.measure(arguments.rig, arguments.duration)
             done(1)
-    _report(figures, arguments.json)
+    table = Table(("figure", "measured"), tuple((name, number(value)) for name, value in figures.items()))
+    machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+    content = {"figures": figures, "machine": machine, "software": versions()}
+    json_option.show(terminal.table(table, indent=""), content, arguments.json)
     return common.DONE
 
 
-def _measured(part: str, arguments: argparse.Namespace, rig: Rig) -> list[Figure]:
-    """The figures of a part, whose module is imported only now."""
-    given: dict[str, tuple[object, ...]] = {
-        "kernels": (rig,),
-        "replay": (arguments.rig, arguments.bag),
-        "pipeline": (arguments.rig, arguments.duration),
-        "interaction": (rig, arguments.duration),
-    }
-    name = {"replay": "offline"}.get(part, part)
-    module = import_module(f"validation.benchmark.{name}")
-    figures: list[Figure] = module.measure(*given[part])
-    return figures
+def _replay(rig: str, bag: Path | None) -> dict[str, float]:
+    """Time ``replay --no-figures`` with the default tuning, compiled kernels at hand."""
+    with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as name:
+        if bag is None:
+            bag = Path(name) / "bag"
+            _command("simulate", "--rig", rig, "--out", str(bag), "--duration", "60", "--profile", "steps")
+        elapsed = []
+        for run in range(_RUNS + 1):
+            out = Path(name) / f"replay_{run}"
+            elapsed.append(_command("replay", str(bag), "--rig", rig, "--out", str(out), "--no-figures"))
+        report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    seconds = statistics.median(elapsed[1:])
+    duration = float(report["duration_s"])
+    return {f"replay of {duration:.0f} s [s]": seconds, "the recording against it [x]": duration / seconds}
 
 
-def _soak(arguments: argparse.Namespace) -> int:
-    if not (math.isfinite(arguments.soak) and 15.0 <= arguments.soak <= 86_400.0):
-        raise BadInput(f"--soak {arguments.soak:g}: expected seconds from 15 to 86400")
-    if arguments.only:
-        raise BadInput("--soak and --only: expected one of them")
-    needs_ros("benchmark --soak")
-    from validation.benchmark import soak
-
-    with counted(arguments.soak, "soak") as done:
-        result = soak.measure(arguments.rig, arguments.soak, done)
-    series: dict[str, object] = {
-        "time_s": result.usage.time.round(3).tolist(),
-        "resident_mb": {name: values.round(3).tolist() for name, values in result.usage.resident.items()},
-        "cpu_s": {name: values.round(2).tolist() for name, values in result.usage.cpu.items()},
-        "drift_ms": result.drift.round(4).tolist(),
-        "block_s": soak.BLOCK,
-        "lost": {stage: values.tolist() for stage, values in result.samples.lost.items()},
-        "round_trip_ms": {
-            name: getattr(result.samples, name).round(3).tolist() for name in ("median", "p99", "largest")
-        },
-    }
-    _report(result.figures, arguments.json, {"duration_s": arguments.soak, "series": series})
-    return common.DONE
+def _command(name: str, *arguments: str) -> float:
+    """Run a command of this package as a user would; the time that it took [s]."""
+    begin = time.perf_counter()
+    words = [sys.executable, "-m", "pam_antagonist", name, *arguments]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise BadInput(f"{name} ended with status {done.returncode}: {done.stderr.strip()[-300:]}")
+    return time.perf_counter() - begin
 
 
-def _report(figures: Sequence[Figure], json: str | None, more: Mapping[str, object] = {}) -> None:
-    """Print the figures, and write them where that was asked for."""
-    parts = "\n".join(f"\n{figure.name}: {figure.meaning}\n    {_parts(figure)}" for figure in figures)
-    content = {
-        "figures": {figure.name: dataclasses.asdict(figure) for figure in figures},
-        "machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()},
-        "software": versions(),
-        **more,
-    }
-    common.show(f"{terminal.table(_table(figures), indent='')}\n{parts}", content, json)
-
-
-def _table(figures: Sequence[Figure]) -> Table:
-    mark = {True: "yes", False: "NO", None: ""}
-    return Table(
-        ("figure", "measured", "wanted", "holds"),
-        tuple(
-            (figure.name, f"{number(figure.value)} {figure.unit}".strip(), figure.wanted, mark[figure.holds])
-            for figure in figures
-        ),
-    )
-
-
-def _parts(figure: Figure) -> str:
-    return ", ".join(f"{name} {number(value)}" for name, value in figure.parts.items())
+main = common.command(parser, _main)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
 import numpy as np
 
 from pam_antagonist._jit import in_place
@@ -12,13 +15,8 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.model.parameters import BASE_STATES as STATES
 from pam_antagonist.rig import Rig
 from pam_antagonist.simulation.excitation import profile
-from validation.benchmark import lanes
-from validation.benchmark.figure import Figure, at_least, at_most, pairwise
 
-_SAMPLES = 4000
-_SAMPLES_FILTERPY = 1000
-_REFERENCE_NINE_STEPS = 8.0e-6
-"""[s] What nine Runge-Kutta steps take on the machine that the bound on the default tuning speaks of."""
+_SAMPLES, _SAMPLES_FILTERPY, _ROUNDS = 4000, 1000, 15
 
 _rk4_step = integration.rk4_step_within
 _predict, _innovate, _update = ukf.predict, ukf.innovate, ukf.update
@@ -106,80 +104,42 @@ class _Case:
             step(stamp, p1, p2, u1, u2)
 
 
-def measure(rig: Rig) -> list[Figure]:
-    """Measure the filter's step.
+def _in_turn(first: Callable[[], object], second: Callable[[], object], rounds: int = _ROUNDS) -> tuple[float, float]:
+    """Median times [s] of two callables that are timed in turn, so that a machine that slows down slows both."""
+    first()
+    second()
+    times = np.empty((rounds, 2))
+    for k in range(rounds):
+        begin = time.perf_counter()
+        first()
+        middle = time.perf_counter()
+        second()
+        times[k] = middle - begin, time.perf_counter() - middle
+    one, other = np.median(times, axis=0)
+    return float(one), float(other)
 
-    Args:
-        rig: whose model and tunings ``published`` (n = 4) and ``default`` are used.
-    """
-    plain, default = _Case(rig, "published"), _Case(rig, "default")
-    figures = []
-    for case, label in ((plain, "n4"), (default, "default")):
-        count = case.sigma_points
-        ratio, ukf_s, bare_s = pairwise(case.filter, case.bare)
-        parts = {
-            "ukf_us": ukf_s / _SAMPLES * 1e6,
-            "rk4_steps_us": bare_s / _SAMPLES * 1e6,
-            "sigma_points": float(count),
-        }
-        figures.append(
-            at_most(
-                f"ukf_step_{label}",
-                f"a UKF step (predict, update; {count} sigma points) against {count} bare RK4 steps",
-                ratio,
-                1.0,
-                "×",
-                parts,
-            )
-        )
-        ratio, whole_s, bare_s = pairwise(case.sample, case.bare)
-        parts = {"sample_us": whole_s / _SAMPLES * 1e6, "rk4_steps_us": bare_s / _SAMPLES * 1e6}
-        figures.append(
-            Figure(
-                f"sample_{label}",
-                f"a whole sample (time, gate, step, torque with covariance, σ) against {count} bare RK4 steps",
-                ratio,
-                "",
-                None,
-                "×",
-                parts,
-            )
-        )
-    ratio, live_s, bare_s = pairwise(plain.live, plain.bare)
-    figures.append(
-        at_most(
-            "python_call_n4",
-            "one call of Estimator.step_in_place from Python (n = 4) against nine bare RK4 steps",
-            ratio,
-            3.0,
-            "×",
-            {"call_us": live_s / _SAMPLES * 1e6, "rk4_steps_us": bare_s / _SAMPLES * 1e6},
-        )
+
+def measure(rig: Rig) -> dict[str, float]:
+    """Times of the filter's step with the tunings ``published`` (n = 4) and ``default`` of a rig, and their ratios."""
+    micro, out = 1e6 / _SAMPLES, {}
+    cases = {"n4": _Case(rig, "published"), "default": _Case(rig, "default")}
+    for label, case in cases.items():
+        step, bare = _in_turn(case.filter, case.bare)
+        live, whole = _in_turn(case.live, case.sample)
+        out[f"UKF step, {label} [us]"] = step * micro
+        out[f"UKF step, {label}, against {case.sigma_points} bare RK4 steps [x]"] = step / bare
+        out[f"whole sample in a recording, {label} [us]"] = whole * micro
+        out[f"one call from Python, {label} [us]"] = live * micro
+        out[f"one call from Python, {label}, above the kernel [us]"] = (live - whole) * micro
+    plain = cases["n4"]
+    theirs, ours = _in_turn(lambda: _filterpy(rig, plain), plain.filter, rounds=5)
+    out["step of filterpy's UKF around the same RK4 step, against ours, n4 [x]"] = (
+        theirs / ours * _SAMPLES / _SAMPLES_FILTERPY
     )
-    ratio, live_s, nine_s = pairwise(default.live, plain.bare)
-    share = ratio * _REFERENCE_NINE_STEPS / rig.sample_period
-    figures.append(
-        at_most(
-            "default_share_of_period",
-            "one call of Estimator.step_in_place with the default tuning, as a share of the sample period on a machine "
-            "where nine RK4 steps take 8 µs",
-            share,
-            0.2,
-            "",
-            {"call_us": live_s / _SAMPLES * 1e6, "nine_rk4_steps_us": nine_s / _SAMPLES * 1e6},
-        )
-    )
-    for case, label in ((plain, "n4"), (default, "default")):
-        ratio, live_s, run_s = pairwise(case.live, case.sample)
-        parts = {"call_us": live_s / _SAMPLES * 1e6, "kernel_us": run_s / _SAMPLES * 1e6}
-        meaning = "one call of Estimator.step_in_place from Python, above what the kernel takes of it in a recording"
-        above = (ratio - 1.0) * parts["kernel_us"]
-        figures.append(at_most(f"call_above_kernel_{label}", meaning, above, 3.0, "µs", parts))
-    figures.append(_against_filterpy(rig, plain))
-    return [*figures, *lanes.measure(rig)]
+    return out
 
 
-def _against_filterpy(rig: Rig, case: _Case) -> Figure:
+def _filterpy(rig: Rig, case: _Case) -> None:
     from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 
     p = case.parameter_sets[0]
@@ -189,28 +149,10 @@ def _against_filterpy(rig: Rig, case: _Case) -> Figure:
         integration.rk4_step(x, u, p, dt, result)
         return result
 
-    def observe(x: np.ndarray) -> np.ndarray:
-        return x[2:4]
-
-    def run() -> None:
-        other = UnscentedKalmanFilter(
-            STATES, 2, rig.sample_period, observe, advance, JulierSigmaPoints(STATES, kappa=case.tuning.kappa)
-        )
-        other.x = case.states[0].copy()
-        other.P = np.diag(case.tuning.initial)
-        other.Q = np.diag(case.tuning.process)
-        other.R = np.diag(case.tuning.measurement)
-        for k in range(_SAMPLES_FILTERPY):
-            other.predict(u=case.voltage[k])
-            other.update(case.pressure[k])
-
-    ratio, theirs_s, ours_s = pairwise(run, case.filter, rounds=7)
-    ratio *= _SAMPLES / _SAMPLES_FILTERPY
-    return at_least(
-        "filterpy_n4",
-        "a step of filterpy's UKF around the same compiled RK4 step against a step of this one (n = 4)",
-        ratio,
-        60.0,
-        "×",
-        {"filterpy_us": theirs_s / _SAMPLES_FILTERPY * 1e6, "ukf_us": ours_s / _SAMPLES * 1e6},
-    )
+    points = JulierSigmaPoints(STATES, kappa=case.tuning.kappa)
+    other = UnscentedKalmanFilter(STATES, 2, rig.sample_period, lambda x: x[2:4], advance, points)
+    other.x, other.P = case.states[0].copy(), np.diag(case.tuning.initial)
+    other.Q, other.R = np.diag(case.tuning.process), np.diag(case.tuning.measurement)
+    for k in range(_SAMPLES_FILTERPY):
+        other.predict(u=case.voltage[k])
+        other.update(case.pressure[k])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -23,6 +22,9 @@ _STEADY = 0.3  # of control before a fault [s]
 _APART = 0.3  # between the voltages of both valves, as the reference asks for [V]
 _PERIOD = 0.1  # of diagnostics [s]
 REFERENCE = math.radians(10.0)
+_HEARD_BY = {"pressure_1": "estimator", "joint_estimate": "controller", "valve_command": "bridge"}
+RELAYED = tuple(_HEARD_BY)
+"""Topics that go through the relay of the pipeline ``relayed``, to these nodes."""
 
 SLOW_RIG = "based_on: {base}\nname: at_250_hz\nsample_period: 0.004\n"
 """A rig at 250 Hz, so that two pipelines have room on two cores."""
@@ -31,56 +33,33 @@ SLOW_RIG = "based_on: {base}\nname: at_250_hz\nsample_period: 0.004\n"
 class Bench:
     """A pipeline in a domain of its own, with the runner's watcher beside it. A context manager.
 
-    Args:
-        folder: empty, for logs, ports and rig files.
-        domain: of the middleware.
-        namespace: of the nodes.
-        rig: name or path, of every node and of the device.
-        relayed: topics that go through a relay.
-        simulated: a plant in simulated time rather than a device and its bridge.
-        stepped: nodes whose clock can be set, with the device and its bridge.
-
     Attributes:
         processes: the nodes.
         watcher: ears and mouth.
         folder: the folder.
         rig: name or path, of every node and of the device.
-        second: another pipeline beside this one, where a cause has started one.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        domain: int,
-        *,
-        namespace: str = "/pam",
-        rig: str = "shin2022",
-        relayed: tuple[str, ...] = (),
-        simulated: bool = False,
-        stepped: bool = False,
+        self, folder: Path, domain: int, namespace: str = "/pam", rig: str = "shin2022", kind: str = ""
     ) -> None:
         folder.mkdir(parents=True)
         self.folder, self.domain = folder, domain
         self.processes = Processes(folder)
-        self.watcher = Watcher(namespace, domain, clock=simulated)
-        self.second: Bench | None = None
+        self.watcher = Watcher(namespace, domain)
         self.rig = rig
         self._namespace = namespace
-        self._relayed, self._simulated = relayed, simulated
-        self._step = folder / "step" if stepped else None
+        self._relayed = RELAYED if kind == "relayed" else ()
+        self._step = folder / "step" if kind == "stepped" else None
         self._log = ValveLog(folder / "voltages.csv")
         self._port, self._pipe = folder / "device", folder / "orders"
-        self._clock: SimulatedClock | Step | None = None if self._step is None else Step(self._step, new=True)
+        self._clock = None if self._step is None else Step(self._step, new=True)
         self._stack = ExitStack()
 
     def __enter__(self) -> Bench:
         with ExitStack() as stack:
             stack.enter_context(self.watcher)
-            if self._simulated:
-                self._clock = clock = SimulatedClock(self.watcher)
-                stack.callback(clock.stop)  # before the watcher, through which it speaks
             stack.enter_context(self.processes)
-            stack.callback(self._end_second)
             self._start()
             self._stack = stack.pop_all()
         return self
@@ -88,30 +67,23 @@ class Bench:
     def __exit__(self, *reason: object) -> None:
         self._stack.close()
 
-    def _end_second(self) -> None:
-        if self.second is not None:
-            self.second.__exit__()
-            self.second = None
-
     # ---------------------------------------------------------------- processes
 
     def _start(self) -> None:
-        if self._simulated:
-            self.watcher.watch_valves()
         if self._relayed:
             arguments = [str(self.folder / "relay_orders"), str(self.domain), *self._relayed]
             self.processes.start("relay", arguments, self._environment(), module="validation.faults.relay")
-        names = ("estimator", "controller", "plant" if self._simulated else "bridge")
+        names = ("estimator", "controller", "bridge")
         for name in names:
             self.start(name)
-        if not self._simulated:
-            arguments = ["--rig", self.rig, "--link", str(self._port), "--log", str(self.folder / "voltages.csv")]
-            self.processes.start("device_emulator", [*arguments, "--seed", "3", "--orders", str(self._pipe)])
-        end = time.monotonic() + _START
-        while self.watcher.listeners() == 0 or len({s.part.partition(":")[0] for s in self.watcher.statuses}) < len(
-            names
-        ):
-            self._wait(0.05, end, "a start")
+        arguments = ["--rig", self.rig, "--link", str(self._port), "--log", str(self.folder / "voltages.csv")]
+        self.processes.start("device_emulator", [*arguments, "--seed", "3", "--orders", str(self._pipe)])
+
+        def all_there() -> bool:
+            heard = {status.part.partition(":")[0] for status in self.watcher.statuses}
+            return self.watcher.listeners() > 0 and len(heard) >= len(names)
+
+        self.until(all_there, _START, "a start")
         self.ready(_START)
 
     def _environment(self) -> dict[str, str]:
@@ -121,12 +93,10 @@ class Bench:
         """Start a node, with other parameters than usual where some are given."""
         safe = CONTROLLER_SAFE if name == "controller" else BRIDGE_SAFE
         parameters: dict[str, object] = {"rig": self.rig, "diagnostics_period": _PERIOD}
-        if name in ("bridge", "plant", "controller"):
+        if name in ("bridge", "controller"):
             parameters["safe_voltage"] = list(safe)
         if name == "bridge":
             parameters["port"] = str(self._port)
-        if self._simulated:
-            parameters["use_sim_time"] = True
         remappings = {"__ns": self._namespace}
         remappings |= {t: f"relayed/{t}" for t in self._relayed if _HEARD_BY.get(t) == name}
         arguments = ros_arguments({**parameters, **(more or {})}, remappings)
@@ -149,12 +119,6 @@ class Bench:
         popen.wait()
         return now
 
-    def stop(self, name: str) -> int:
-        """Ctrl-C for a node; the time right before [ns since 1970]."""
-        now = time.time_ns()
-        self.processes.stop(name)
-        return now
-
     def stall(self, name: str, seconds: float) -> tuple[int, int]:
         """Let a process stand still; begin and end [ns since 1970]."""
         popen = self.processes.running[name].popen
@@ -169,15 +133,16 @@ class Bench:
 
     def order(self, text: str) -> int:
         """Give the device an order; when it carried it out [ns since 1970]."""
-        before = len(self.rows())
+        before, event = len(self.rows()), text.partition("=")[0]
         _write(self._pipe, text)
-        event = text.partition("=")[0]
-        end = time.monotonic() + 5.0
-        while True:
-            for row in self.rows()[before:]:
-                if row.event == event:
-                    return row.time_ns
-            self._wait(0.005, end, f"the device's {text}")
+        done: list[int] = []
+
+        def carried_out() -> bool:
+            done.extend(row.time_ns for row in self.rows()[before:] if row.event == event)
+            return bool(done)
+
+        self.until(carried_out, 5.0, f"the device's {text}", 0.005)
+        return done[0]
 
     def relay(self, text: str) -> int:
         """Give the relay an order; when [ns since 1970]."""
@@ -197,7 +162,7 @@ class Bench:
     def rows(self) -> list[Row]:
         """What was on the valves so far."""
         self.watcher.collect()
-        return self.watcher.valves if self._simulated else self._log.update()
+        return self._log.update()
 
     def wait(self, seconds: float) -> None:
         """Let time pass, and collect what is said."""
@@ -206,35 +171,21 @@ class Bench:
             self.watcher.collect()
             time.sleep(min(0.02, max(0.0, end - time.monotonic())))
 
-    def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
-        """Wait for something.
-
-        Args:
-            condition: what is waited for.
-            seconds: longest time [s].
-            what: names it in the message.
-
-        Raises:
-            ProcessFailed: it did not happen in time, or a node has ended.
-        """
+    def until(self, condition: Callable[[], bool], seconds: float, what: str, pause: float = 0.02) -> None:
+        """Wait for something; what the nodes complain about is said where it does not come about in time."""
         end = time.monotonic() + seconds
         while not condition():
-            self._wait(0.02, end, what)
-
-    def _wait(self, seconds: float, end: float, what: str) -> None:
-        self.processes.check()
-        self.watcher.collect()
-        if time.monotonic() > end:
-            raise ProcessFailed(f"{what} did not come about in time{self._trouble()}")
-        time.sleep(seconds)
-
-    def _trouble(self) -> str:
-        """What the nodes complain about now, in words."""
-        newest = {status.part: status for status in self.watcher.statuses}
-        return "".join(f"; {status.part}: {status.message}" for status in newest.values() if status.level > 0)
+            self.processes.check()
+            self.watcher.collect()
+            if time.monotonic() > end:
+                newest = {status.part: status for status in self.watcher.statuses}
+                trouble = "".join(f"; {one.part}: {one.message}" for one in newest.values() if one.level > 0)
+                raise ProcessFailed(f"{what} did not come about in time{trouble}")
+            time.sleep(pause)
 
     def controlled(self) -> bool:
-        """Whether the controller has had the valves for a while, with voltages that the reference asks for."""
+        """Whether the controller has had the valves for a while, by the reference, which is sent again."""
+        self.watcher.refer(REFERENCE)
         rows = self.rows()
         now = time.time_ns()
         if not rows or now - rows[-1].time_ns > 0.2e9:  # the last rows wait for their flush
@@ -249,73 +200,29 @@ class Bench:
         )
 
     def ready(self, seconds: float = _READY) -> None:
-        """Wait for control, clearing whatever an earlier fault has left.
-
-        Raises:
-            ProcessFailed: it does not come about.
-        """
-        owner = "plant" if self._simulated else "bridge"
-        end = time.monotonic() + seconds
+        """Wait for control, clearing whatever an earlier fault has left."""
         cleared = time.monotonic()
-        while not self.controlled():
-            self.watcher.refer(REFERENCE)
+
+        def controlled() -> bool:
+            nonlocal cleared
             if time.monotonic() - cleared > 2.0:
-                for node in (owner, "controller"):
+                for node in ("bridge", "controller"):
                     self.watcher.clear(node)
                 cleared = time.monotonic()
-            self._wait(0.02, end, "control")
+            return self.controlled()
+
+        self.until(controlled, seconds, "control")
         self.wait(0.15)  # diagnostics of it
 
     def back(self, seconds: float) -> None:
-        """Wait for control without clearing anything; the reference goes on being published.
-
-        Raises:
-            ProcessFailed: it does not come about.
-        """
-        end = time.monotonic() + seconds
-        while not self.controlled():
-            self.watcher.refer(REFERENCE)
-            self._wait(0.02, end, "control")
+        """Wait for control without clearing anything."""
+        self.until(self.controlled, seconds, "control")
 
     def run_beside(self) -> Bench:
-        """Start another pipeline beside this one, at 250 Hz, in another namespace of the same domain."""
+        """Another pipeline beside this one, at 250 Hz, in another namespace of the same domain; entering starts it."""
         rig = self.folder / "slow.yaml"
         rig.write_text(SLOW_RIG.format(base=self.rig), encoding="utf-8")
-        self.second = Bench(self.folder / "second", self.domain, namespace="/left/elbow", rig=str(rig))
-        self.second.__enter__()
-        return self.second
-
-
-_HEARD_BY = {"pressure_1": "estimator", "joint_estimate": "controller", "valve_command": "bridge"}
-"""Who hears a topic through the relay."""
-
-
-class SimulatedClock:
-    """``/clock`` at the pace of the real one.
-
-    Args:
-        watcher: publishes it.
-
-    Attributes:
-        ns: to the steady clock [ns].
-    """
-
-    def __init__(self, watcher: Watcher) -> None:
-        self.ns = 1000 * 10**9 - time.monotonic_ns()
-        self._watcher = watcher
-        self._running = True
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End."""
-        self._running = False
-        self._thread.join()
-
-    def _run(self) -> None:
-        while self._running:
-            self._watcher.set_time(time.monotonic_ns() + self.ns)
-            time.sleep(1e-3)
+        return Bench(self.folder / "second", self.domain, namespace="/left/elbow", rig=str(rig))
 
 
 def _write(pipe: Path, text: str) -> None:

@@ -11,9 +11,10 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
+from validation import json_option
 
 if TYPE_CHECKING:
-    from validation.faults.fault import Fault
+    from validation.faults.fault import Fault, Outcome
 
 _DESCRIPTION = """\
 Make every fault in a running pipeline, and report what the valves did.
@@ -35,30 +36,20 @@ examples:
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("faults", _DESCRIPTION, _EXAMPLES)
-    out.add_argument(
-        "--only", action="append", metavar="NAME", help="make this fault alone; may be given several times (see --list)"
-    )
-    out.add_argument("--list", action="store_true", help="list the faults and make none")
-    out.add_argument(
-        "--rig", default="shin2022", metavar="RIG", help="a YAML file, or a rig's name (default: shin2022)"
-    )
-    common.add_new_json(out, "the table")
-    out.add_argument("--docs", type=Path, metavar="FILE", help="write the table as a Markdown page; replaces FILE")
+    out.add_argument("--only", action="append", metavar="NAME",
+                     help="make this fault alone; may be given several times (see --list)")  # fmt: skip
+    out.flag("--list", "list the faults and make none")
+    out.option("--rig", "a YAML file, or a rig's name (default: shin2022)", default="shin2022", metavar="RIG")
+    json_option.add_new_json(out, "the table")
+    out.option("--docs", "write the table as Markdown; replaces FILE", Path, metavar="FILE")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _main, argv)
 
 
 def _main(arguments: argparse.Namespace) -> int:
     needs_ros("faults")
     from pam_antagonist.rig import load_rig
-    from pam_antagonist.strict_json import dumps
     from validation.faults import table
     from validation.faults.catalogue import FAULTS
-    from validation.faults.fault import Outcome
     from validation.faults.run import run_faults
 
     if arguments.list:
@@ -76,23 +67,20 @@ def _main(arguments: argparse.Namespace) -> int:
             advance(1)
 
         outcomes = run_faults(faults, rig, done)
-        print(f"\n{table.summary(outcomes)}")
-    if arguments.json is not None:
-        common.give_json(arguments.json, dumps(table.content(outcomes)) + "\n")
+    json_option.show(f"\n{table.summary(outcomes)}", table.content(outcomes), arguments.json)
     if arguments.docs is not None:
-        common.write_text(arguments.docs, table.page(outcomes))
+        common.write_text(arguments.docs, "\n".join([f"{table.summary(outcomes)}.", "", *table.matrix(outcomes), ""]))
     return common.DONE if all(outcome.held for outcome in outcomes) else common.FAILED
 
 
 def chosen(faults: Sequence[Fault], names: Sequence[str] | None) -> list[Fault]:
-    """Those faults that were asked for, in the table's order.
-
-    Raises:
-        BadInput: there is no such fault.
-    """
+    """Those faults that were asked for, in the table's order."""
     known = [fault.name for fault in faults]
     wanted = list(names or known)
     for name in wanted:
         if name not in known:
             raise BadInput(f"--only {name!r}: expected one of {', '.join(known)}")
     return [fault for fault in faults if fault.name in wanted]
+
+
+main = common.command(parser, _main)

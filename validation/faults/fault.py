@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from validation.faults import valve_log
 from validation.faults.valve_log import Row
@@ -19,26 +19,11 @@ LIMIT_MS = 50.0
 _MOSTLY = 0.5  # share of the time that valves which are to be controlled may have safe voltages
 
 
-class Cause(Protocol):
-    """Makes a fault in a running pipeline, and ends it."""
-
-    def begin(self, bench: Bench) -> int:
-        """Make it; when it began [ns since 1970]."""
-
-    def end(self, bench: Bench) -> Ended:
-        """End it, so that the pipeline could go on."""
-
-
 class Ended(NamedTuple):
-    """When a fault was over.
+    """When a fault began or was over."""
 
-    Attributes:
-        time_ns: [ns since 1970].
-        note: what else is to be said, in a few words.
-    """
-
-    time_ns: int
-    note: str = ""
+    time_ns: int  # [ns since 1970]
+    note: str = ""  # what else is to be said, in a few words
 
 
 class Valves(Enum):
@@ -58,114 +43,67 @@ class Recovery(Enum):
 
 
 class Wanted(NamedTuple):
-    """Something expected on ``/diagnostics``.
+    """Something expected on ``/diagnostics``."""
 
-    Attributes:
-        part: node and part, such as ``bridge: safety``.
-        level: of the status, 0 to 3.
-        words: in its message; or, with ``counted``, the value that has to have grown, one of several between " or ".
-        counted: whether ``words`` are names of values.
-    """
-
-    part: str
-    level: int
-    words: str
-    counted: bool = False
+    part: str  # node and part, such as ``bridge: safety``
+    level: int  # of the status, 0 to 3
+    words: str  # in its message; or, with ``counted``, the value that has to have grown, one of several between " or "
+    counted: bool = False  # whether ``words`` are names of values
 
 
 class Status(NamedTuple):
-    """A status on ``/diagnostics``.
+    """A status on ``/diagnostics``."""
 
-    Attributes:
-        time_ns: of reception [ns since 1970].
-        part: node and subcomponent.
-        level: of ``DiagnosticStatus``.
-        message: in words.
-        values: by key.
-    """
-
-    time_ns: int
-    part: str
-    level: int
-    message: str
-    values: dict[str, str]
+    time_ns: int  # of reception [ns since 1970]
+    part: str  # node and subcomponent
+    level: int  # of ``DiagnosticStatus``
+    message: str  # in words
+    values: dict[str, str]  # by key
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One line of the matrix.
+    """One line of the matrix."""
 
-    Attributes:
-        name: short, for ``--only``.
-        what: how it is made, in words.
-        cause: makes it.
-        valves: what they are expected to do.
-        expected: what is expected on ``/diagnostics``.
-        recovery: how control is expected to come back.
-        lasts: [s].
-        clear: nodes whose stop has to be cleared, in this order.
-        bench: name of the pipeline that it needs.
-    """
-
-    name: str
-    what: str
-    cause: Cause
-    valves: Valves
-    expected: tuple[Wanted, ...]
-    recovery: Recovery = Recovery.ITSELF
-    lasts: float = 0.4
-    clear: tuple[str, ...] = ()
-    bench: str = "device"
+    name: str  # short, for ``--only``
+    what: str  # how it is made, in words
+    cause: Callable[[Bench], Iterator[Ended]]  # makes it, and ends it
+    valves: Valves  # what they are expected to do
+    expected: tuple[Wanted, ...]  # what is expected on ``/diagnostics``
+    recovery: Recovery = Recovery.ITSELF  # how control is expected to come back
+    lasts: float = 0.4  # [s]
+    clear: tuple[str, ...] = ()  # nodes whose stop has to be cleared, in this order
+    bench: str = "device"  # name of the pipeline that it needs
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What happened.
+    """What happened."""
 
-    Attributes:
-        begin_ns: of the fault [ns since 1970].
-        over_ns: when it was over.
-        cleared_ns: when the stop was cleared; None: nobody cleared one.
-        end_ns: when nothing was looked at any more.
-        rows: what was on the valves, in the order of time, from before the fault on.
-        statuses: on ``/diagnostics``, from shortly before the fault on.
-        note: what else is to be said.
-    """
-
-    begin_ns: int
-    over_ns: int
-    cleared_ns: int | None
-    end_ns: int
-    rows: Sequence[Row]
-    statuses: Sequence[Status]
-    note: str = ""
+    begin_ns: int  # of the fault [ns since 1970]
+    over_ns: int  # when it was over
+    cleared_ns: int | None  # when the stop was cleared; None: nobody cleared one
+    end_ns: int  # when nothing was looked at any more
+    rows: Sequence[Row]  # what was on the valves, in the order of time, from before the fault on
+    statuses: Sequence[Status]  # on ``/diagnostics``, from shortly before the fault on
+    note: str = ""  # what else is to be said
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a fault came to.
+    """What a fault came to."""
 
-    Attributes:
-        fault: the fault.
-        safe_ms: from the fault to the safe voltages that lasted until it was over [ms]; None: there were none.
-        by: whose safe voltages these were first.
-        share_safe: share of the fault's time with safe voltages (0 to 1).
-        wrong: number of voltages that nobody can have meant.
-        statuses: what was expected on ``/diagnostics`` and was said.
-        control_s: from the end of the fault, or of the stop, to control [s]; None: it did not come back.
-        note: what else is to be said.
-        failures: expectations that did not hold, in words.
-    """
-
-    fault: Fault
+    fault: Fault  # the fault
+    # from the fault to the safe voltages that lasted until it was over [ms]; None: there were none
     safe_ms: float | None = None
-    by: str = ""
-    share_safe: float = 0.0
-    wrong: int = 0
-    statuses: tuple[str, ...] = ()
+    by: str = ""  # whose safe voltages these were first
+    share_safe: float = 0.0  # share of the fault's time with safe voltages (0 to 1)
+    wrong: int = 0  # number of voltages that nobody can have meant
+    statuses: tuple[str, ...] = ()  # what was expected on ``/diagnostics`` and was said
+    # from the end of the fault, or of the stop, to control [s]; None: it did not come back
     control_s: float | None = None
-    note: str = ""
-    failures: tuple[str, ...] = field(default=())
+    note: str = ""  # what else is to be said
+    failures: tuple[str, ...] = field(default=())  # expectations that did not hold, in words
 
     @property
     def held(self) -> bool:

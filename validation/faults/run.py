@@ -11,7 +11,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import ProcessFailed, free_domain
 from pam_antagonist.nodes.spin import stay_on_this_machine
 from validation.faults.bench import Bench
-from validation.faults.catalogue import RELAYED
 from validation.faults.fault import Fault, Observed, Outcome, Recovery, judge
 
 _STAYS = 0.3  # time for which a stop is watched after its cause is gone [s]
@@ -23,16 +22,7 @@ _AFTER = 0.25  # for diagnostics that belong to the fault [s]
 def run_faults(
     faults: Sequence[Fault], rig: str, done: Callable[[Outcome], object] = lambda outcome: None
 ) -> list[Outcome]:
-    """Make faults in pipelines of device emulator (or plant), bridge, estimator and controller.
-
-    Args:
-        faults: in this order; those that need the same pipeline follow one another.
-        rig: name or path.
-        done: called with each outcome as soon as it is there.
-
-    Raises:
-        BadInput: a pipeline does not start.
-    """
+    """Make faults in pipelines of device emulator (or plant), bridge, estimator and controller, in the given order."""
     stay_on_this_machine()
     outcomes: list[Outcome] = []
     bench: Bench | None = None
@@ -59,32 +49,23 @@ def run_faults(
     return outcomes
 
 
-def _start(name: str, folder: Path, rig: str) -> Bench:
-    options: dict[str, dict[str, object]] = {
-        "relayed": {"relayed": RELAYED},
-        "simulated": {"simulated": True},
-        "stepped": {"stepped": True},
-    }
+def _start(kind: str, folder: Path, rig: str) -> Bench:
     try:
-        bench = Bench(folder, free_domain(), rig=rig, **options.get(name, {}))  # type: ignore[arg-type]
-        return bench.__enter__()
+        return Bench(folder, free_domain(), rig=rig, kind=kind).__enter__()
     except ProcessFailed as error:
-        raise BadInput(f"faults: the pipeline {name!r} does not start: {error}") from None
+        raise BadInput(f"faults: the pipeline {kind!r} does not start: {error}") from None
 
 
 def make(fault: Fault, bench: Bench) -> Observed:
-    """Make one fault in a running pipeline, end it, and look on until control is back.
-
-    Raises:
-        ProcessFailed: a node has ended, or something did not come about.
-    """
+    """Make one fault in a running pipeline, end it, and look on until control is back."""
     bench.ready()
     first = len(bench.watcher.statuses)
     first_row = max(0, len(bench.rows()) - 1)
     before = list({status.part: status for status in bench.watcher.statuses[:first]}.values())
-    begin = fault.cause.begin(bench)
+    cause = fault.cause(bench)
+    begin, _ = next(cause)
     bench.wait(fault.lasts)
-    over, note = fault.cause.end(bench)
+    over, note = next(cause)
     cleared = None
     if fault.recovery is Recovery.CLEAR:
         bench.wait(_STAYS)

@@ -19,12 +19,7 @@ _SIZE = 8
 
 
 class Step:
-    """An offset that several processes share.
-
-    Args:
-        path: file that holds it.
-        new: make the file, with an offset of 0.
-    """
+    """An offset that several processes share."""
 
     def __init__(self, path: Path, *, new: bool = False) -> None:
         if new:

@@ -1,4 +1,4 @@
-"""The matrix as lines for a terminal, as a page of the documentation, and as JSON (no ROS in here)."""
+"""The matrix as lines for a terminal, as a table in Markdown, and as JSON (no ROS in here)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import platform
 import re
 import tempfile
 from collections.abc import Sequence
-from datetime import datetime, timezone
+from dataclasses import asdict
 from typing import Any
 
+from pam_antagonist.report.table import Table, markdown
 from pam_antagonist.software import versions
 from validation.faults.fault import LIMIT_MS, Outcome, Recovery, Valves
 
@@ -77,76 +78,21 @@ def summary(outcomes: Sequence[Outcome]) -> str:
 
 def content(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Everything, for JSON."""
-    return {
-        "faults": [
-            {
-                "name": outcome.fault.name,
-                "what": outcome.fault.what,
-                "expected": outcome.fault.valves.value,
-                "recovery": outcome.fault.recovery.value,
-                "held": outcome.held,
-                "safe_ms": outcome.safe_ms,
-                "by": outcome.by,
-                "share_safe": outcome.share_safe,
-                "wrong_voltages": outcome.wrong,
-                "control_s": outcome.control_s,
-                "diagnostics": list(outcome.statuses),
-                "note": outcome.note,
-                "failures": list(outcome.failures),
-            }
-            for outcome in outcomes
-        ],
-        "limit_ms": LIMIT_MS,
-        "machine": {"architecture": platform.machine(), "cores": os.cpu_count()},
-        "software": versions(),
-    }
+    entries = []
+    for outcome in outcomes:
+        fault, entry = outcome.fault, asdict(outcome)
+        del entry["fault"]
+        wanted = {"expected": fault.valves.value, "recovery": fault.recovery.value}
+        entries.append({"name": fault.name, "what": fault.what, **wanted, "held": outcome.held, **entry})
+    machine = {"architecture": platform.machine(), "cores": os.cpu_count()}
+    return {"faults": entries, "limit_ms": LIMIT_MS, "machine": machine, "software": versions()}
 
 
-_PAGE = """\
-# The fault matrix
-
-{summary}.
-
-Machine: {cores} cores, {machine}, not idle otherwise; {month}. `./run faults --docs docs/faults.md` writes this page:
-do not edit it by hand.
-
-Each line is one fault that was made on purpose in a running pipeline. Device emulator, bridge, estimator and controller
-ran as processes of their own at 1 kHz. The reference was 10°.
-
-* **Safe after** is the time from the fault to the safe voltages, by the device's own log of its valves. These lasted
-  until the fault was over or, after a stop, until the stop was cleared.
-* **By** says whose safe voltages these were: of the device, the bridge or the controller. Each has values of its own.
-* **Control** is back when the valves have other voltages again. After a restart this includes the start of the process.
-* **A wrong voltage** is one that neither the controller nor any safe action can have meant. None occurred unless the
-  line says so.
-* A line that is not as expected says so. What came on `/diagnostics` is expected as well; `--json` shows it.
-
-Where messages are lost, twice or late, a relay stands between the nodes. Where `/clock` is set back, the plant in
-simulated time takes the place of device and bridge. Where the machine's clock is set, the nodes add an offset to it.
-
-| fault | how it was made | valves | control |
-|---|---|---|---|
-{rows}
-
-[Safety](how-to/safety.md) says what each stop does and why, [hardware](how-to/hardware.md) what device and bridge do.
-
-Not in the table: a device that stands still for good. Its valves keep their voltages, and no program elsewhere can
-change that. The microcontroller's own watchdog has to restart it ([firmware](reference/protocol.md#firmware)).
-"""
-
-
-def page(outcomes: Sequence[Outcome]) -> str:
-    """The page of the documentation."""
+def matrix(outcomes: Sequence[Outcome]) -> list[str]:
+    """The table in Markdown."""
     rows = []
     for outcome in outcomes:
         then = "; ".join(filter(None, (control(outcome), _plain(outcome.note))))
         failed = "" if outcome.held else "; **not as expected**: " + _plain("; ".join(outcome.failures))
-        cells = (outcome.fault.name, outcome.fault.what, valves(outcome), then + failed)
-        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return _PAGE.format(
-        cores=os.cpu_count(),
-        machine=platform.machine(),
-        month=datetime.now(timezone.utc).strftime("%B %Y"),
-        summary=summary(outcomes).capitalize(),
-        rows="\n".join(rows),
-    )
+        rows.append((outcome.fault.name, outcome.fault.what, valves(outcome), then + failed))
+    return markdown(Table(("fault", "how it was made", "valves", "control"), tuple(rows)))

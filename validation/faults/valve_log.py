@@ -22,19 +22,12 @@ _LARGEST_DIFFERENCE = 6.0  # that the controller asks for when the joint is 20 d
 
 
 class Row(NamedTuple):
-    """Something that happened: a change of the voltages, or another event at which they stayed as they were.
+    """Something that happened: a change of the voltages, or another event at which they stayed as they were."""
 
-    Attributes:
-        time_ns: since 1970 [ns].
-        event: ``voltage``, or a fault of the device that begins or ends (``+flip``, ``-flip``).
-        voltage: on the valves from then on (2,) [V].
-        by_itself: whether these are the device's own safe voltages, for want of a valid command.
-    """
-
-    time_ns: int
-    event: str
-    voltage: tuple[float, float]
-    by_itself: bool
+    time_ns: int  # since 1970 [ns]
+    event: str  # ``voltage``, or a fault of the device that begins or ends (``+flip``, ``-flip``)
+    voltage: tuple[float, float]  # on the valves from then on (2,) [V]
+    by_itself: bool  # whether these are the device's own safe voltages, for want of a valid command
 
     @property
     def safe(self) -> bool:
@@ -51,9 +44,6 @@ class Row(NamedTuple):
 
 class ValveLog:
     """The device emulator's log, read while it is being written.
-
-    Args:
-        path: of the file, which may not be there yet.
 
     Attributes:
         rows: what has been read so far.
@@ -82,14 +72,8 @@ class ValveLog:
 def safe_since(rows: Sequence[Row], begin_ns: int, at_ns: int) -> Row | None:
     """The row that began the safe voltages that are on the valves at a time.
 
-    Args:
-        rows: in the order of time.
-        begin_ns: rows before this count as at this [ns].
-        at_ns: the time [ns].
-
-    Returns:
-        The first row of the stretch without any other voltages that reaches to ``at_ns``, with the time not before
-        ``begin_ns``; None where the voltages are not safe then.
+    Returns the first row of the stretch without any other voltages that reaches to ``at_ns``, with the time not
+    before ``begin_ns``; None where the voltages are not safe then.
     """
     first: Row | None = None
     for row in rows:
@@ -101,54 +85,27 @@ def safe_since(rows: Sequence[Row], begin_ns: int, at_ns: int) -> Row | None:
 
 def first_obeyed(rows: Sequence[Row], after_ns: int) -> int | None:
     """When the valves first had other than safe voltages after a time, or had them then [ns]; None: never."""
-    at = None
-    for row in rows:
-        if row.time_ns > after_ns:
-            if not row.safe:
-                return row.time_ns if at is None else after_ns
-            if at is not None:
-                return after_ns
-        else:
-            at = None if row.safe else row
-    return None if at is None else after_ns
+    before = [row for row in rows if row.time_ns <= after_ns]
+    if before and not before[-1].safe:
+        return after_ns
+    return next((row.time_ns for row in rows if row.time_ns > after_ns and not row.safe), None)
 
 
 def share_safe(rows: Sequence[Row], begin_ns: int, end_ns: int) -> float:
-    """Share of a time for which the voltages were safe (0 to 1).
-
-    Args:
-        rows: of the log, in order.
-        begin_ns: of the time [ns].
-        end_ns: of the time [ns].
-    """
-    safe_ns = 0
-    for row, later in zip(rows, [*rows[1:], None], strict=True):
-        first = max(row.time_ns, begin_ns)
-        last = end_ns if later is None else min(later.time_ns, end_ns)
-        if row.safe and last > first:
-            safe_ns += last - first
-    return safe_ns / (end_ns - begin_ns)
+    """Share of a time for which the voltages were safe (0 to 1)."""
+    ends = [*(row.time_ns for row in rows[1:]), end_ns]
+    spans = ((min(end, end_ns) - max(row.time_ns, begin_ns), row) for row, end in zip(rows, ends, strict=True))
+    return sum(span for span, row in spans if row.safe and span > 0) / (end_ns - begin_ns)
 
 
 def wrong_voltages(rows: Sequence[Row], begin_ns: int, end_ns: int) -> list[Row]:
     """Rows with voltages that neither the controller nor any safe action can have meant.
 
     The controller moves both valves by the same amount, in opposite directions, from twice 5.5 V.
-
-    Args:
-        rows: of the log, in order.
-        begin_ns: of the time [ns].
-        end_ns: of the time [ns].
     """
-    return [
-        row
-        for row in rows
-        if begin_ns <= row.time_ns <= end_ns
-        and not (
-            row.safe
-            or (
-                _LEAST_SUM <= sum(row.voltage) <= _LARGEST_SUM
-                and abs(row.voltage[0] - row.voltage[1]) <= _LARGEST_DIFFERENCE
-            )
-        )
-    ]
+
+    def meant(row: Row) -> bool:
+        first, second = row.voltage
+        return _LEAST_SUM <= first + second <= _LARGEST_SUM and abs(first - second) <= _LARGEST_DIFFERENCE
+
+    return [row for row in rows if begin_ns <= row.time_ns <= end_ns and not (row.safe or meant(row))]

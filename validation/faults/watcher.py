@@ -12,17 +12,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from pam_antagonist.control import Mode
-from pam_antagonist.nodes import qos, wire
+from pam_antagonist.control.command import Mode
+from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.nodes.spin import tune_middleware
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import JointReference, ValveCommand
 from validation.faults.fault import Status
-from validation.faults.valve_log import Row
 
 _ANSWER = 10.0  # longest time for a service [s]
 
@@ -30,17 +28,11 @@ _ANSWER = 10.0  # longest time for a service [s]
 class Watcher:
     """A node beside a pipeline. It takes what has come when it is asked, and costs nothing in between.
 
-    Args:
-        namespace: of the pipeline.
-        domain: of the middleware.
-        clock: whether it is to be able to publish ``/clock``.
-
     Attributes:
         statuses: every status on ``/diagnostics`` of a node in the namespace so far, without the namespace.
-        valves: voltages in ``valve_state`` so far, where it listens to that (:meth:`watch_valves`).
     """
 
-    def __init__(self, namespace: str, domain: int, clock: bool = False) -> None:
+    def __init__(self, namespace: str, domain: int) -> None:
         tune_middleware()
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO, domain_id=domain)
@@ -51,12 +43,8 @@ class Watcher:
         self._executor.add_node(self._caller)
         self._prefix = f"{namespace.strip('/')}/"
         self.statuses: list[Status] = []
-        self.valves: list[Row] = []
         self._diagnostics = self._node.create_subscription(DiagnosticArray, "/diagnostics", _nothing, qos.RECORD)
         self._reference = self._node.create_publisher(JointReference, TOPICS["reference"].relative, qos.REFERENCE)
-        self._state: Any = None
-        self._unpack = wire.Incoming(wire.VALVES)
-        self._clock = self._node.create_publisher(Clock, "/clock", qos.DIAGNOSTICS) if clock else None
         self._clients: dict[str, Any] = {}
 
     def __enter__(self) -> Watcher:
@@ -70,24 +58,14 @@ class Watcher:
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
 
-    def watch_valves(self) -> None:
-        """Listen to ``valve_state`` from now on: where there is no device, that is what the valves have."""
-        self._state = self._node.create_subscription(
-            ValveCommand, TOPICS["valve_state"].relative, _nothing, qos.RECORD, raw=True
-        )
-
     def collect(self) -> None:
         """Take what has come."""
-        for message, received_ns in _taken(self._diagnostics, raw=False):
+        for message, received_ns in _taken(self._diagnostics):
             for status in message.status:
                 if status.name.startswith(self._prefix):
                     part = status.name.removeprefix(self._prefix)
                     values = {item.key: item.value for item in status.values}
                     self.statuses.append(Status(received_ns, part, status.level[0], status.message, values))
-        if self._state is not None:
-            for data, received_ns in _taken(self._state, raw=True):
-                _, first, second = self._unpack(data)
-                self.valves.append(Row(received_ns, "voltage", (first, second), False))
 
     def latest(self, part: str) -> Status | None:
         """The newest status of a part; None if there is none."""
@@ -101,19 +79,8 @@ class Watcher:
         """How many listen to the reference."""
         return int(self._reference.get_subscription_count())
 
-    def set_time(self, now_ns: int) -> None:
-        """Publish ``/clock`` [ns]."""
-        assert self._clock is not None
-        message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
-        self._clock.publish(message)
-
     def clear(self, node: str) -> tuple[bool, str]:
-        """Ask a node to clear its stop; whether it did, and what it says.
-
-        Raises:
-            ProcessFailed: it does not answer.
-        """
+        """Ask a node to clear its stop; whether it did, and what it says."""
         name = f"{node}/clear_stop"
         if name not in self._clients:
             self._clients[name] = self._caller.create_client(Trigger, name)
@@ -135,11 +102,11 @@ class Watcher:
         self._node.destroy_publisher(publisher)
 
 
-def _taken(subscription: Any, raw: bool) -> list[tuple[Any, int]]:
+def _taken(subscription: Any) -> list[tuple[Any, int]]:
     """Messages with the time of their reception [ns since 1970], oldest first."""
     messages = []
     with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, raw)) is not None:
+        while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
             messages.append((taken[0], taken[1]["received_timestamp"]))
     return messages
 

@@ -48,8 +48,7 @@ def parser() -> common.Parser:
     out.add_argument("--docs", type=Path, metavar="FILE", help="write the page as Markdown as well (docs/pamy.md)")
     out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
     out.add_argument("--no-figures", action="store_true", help="leave the figure out of report.html")
-    common.add_json(out)
-    common.add_open(out)
+    out.shared("--json", "--open")
     return out
 
 

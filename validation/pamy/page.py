@@ -12,7 +12,7 @@ from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
-from pam_antagonist.report.identify_episodes import regulators_numbers, regulators_sentences, regulators_table
+from pam_antagonist.report.identify_episodes import regulators_sentences, regulators_table
 from pam_antagonist.report.table import Table, number, percent
 from validation.pamy import network
 
@@ -176,6 +176,6 @@ def numbers(result: ArmResult, hashes: tuple[str, ...]) -> Mapping[str, object]:
         **report.EpisodesDiagnoseResult(result.found, result.joint, hashes).to_json(),
         "baselines_deg": result.baselines,
         "commanded_deg": result.commanded,
-        "regulators": regulators_numbers(result.regulators),
+        "regulators": result.regulators.to_json(),
         "took_s": result.took,
     }

@@ -28,52 +28,22 @@ _ROUNDS, _TOLERANCE = 20_000, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """x(k+1) = A x + B u + K e, y = C x + D u + e with e ~ N(0, S), in scaled deviations from the means.
+    """x(k+1) = A x + B u + K e, y = C x + D u + e, in scaled deviations from the means; n states.
 
-    Attributes:
-        order: past samples in the regression; the state is that many outputs and inputs.
-        a: (n, n).
-        b: (n, 3), for [u_1, u_2, 1].
-        c: (3, n).
-        d: (3, 3).
-        k: (n, 3).
-        noise: S (3, 3).
-        middle: means of [ψ, P_1, P_2, u_1, u_2].
-        scale: their standard deviations.
-        gain: of the stationary filter on the pressures (n, 2).
-        angle_gain: of the angle on the pressures' innovation (2,).
-        angle_variance: of the filtered angle, in squares of its scale.
-        innovation: covariance of the pressures' innovations (2, 2).
+    ``gain`` and ``angle_gain`` are those of the stationary filter on the pressures; u is [u_1, u_2, 1].
     """
 
-    order: int
-    a: Floats
-    b: Floats
-    c: Floats
-    d: Floats
-    k: Floats
-    noise: Floats
-    middle: Floats
-    scale: Floats
-    gain: Floats
-    angle_gain: Floats
-    angle_variance: float
-    innovation: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class LinearEstimate:
-    """An estimate of the linear filter.
-
-    Attributes:
-        angle: (N,) in the unit it was identified in.
-        angle_variance: in the square of it.
-        nis: normalised innovation squared (N // STEP,).
-    """
-
-    angle: Floats
-    angle_variance: float
-    nis: Floats
+    order: int  # past samples in the regression; the state is that many outputs and inputs
+    a: Floats  # (n, n)
+    b: Floats  # (n, 3)
+    c: Floats  # (3, n)
+    d: Floats  # (3, 3)
+    middle: Floats  # means of [ψ, P_1, P_2, u_1, u_2]
+    scale: Floats  # their standard deviations
+    gain: Floats  # (n, 2)
+    angle_gain: Floats  # of the angle on the pressures' innovation (2,)
+    angle_variance: float  # of the filtered angle, in squares of its scale
+    innovation: Floats  # covariance of the pressures' innovations (2, 2)
 
 
 def averaged(values: Floats) -> Floats:
@@ -83,15 +53,10 @@ def averaged(values: Floats) -> Floats:
 
 
 def identify(angle: Floats, pressure: Floats, voltage: Floats) -> LinearModel:
-    """A linear model from a recording with the angle measured.
+    """A linear model from angles (N,), pressures (N, 2) and voltages (N, 2).
 
     The order is the one whose filter errs least in the angle on the last third, which the others are not fitted to; the
     model is then fitted to all of it.
-
-    Args:
-        angle: (N,) [rad].
-        pressure: (N, 2) [Pa].
-        voltage: (N, 2) [V].
     """
     y, u = averaged(np.column_stack([angle, pressure])), averaged(voltage)
     middle = np.concatenate([y.mean(axis=0), u.mean(axis=0)])
@@ -128,15 +93,11 @@ def _realised(y: Floats, u: Floats, order: int, middle: Floats, scale: Floats) -
     b[3:5, :2] = np.eye(2)
     a[5:, :-5] = np.eye(n - 5)
     gain, angle_gain, variance, innovation = _stationary(a, c, k, noise)
-    return LinearModel(order, a, b, c, d, k, noise, middle, scale, gain, angle_gain, variance, innovation)
+    return LinearModel(order, a, b, c, d, middle, scale, gain, angle_gain, variance, innovation)
 
 
 def _stationary(a: Floats, c: Floats, k: Floats, noise: Floats) -> tuple[Floats, Floats, float, Floats]:
-    """The stationary filter when only the pressures are measured.
-
-    Returns:
-        Its gain (n, 2), the angle's gain (2,) and variance, the innovations' covariance (2, 2).
-    """
+    """The filter of the pressures alone: gain (n, 2), the angle's gain (2,) and variance, innovations' covariance."""
     seen = c[_PRESSURES]
     q, r, s = k @ noise @ k.T, noise[_PRESSURES, _PRESSURES], k @ noise[:, _PRESSURES]
     # The recursion itself: the shift of old samples in A makes the usual solvers of its fixed point fail.
@@ -174,23 +135,20 @@ def _filter(model: LinearModel, pressure: Floats, voltage: Floats) -> tuple[Floa
     return angle, innovation
 
 
-def estimate(model: LinearModel, pressure: Floats, voltage: Floats) -> LinearEstimate:
-    """The angle from pressures and voltages alone.
+def estimate(model: LinearModel, pressure: Floats, voltage: Floats) -> tuple[Floats, float, Floats]:
+    """The angle from pressures (N, 2) and voltages (N, 2) alone.
 
-    Args:
-        model: the linear model.
-        pressure: (N, 2) [Pa].
-        voltage: (N, 2) [V].
-
-    Returns:
-        The angle at all N samples, straight between the middles of the averages (which looks ahead by up to
-        20 ms: to the linear model's advantage), and the normalised innovations squared of the averages.
+    Returns the angle at all N samples, straight between the middles of the averages (which looks ahead by up to 20
+    ms: to the linear model's advantage), its variance, and the normalised innovations squared of the averages.
     """
     y = (averaged(pressure) - model.middle[1:3]) / model.scale[1:3]
     u = (averaged(voltage) - model.middle[3:]) / model.scale[3:]
     value, innovation = _filter(model, y, u)
     value = value * model.scale[_ANGLE] + model.middle[_ANGLE]
     middles = (np.arange(len(value)) + 0.5) * STEP - 0.5
-    angle = np.interp(np.arange(len(pressure)), middles, value)
     nis = np.einsum("ti,ij,tj->t", innovation, np.linalg.inv(model.innovation), innovation)
-    return LinearEstimate(angle, model.angle_variance * float(model.scale[_ANGLE]) ** 2, nis)
+    return (
+        np.interp(np.arange(len(pressure)), middles, value),
+        model.angle_variance * float(model.scale[_ANGLE]) ** 2,
+        nis,
+    )

@@ -1,18 +1,17 @@
-"""The report on the paper's experiments: page, document and Markdown of the same results."""
+"""The paper's experiments as a page in Markdown with pictures, and as JSON."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from pam_antagonist.report.document import Block, Document, Findings, Section, Text
-from pam_antagonist.report.document import Finding as HtmlFinding
-from pam_antagonist.report.table import Table, number
+import pandas as pd
+
+from pam_antagonist.report.table import MISSING, Table, markdown, number
 from pam_antagonist.software import versions
-from validation.paper.result import HEADER, Beside, Result
-from validation.paper.scenario import Scenario
+from pam_antagonist.strict_json import write_json
+from validation.paper.experiments import EXPERIMENTS, Done
+from validation.paper.virtual import DECLARED, Mismatch, VirtualRig
 
 SOURCE = (
     "T. Shin, T. Ibayashi, K. Kogiso, “Detailed Dynamic Model of Antagonistic PAM System and its Experimental "
@@ -23,184 +22,93 @@ CAUTION = (
     "estimator do not know. They show how models and estimators compare under these mismatches. They say nothing about "
     "a real joint. The paper's numbers are of its authors' real rig and stand beside ours for comparison only."
 )
-MARK = "<!-- Written by `./run paper --docs FILE`; do not edit. -->"
-_UNITS = ("%", "ms")
-_WIDTHS = (27, 20, 10, 43)
+_HEADER = ("What", "Virtual rig (ours): median (range)", "Paper (real rig)", "On the difference")
 
 
-def beside(items: Sequence[Beside]) -> Table:
-    """Numbers beside the paper's; a sentence that stands for several numbers in a row is said once."""
-    rows, last = [], ""
-    for item in items:
-        *cells, why = item.cells
-        rows.append((*cells, "″" if why == last else why))
-        last = why
-    return Table(HEADER, tuple(rows), prose=True, widths=_WIDTHS)
+def _scale(unit: str) -> tuple[float, str]:
+    return (100.0 if unit == "%" else 1.0), "" if unit == "-" else unit if unit == "°" else f" {unit}"
 
 
-def overview(results: Sequence[Result]) -> Table:
-    """The ratios and times that the paper gives, in one table."""
-    rows = [
-        (result.title, *item.cells[:3])
-        for result in results
-        for item in result.beside
-        if item.paper is not None and item.unit in _UNITS
-    ]
-    return Table(("Experiment", "What", "Virtual rig (ours)", "Paper (real rig)"), tuple(rows))
+def _ours(row: Any) -> str:
+    scale, unit = _scale(row["unit"])
+    middle, *ends = (number(scale * row[key]) for key in ("median", "min", "max"))
+    return middle + (f" ({' … '.join(ends)})" if row["count"] > 1 else "") + unit
 
 
-def mismatches(scenario: Scenario, seeds: Sequence[int]) -> Table:
-    """What the virtual rigs are."""
-    size = scenario.mismatch
-    return Table(
-        ("Mismatch", "Size"),
-        (
-            ("declared rig", scenario.rig),
-            ("parameters", f"{100 * size.parameters:g} % standard deviation of each group (simulation/plant.py)"),
-            ("valve curves", f"{100 * size.valve_curve:g} % standard deviation of each knot's open rate"),
-            (
-                "hysteresis of the force",
-                f"{size.hysteresis.amplitude:g} N to either side, {100 * size.hysteresis.spread:g} % from muscle to "
-                "muscle; the declared rig has none",
-            ),
-            ("sensors", "noise and steps of the declared rig"),
-            (
-                "virtual rigs",
-                f"{len(seeds)}, seeds {min(seeds)} to {max(seeds)}; figures and live runs show seed {seeds[0]}",
-            ),
-        ),
-    )
+def _theirs(row: Any) -> str:
+    scale, unit = _scale(row["unit"])
+    return MISSING if pd.isna(row["paper"]) else f"{scale * row['paper']:.6g}{unit}"
 
 
-def page(results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]) -> Document:
-    """The report as a page.
-
-    Args:
-        results: of the experiments.
-        scenario: of the virtual rigs.
-        seeds: of the virtual rigs.
-        took: time by part [s].
-    """
-    parts: list[Block] = [Text(f"After {SOURCE}.", "lede"), Text(CAUTION, "verdict")]
-    # A figure comes first, before the tables push it below the first screen.
-    first = next((result for result in results if result.figures), None)
-    if first is not None:
-        parts.append(first.figures[0])
-    shown = overview(results)
-    if shown.rows:
-        parts.append(Section("Beside the paper", (replace(shown, prose=True),), 2, "overview"))
-    parts.append(Section("The virtual rigs", (replace(mismatches(scenario, seeds), prose=True),), 2, "rigs"))
-    for result in results:
-        parts.append(Section(result.title, _section(result, result is first), 2, result.name))
-    parts.append(Section("How long it took", (_times(took),), folded=True))
-    return Document(
-        "The paper's experiments on a virtual rig",
-        "Everything the paper shows, beside its numbers",
-        tuple(parts),
-    )
-
-
-def _section(result: Result, begun: bool) -> tuple[Block, ...]:
-    """What one experiment gave; where it is begun, its first figure is at the top of the page."""
-    above = " Its first figure is at the top of the page." if begun else ""
-    out: list[Block] = [Text(result.question + above)]
-    if result.beside:
-        out.append(beside(result.beside))
-    if result.findings:
-        out.append(Findings(tuple(HtmlFinding("note", text) for text in result.findings)))
-    return (*out, *result.tables, *result.figures[1 if begun else 0 :])
-
-
-def _times(took: Mapping[str, float]) -> Table:
-    return Table(("Part", "Time [s]"), tuple((name, number(seconds)) for name, seconds in took.items()))
-
-
-def document(
-    results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], took: Mapping[str, float]
-) -> dict[str, Any]:
-    """What goes into ``report.json``.
-
-    Args:
-        results: of the experiments.
-        scenario: of the virtual rigs.
-        seeds: of the virtual rigs.
-        took: time by part [s].
-    """
-    return {
-        "source": SOURCE,
-        "caution": CAUTION,
-        "virtual_rig": {
-            "scenario": scenario.name,
-            "declared": scenario.rig,
-            "profile": scenario.profile,
-            "parameters": scenario.mismatch.parameters,
-            "valve_curve": scenario.mismatch.valve_curve,
-            "hysteresis": {
-                "amplitude_n": scenario.mismatch.hysteresis.amplitude,
-                "spread": scenario.mismatch.hysteresis.spread,
-                "width_m": scenario.mismatch.hysteresis.width,
-            },
-            "seeds": list(seeds),
-        },
-        "experiments": {result.name: result.document() for result in results},
-        "seconds": dict(took),
-        "software": versions(),
-    }
-
-
-def markdown(
-    results: Sequence[Result], scenario: Scenario, seeds: Sequence[int], places: Mapping[str, Sequence[str]]
-) -> str:
-    """The report as Markdown, for ``docs/paper.md``: numbers beside the paper's, what follows, pictures.
-
-    Args:
-        results: of the experiments.
-        scenario: what the virtual rigs are.
-        seeds: of the virtual rigs.
-        places: by experiment, where the picture of each of its figures is, as seen from the Markdown file.
-    """
-    lines = [
-        MARK,
-        "",
-        "# Everything the paper shows, beside its numbers",
-        "",
-        f"After {SOURCE}.",
-        "",
-        f"**{CAUTION}**",
-        "",
-    ]
-    lines += [
-        "`./run paper --out DIR` makes all of it again. `DIR/report.html` has further tables and figures to zoom into; "
-        "`DIR/report.json` holds every number of every seed; `--docs FILE` writes this file and its pictures. Median "
-        "(least … largest) over the virtual rigs throughout; ″ stands for the sentence above.",
-        "",
-    ]
-    lines += [*_table(mismatches(scenario, seeds)), ""]
-    for result in results:
-        lines += [f"## {result.title}", "", result.question, ""]
-        if result.beside:
-            lines += [*_table(_together(beside(result.beside))), ""]
-        lines += [f"* {text}" for text in result.findings]
-        lines += [""] if result.findings else []
-        for figure, place in zip(result.figures, places[result.name], strict=True):
-            alt = re.sub(r"([\[\]\\])", r"\\\1", figure.title)
-            lines += [f"![{alt}]({place})", ""]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _together(table: Table) -> Table:
-    """The same with 𝕀, 𝕄 and ℚ of one quantity in one row."""
+def beside(done: Done, name: str) -> Table:
+    """Numbers beside the paper's; 𝕀, 𝕄 and ℚ of one quantity share a row."""
     rows: list[tuple[str, ...]] = []
-    for what, ours, paper, why in table.rows:
-        if rows and why == "″" and what[:-1] == rows[-1][0][: len(what) - 1] and what[-1] in "𝕄ℚ":
-            rows[-1] = (f"{rows[-1][0]}, {what[-1]}", f"{rows[-1][1]}, {ours}", f"{rows[-1][2]}, {paper}", rows[-1][3])
+    for what, row in done.beside(name).astype(object).iterrows():
+        before = rows[-1][0].partition(", 𝕀")[0] if rows else ""
+        if str(what)[-1] in "𝕄ℚ" and rows and before == str(what)[:-3]:
+            first, *cells, why = rows[-1]
+            more = (_ours(row), _theirs(row))
+            joined = (f"{a}, {b}" if b != MISSING else a for a, b in zip(cells, more, strict=True))
+            rows[-1] = (f"{first}, {str(what)[-1]}", *joined, why)
         else:
-            rows.append((what, ours, paper, why))
-    return Table(table.header, tuple((*cells[:2], re.sub("^–(, –)+$", "–", cells[2]), cells[3]) for cells in rows))
+            rows.append((str(what), _ours(row), _theirs(row), row["why"]))
+    return Table(_HEADER, tuple(rows))
 
 
-def _table(table: Table) -> list[str]:
-    def line(cells: Sequence[str]) -> str:
-        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def overview(done: Done) -> Table:
+    """What the paper gives as a ratio or a time, in one table."""
+    rows = tuple(
+        (EXPERIMENTS[name].title, str(what), _ours(row), _theirs(row))
+        for name in done.values
+        for what, row in done.beside(name).astype(object).iterrows()
+        if not pd.isna(row["paper"]) and row["unit"] in ("%", "ms")
+    )
+    return Table(("Experiment", *_HEADER[:3]), rows)
 
-    return [line(table.header), line(["---"] * len(table.header)), *map(line, table.rows)]
+
+def write(done: Done, folder: Path, with_figures: bool) -> None:
+    """Write ``paper.md``, its pictures in ``paper/``, and ``report.json`` into a folder."""
+    size = Mismatch()
+    seeds = f"{len(done.seeds)}, seeds {min(done.seeds)} to {max(done.seeds)}"
+    about = Table(("Mismatch", "Size"), (
+        ("declared rig", DECLARED),
+        ("parameters", f"{100 * size.parameters:g} % standard deviation of each group (simulation/plant.py)"),
+        ("valve curves", f"{100 * size.valve_curve:g} % standard deviation of each knot's open rate"),
+        ("hysteresis of the force", f"{size.amplitude:g} N to either side, {100 * size.spread:g} % from muscle to "
+                                    f"muscle; "
+                                    "the declared rig has none"),
+        ("sensors", "noise and steps of the declared rig"),
+        ("virtual rigs", f"{seeds}; figures and live runs show seed {done.seeds[0]}"),
+    ))  # fmt: skip
+    lines = [
+        "# Everything the paper shows, beside its numbers", "", f"After {SOURCE}.", "", f"**{CAUTION}**", "",
+        "`./run paper --out DIR` makes all of it again: `DIR/paper.md` is this page, `DIR/report.json` has the values "
+        "of",
+        "every virtual rig. Median (least … largest) over the virtual rigs throughout.", "", *markdown(about), "",
+    ]  # fmt: skip
+    for name, values in done.values.items():
+        one = EXPERIMENTS[name]
+        lines += [f"## {one.title}", "", one.question, "", *markdown(beside(done, name)), ""]
+        said = one.said(values)
+        lines += [*(f"* {text}" for text in said), ""] if said else []
+        if with_figures:
+            drawn = one.figures(VirtualRig(done.seeds[0]), values)
+            for label, figure in drawn.items():
+                picture = folder / "paper" / f"{'_'.join(filter(None, (name, label)))}.png"
+                picture.parent.mkdir(exist_ok=True)
+                figure.savefig(picture, dpi=110)
+                lines += [f"![{one.title}](paper/{picture.name})", ""]
+    (folder / "paper.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    content = {
+        name: {
+            "title": EXPERIMENTS[name].title,
+            "beside_the_paper": done.beside(name).reset_index(names="what").astype(object).where(pd.notna, None)
+            .to_dict("records"),
+            "of_seed": values.astype(object).where(pd.notna, None).to_dict("index"),
+        }
+        for name, values in done.values.items()
+    }  # fmt: skip
+    for entry in content.values():
+        entry["of_seed"] = {str(seed): values for seed, values in entry["of_seed"].items()}
+    seeds_and_time = {"seeds": list(done.seeds), "seconds": done.seconds, "software": versions()}
+    write_json(folder / "report.json", {"source": SOURCE, "caution": CAUTION, "experiments": content, **seeds_and_time})

@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pandas as pd
 
 from pam_antagonist.cli import common
 from pam_antagonist.report import terminal
-from pam_antagonist.report.figure import Axis, Figure, Line, Panel
 from pam_antagonist.report.style import PALETTE
 from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
 from pam_antagonist.software import versions
 from validation.peers.joints import ARM
-from validation.pictures import picture
 
 _WORDS = {
     "linear": "linear map of the two pressures",
@@ -30,8 +28,15 @@ _WORDS = {
     "sindy": "identify, and PySINDy on what it leaves",
     "gp_residual": "identify, and a Gaussian process on what it leaves",
 }
-_SENSORS = ("linear", "lagged", "gp", "gru", "before", "identified", "after", "ekf", "filterpy")
-_ALONE = ("before", "identified", "after", "sindy", "gp_residual")
+_SENSORS = {name: words for name, words in _WORDS.items() if name not in ("sindy", "gp_residual")}
+_ALONE = {
+    "before": "our model, as configured",
+    "identified": "our model, after identify",
+    "after": "our model, after close_loop",
+    **{name: _WORDS[name] for name in ("sindy", "gp_residual")},
+}
+_COLUMNS = ("joint", "peer", "part", "whole_s", "why", "cpu_s", "rmse_deg", "coverage", "alone_deg", "before_deg",
+            "numbers", "said")  # fmt: skip
 CURVES = ("linear", "lagged", "gp", "gru", "after")
 _SHORT = {"rig_a_lab/supply_droop": "rig A, supply that droops", ARM: "the arm"}
 _TEXT = """\
@@ -54,97 +59,85 @@ Ours beside what others would use. This page is written by a command; the record
 """
 
 
-def _latest(done: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], Mapping[str, Any]]:
-    """Entries that were fitted to all, by joint and peer."""
-    return {(item["joint"], item["peer"]): item for item in done if item["part"] is None}
+def _frame(done: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """The entries, with a column for the error of the model alone; the arm's ``before`` is in its ``after``."""
+    frame = pd.DataFrame(done).reindex(columns=[*_COLUMNS]).set_index(["peer", "joint"], drop=False)
+    arm = frame[(frame.joint == ARM) & (frame.peer == "after")]
+    before = arm.assign(peer="before", alone_deg=arm.before_deg, rmse_deg=None).set_index(["peer", "joint"], drop=False)
+    return pd.concat([frame[(frame.joint != ARM) | (frame.peer != "before")], before])
 
 
-def _joints(done: Sequence[Mapping[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(item["joint"] for item in done))
+def _whole(done: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Entries that were fitted to all."""
+    frame = _frame(done)
+    return frame[frame.part.isna()].groupby(level=[0, 1], sort=False).tail(1)
 
 
 def _short(joint: str) -> str:
     return _SHORT.get(joint, f"the {Path(joint).name}")
 
 
-def _range(values: Sequence[float], digits: int = 2) -> str:
-    known = sorted(values)
-    if not known:
-        return MISSING
-    ends = [f"{value:.0f}" if value >= 100.0 else number(value, digits) for value in (known[0], known[-1])]
+def _range(values: pd.Series) -> str:
+    ends = [f"{value:.0f}" if value >= 100.0 else number(value, 2) for value in (values.min(), values.max())]
     return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
+
+
+def _table(first: str, found: pd.DataFrame, error: str, peers: Mapping[str, str], more: bool) -> Table:
+    """A row a peer, a column a joint: errors, with coverage where there is one."""
+    joints = list(dict.fromkeys(found.joint))
+    rows = []
+    for peer, words in peers.items():
+        mine = found[(found.peer == peer) & found[error].notna()]
+        if mine.empty:
+            continue
+        cells = []
+        for joint in joints:
+            one = mine[mine.joint == joint]
+            covered = "" if not more or one.coverage.isna().all() else f", {percent(float(one.coverage.iloc[0]))}"
+            cells.append(MISSING if one.empty else f"{number(float(one[error].iloc[0]))}°{covered}")
+        rows.append((words, *cells, *((_range(mine.numbers.astype(float)), _range(mine.cpu_s)) if more else ())))
+    last = ("numbers", "processor time [s]") if more else ()
+    return Table((first, *map(_short, joints), *last), tuple(rows))
 
 
 def sensors_table(done: Sequence[Mapping[str, Any]]) -> Table:
     """Errors of what estimates the angle from the pressures, with coverage, numbers and time."""
-    known, names = _latest(done), _joints(done)
-
-    def cell(joint: str, peer: str) -> str:
-        item = known.get((joint, peer))
-        value = None if item is None else item.get("rmse_deg")
-        if value is None:
-            return MISSING
-        covered = item["coverage"] if item is not None else None
-        return f"{number(value)}°" + ("" if covered is None else f", {percent(covered)}")
-
-    rows = []
-    for peer in _SENSORS:
-        items = [known[joint, peer] for joint in names if known.get((joint, peer), {}).get("rmse_deg") is not None]
-        if items:
-            numbers, times = ([float(item[key]) for item in items] for key in ("numbers", "cpu_s"))
-            rows.append((_WORDS[peer], *(cell(joint, peer) for joint in names), _range(numbers), _range(times)))
-    return Table(("peer", *map(_short, names), "numbers", "processor time [s]"), tuple(rows))
+    return _table("peer", _whole(done), "rmse_deg", _SENSORS, more=True)
 
 
 def alone_table(done: Sequence[Mapping[str, Any]]) -> Table:
     """Errors of free runs from the inputs alone; of the arm, from its measured pressures."""
-    known, names = _latest(done), _joints(done)
-
-    def value(joint: str, peer: str) -> float | None:
-        item = known.get((joint, "after" if joint == ARM else peer), {})
-        if joint == ARM:
-            return {"before": item.get("before_deg"), "after": item.get("alone_deg")}.get(peer)
-        found = item.get("alone_deg")
-        return None if found is None else float(found)
-
-    words = {"before": "our model, as configured", "identified": "our model, after identify",
-             "after": "our model, after close_loop"}  # fmt: skip
-
-    def cell(joint: str, peer: str) -> str:
-        found = value(joint, peer)
-        return MISSING if found is None else f"{number(found)}°"
-
-    rows = tuple((words.get(peer, _WORDS[peer]), *(cell(joint, peer) for joint in names)) for peer in _ALONE)
-    return Table(("model alone", *map(_short, names)), rows)
+    return _table("model alone", _whole(done), "alone_deg", _ALONE, more=False)
 
 
 def said_table(done: Sequence[Mapping[str, Any]]) -> Table:
     """What close_loop said."""
-    known = _latest(done)
-    rows = ((_short(joint), str(known[joint, "after"].get("said") or MISSING)) for joint in _joints(done)
-            if (joint, "after") in known)  # fmt: skip
-    return Table(("joint", "close_loop says"), tuple(rows))
+    found = _whole(done)
+    said = found[(found.peer == "after") & found.said.notna()]
+    return Table(("joint", "close_loop says"), tuple((_short(one.joint), one.said) for one in said.itertuples()))
 
 
-def curves_figure(done: Sequence[Mapping[str, Any]]) -> Figure | None:
-    """Held-out error against the length of what was fitted, a panel for each joint."""
-    panels: list[Panel] = []
-    for joint in _joints(done):
-        series = []
-        for peer, color in zip(CURVES, PALETTE, strict=False):
-            error = "alone_deg" if joint == ARM and peer == "after" else "rmse_deg"
-            mine = [item for item in done if (item["joint"], item["peer"]) == (joint, peer)]
-            points = sorted((item["part"] or item["whole_s"], item[error]) for item in mine if item.get(error))
-            if len(points) > 1:
-                x, y = np.array(points, float).T
-                series.append(Line(_WORDS[peer], x, y, color, width=2.0, quiet=bool(panels)))
-        if series:
-            axis = Axis("Error [°]" if not panels else "", log=True)
-            panels.append(Panel(Axis("Fitted [s]", log=True), axis, tuple(series), 260, _short(joint)))
-    if not panels:
+def curves_figure(done: Sequence[Mapping[str, Any]]) -> Any:
+    """Held-out error against the length of what was fitted, a panel for each joint; None where there is no curve."""
+    from matplotlib.figure import Figure
+
+    frame = _frame(done)
+    alone = (frame.joint == ARM) & (frame.peer == "after")
+    frame = frame.assign(error=frame.rmse_deg.where(~alone, frame.alone_deg), length=frame.part.fillna(frame.whole_s))
+    frame = frame[frame.error.notna() & frame.peer.isin(CURVES)]
+    frame = frame[frame.groupby(level=[0, 1]).error.transform("count") > 1]
+    joints = list(dict.fromkeys(frame.joint))
+    if not joints:
         return None
-    about = "Held-out error of the angle against the length of what was fitted."
-    return Figure("Data needed", about, tuple(panels), beside=True)
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    for axes, joint in zip(figure.subplots(1, len(joints), squeeze=False)[0], joints, strict=True):
+        for peer, color in zip(CURVES, PALETTE, strict=False):
+            mine = frame[(frame.joint == joint) & (frame.peer == peer)].sort_values("length")
+            axes.loglog(mine.length, mine.error, "o-", color=color, markersize=3, label=_WORDS[peer])
+        axes.set(title=_short(joint), xlabel="Fitted [s]")
+    figure.axes[0].set_ylabel("Error [°]")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
+    return figure
 
 
 def texts(done: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -164,10 +157,15 @@ def write(done: Sequence[Mapping[str, Any]], path: Path) -> None:
     if figure is not None:
         folder = path.with_suffix("")
         folder.mkdir(exist_ok=True)
-        (folder / "curves.png").write_bytes(picture(figure))
-        lines += ["## Data needed", "", f"![{figure.about}]({folder.name}/curves.png)", ""]
-    why = [f"* {_short(item['joint'])}, {_WORDS[item['peer']]}: {item['why']}" for item in _latest(done).values()
-           if item["why"] and not (item["joint"] == ARM and item["peer"] == "before")]  # fmt: skip
+        figure.savefig(folder / "curves.png", dpi=110)
+        lines += [
+            "## Data needed",
+            "",
+            f"![Held-out error of the angle against the length of what was fitted]({folder.name}/curves.png)",
+            "",
+        ]
+    failed = _whole(done)[lambda found: found.why.notna()]
+    why = [f"* {_short(one.joint)}, {_WORDS[one.peer]}: {one.why}" for one in failed.itertuples()]
     lines += ["## What gave no figure", "", *why, ""] if why else []
     lines += ["Software: " + ", ".join(f"{name} {version}" for name, version in versions().items()) + ".", ""]
     common.write_text(path, "\n".join(lines))

@@ -20,17 +20,11 @@ _PENALTIES = tuple(10.0 ** np.arange(-6.0, 3.0))
 
 @dataclass(frozen=True)
 class Sensed:
-    """What a soft sensor says of the held-out courses.
+    """What a soft sensor says of the held-out courses."""
 
-    Attributes:
-        angle: of each course (N,) [rad].
-        std: of each, or None where it gives none.
-        numbers: that were fitted or kept.
-    """
-
-    angle: list[Floats]
-    std: list[Floats] | None
-    numbers: int
+    angle: list[Floats]  # of each course (N,) [rad]
+    std: list[Floats] | None  # of each, or None where it gives none
+    numbers: int  # that were fitted or kept
 
 
 Sensor = Callable[[Sequence[Course], Sequence[Course]], Sensed]

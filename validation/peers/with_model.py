@@ -20,17 +20,11 @@ from validation.peers.joints import Floats, Joint
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of an angle on held-out samples.
+    """Errors of an angle on held-out samples."""
 
-    Attributes:
-        rmse_deg: of all samples together.
-        coverage: share of the samples in their 95 % interval; None where there is none.
-        alone_deg: of the model alone, from its inputs only; None where it was not run.
-    """
-
-    rmse_deg: float
-    coverage: float | None
-    alone_deg: float | None = None
+    rmse_deg: float  # of all samples together
+    coverage: float | None  # share of the samples in their 95 % interval; None where there is none
+    alone_deg: float | None = None  # of the model alone, from its inputs only; None where it was not run
 
 
 def errors(pieces: Sequence[tuple[Floats, Floats, Floats | None]]) -> Errors:

@@ -37,38 +37,23 @@ _PLANT_STEP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Laboratory:
-    """A rig of a laboratory.
+    """A rig of a laboratory."""
 
-    Attributes:
-        name: of the rig, with what it is.
-        typed: the rig file, from ruler and data sheets.
-        fit: recordings for the identification.
-        held: recordings of another day.
-        truth: true values by name of the unknown; empty where the simulator has other laws.
-    """
-
-    name: str
-    typed: Rig
-    fit: Sequence[Recording]
-    held: Sequence[Recording]
-    truth: dict[str, float]
+    name: str  # of the rig, with what it is
+    typed: Rig  # the rig file, from ruler and data sheets
+    fit: Sequence[Recording]  # recordings for the identification
+    held: Sequence[Recording]  # recordings of another day
+    truth: dict[str, float]  # true values by name of the unknown
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How a laboratory records: what is drawn besides the values of the joint.
+    """How a laboratory records: what is drawn besides the values of the joint."""
 
-    Attributes:
-        regulators: in place of valves.
-        trials: short trials, each from rest, in place of a long recording.
-        period: of the log [s].
-        hysteresis: that nobody declared, as a share of a muscle's force.
-    """
-
-    regulators: bool
-    trials: bool
-    period: float
-    hysteresis: float
+    regulators: bool  # in place of valves
+    trials: bool  # short trials, each from rest, in place of a long recording
+    period: float  # of the log [s]
+    hysteresis: float  # that nobody declared, as a share of a muscle's force
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Kind:
@@ -147,64 +132,8 @@ def targets(rng: np.random.Generator, times: Floats, low: float, high: float) ->
     return out
 
 
-class Logged:
-    """What a laboratory logs of a simulated joint.
-
-    Args:
-        typed: the rig file.
-        period: of the simulation's rows [s].
-        every: the log has every so many rows.
-        zero: reading of the encoder at ψ = 0 [rad].
-        late: by how much the readings of the angle are late [s].
-    """
-
-    def __init__(self, typed: Rig, period: float, every: int, zero: float, late: float) -> None:
-        self.typed, self.period, self.every, self.zero, self.late = typed, period, every, zero, late
-
-    def recording(
-        self, step: Callable[[Floats], tuple[Floats, float]], seconds: float, rng: np.random.Generator, name: str
-    ) -> Recording:
-        """A recording.
-
-        Args:
-            step: of the simulated joint, by its commands (2,), to the readings of pressures [Pa] and angle [rad].
-            seconds: of the recording.
-            rng: for the motion.
-            name: of the recording.
-        """
-        typed = self.typed
-        count = round(seconds / self.period / self.every) * self.every
-        time: Floats = self.period * np.arange(1, count + 1, dtype=np.float64)
-        low, high = typed.atmosphere.pressure + 0.4e5, typed.supply.pressure - 0.5e5
-        asked = targets(rng, time, low, high)
-        middle = 0.5 * (typed.valves.voltage_min + typed.valves.voltage_max)
-        pressure, command, angle = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
-        now = np.full(2, typed.atmosphere.pressure)
-        given = asked[0]
-        for k in range(count):
-            if k % self.every == 0:
-                given = asked[k]
-                if typed.drive == "valve":
-                    # A loop that jumps over the closed middle, as such loops do.
-                    apart = asked[k] - now
-                    given = np.clip(middle + 8e-5 * apart + 0.4 * np.tanh(apart / 5e3), 0.0, 10.0)
-            now, angle[k] = step(given)
-            pressure[k], command[k] = now, given
-        shown = np.interp(time - self.late, time, angle) + self.zero
-        rows = slice(self.every - 1, None, self.every)
-        return Recording(
-            path=Path(name), stamp_ns=np.rint(time[rows] * 1e9).astype(np.int64) + 10**18, pressure=pressure[rows],
-            voltage=command[rows], angle=shown[rows], torque=None, drive=typed.drive,
-        )  # fmt: skip
-
-
 def laboratory(seed: int, declared: bool = False) -> Laboratory:
-    """A fresh rig.
-
-    Args:
-        seed: of everything.
-        declared: whether there is nothing that nobody declared.
-    """
+    """A fresh rig."""
     rng = np.random.default_rng(seed)
     kind = Kind.drawn(rng)
     kind = replace(kind, hysteresis=0.0) if declared else kind
@@ -214,28 +143,39 @@ def laboratory(seed: int, declared: bool = False) -> Laboratory:
     every = max(round(kind.period / _PLANT_STEP), 1)
     sensors = true.sensors.replaced(angle_step=math.radians(float(rng.choice([0.02, 0.05, 0.18]))))
     quick = true.replaced(sample_period=kind.period / every, sensors=sensors)
-    log = Logged(typed, quick.sample_period, every, truth[ZERO], truth[DELAY])
 
     def recorded(seconds: float, number: int) -> Recording:
         rest = None if kind.regulators else (2.5e5, 2.5e5)
         plant = Plant(quick, seed=1000 * seed + number, substeps=2, initial_pressure=rest)
-
-        def step(command: Floats) -> tuple[Floats, float]:
-            sample = plant.step(command)
-            return sample.pressure, sample.angle
-
-        return log.recording(step, seconds, np.random.default_rng((seed, number)), f"{name}_{number}")
+        count = round(seconds / quick.sample_period / every) * every
+        time: Floats = quick.sample_period * np.arange(1, count + 1, dtype=np.float64)
+        low, high = typed.atmosphere.pressure + 0.4e5, typed.supply.pressure - 0.5e5
+        asked = targets(np.random.default_rng((seed, number)), time, low, high)
+        middle = 0.5 * (typed.valves.voltage_min + typed.valves.voltage_max)
+        pressure, command, angle = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+        now, given = np.full(2, typed.atmosphere.pressure), asked[0]
+        for k in range(count):
+            if k % every == 0:
+                given = asked[k]
+                if typed.drive == "valve":
+                    # A loop that jumps over the closed middle, as such loops do.
+                    apart = asked[k] - now
+                    given = np.clip(middle + 8e-5 * apart + 0.4 * np.tanh(apart / 5e3), 0.0, 10.0)
+            sample = plant.step(given)
+            now, angle[k], command[k] = sample.pressure, sample.angle, given
+            pressure[k] = now
+        rows = slice(every - 1, None, every)
+        return Recording(
+            path=Path(f"{name}_{number}"), stamp_ns=np.rint(time[rows] * 1e9).astype(np.int64) + 10**18,
+            pressure=pressure[rows], voltage=command[rows],
+            angle=(np.interp(time - truth[DELAY], time, angle) + truth[ZERO])[rows], torque=None, drive=typed.drive,
+        )  # fmt: skip
 
     return Laboratory(f"{name} ({kind.words})", typed, *sets(recorded, kind.trials), truth)
 
 
 def sets(recorded: Callable[[float, int], Recording], trials: bool) -> tuple[list[Recording], list[Recording]]:
-    """Recordings to fit, and of another day: trials of 10 s, or a long one.
-
-    Args:
-        recorded: makes one, of a length [s] and with a number.
-        trials: whether they are short.
-    """
+    """Recordings to fit, and of another day: trials of 10 s, or a long one."""
     if trials:
         return [recorded(10.0, k) for k in range(9)], [recorded(10.0, k) for k in range(100, 103)]
     return [recorded(60.0, 0)], [recorded(30.0, 100)]

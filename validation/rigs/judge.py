@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+import pandas as pd
 
 from pam_antagonist import identify, replay
 from pam_antagonist.api.given import calibration
@@ -20,31 +20,26 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.unknowns import Fit
 from pam_antagonist.recording import Recording
-from validation.rigs import fresh, unlike
+from validation.battery.scores import interval
+from validation.rigs import fresh
 
 _DESCRIPTION = """\
 Identify fresh virtual rigs from a few minutes of recordings, and judge the result on recordings of another day.
 
-The rigs are of this package's own model, with values drawn from the priors of identify; with --unlike of a simulator
-that shares nothing with it. Each line has the filter's error, those of the rig file, the model alone and a linear map
-of the two pressures, the share of angles in their 95 % intervals, and how many values that identify calls determined
-have their true value in their 95 % interval. Half of the rigs have hysteresis that nobody declared (--declared: none).
+The rigs are of this package's own model, with values drawn from the priors of identify. Each line has the filter's
+error, those of the rig file, the model alone and a linear map of the two pressures, the share of angles in their 95 %
+intervals, and how many values that identify calls determined have their true value in their 95 % interval. Half of the
+rigs have hysteresis that nobody declared (--declared: none).
 It takes half a minute for each rig.
 """
 _EXAMPLES = """\
 examples:
   {run} rigs --out fresh.json --declared
-  {run} rigs --out unlike.json --unlike --count 6
 """
 
 
 def judged(lab: fresh.Laboratory, jobs: int = 2) -> dict[str, Any]:
-    """What ``identify`` makes of a laboratory's recordings, on those of another day.
-
-    Args:
-        lab: with its recordings.
-        jobs: threads.
-    """
+    """What ``identify`` makes of a laboratory's recordings, on those of another day."""
     try:
         return {"name": lab.name, **_judged(lab, jobs)}
     except BadInput as error:
@@ -107,34 +102,20 @@ def compared(fit: Fit, truth: dict[str, float]) -> dict[str, float]:
     }
 
 
-def interval(inside: int, count: int) -> tuple[float, float]:
-    """95 % interval of a share, by Clopper and Pearson."""
-    low = float(beta.ppf(0.025, inside, count - inside + 1)) if inside else 0.0
-    return low, float(beta.ppf(0.975, inside + 1, count - inside)) if inside < count else 1.0
-
-
 def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("rigs", _DESCRIPTION, _EXAMPLES)
     out.add_argument("--out", type=Path, required=True, metavar="FILE", help="file of the results (JSON)")
     out.add_argument("--first", type=int, default=0, metavar="SEED", help="first seed (default: 0)")
     out.add_argument("--count", type=int, default=20, metavar="N", help="number of rigs (default: 20)")
-    kind = out.add_mutually_exclusive_group()
-    kind.add_argument("--unlike", action="store_true", help="rigs of a simulator with other laws")
-    kind.add_argument("--declared", action="store_true", help="rigs without effects that nobody declared")
+    out.flag("--declared", "rigs without effects that nobody declared")
     return out
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _run, argv)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     results = []
     for seed in range(arguments.first, arguments.first + arguments.count):
-        lab = unlike.laboratory(seed) if arguments.unlike else fresh.laboratory(seed, arguments.declared)
-        results.append(judged(lab))
+        results.append(judged(fresh.laboratory(seed, arguments.declared)))
         print(_line(results[-1]), flush=True)
         arguments.out.write_text(json.dumps(results, indent=1))
     print(_total(results))
@@ -157,23 +138,24 @@ def _line(one: dict[str, Any]) -> str:
 
 def _total(results: Sequence[dict[str, Any]]) -> str:
     done = [one for one in results if "held" in one]
-    held = [one["held"] for one in done]
     if not done:
         return f"0 rigs of {len(results)}"
+    held = pd.DataFrame([one["held"] for one in done]).assign(range_deg=[one["range_deg"] for one in done])
     inside = [abs(z) <= _NORMAL for one in done for z in one["values"].values()]
-    low, high = interval(sum(inside), len(inside))
-    counts = {
-        "covered 85 to 99 %": sum(0.85 <= one["coverage"] <= 0.99 for one in held),
-        "not worse than the linear map": sum(one["identified"] <= one["linear"] for one in held),
-        "not worse than the model alone": sum(one["identified"] <= one["model_alone"] for one in held),
-        "not worse than the file of new_rig": sum(one["identified"] <= one["as_configured"] for one in held),
-    }
-    median = np.median([one["identified"] / one["range_deg"] for one in [{**a, **a["held"]} for a in done]])
+    low, high = interval(sum(inside), len(inside)) or (0.0, 1.0)
+    counts = {"covered 85 to 99 %": held.coverage.between(0.85, 0.99)}
+    others = {"linear": "linear map", "model_alone": "model alone", "as_configured": "file of new_rig"}
+    for other, words in others.items():
+        counts[f"not worse than the {words}"] = held.identified <= held[other]
+    median = (held.identified / held.range_deg).median()
     return "\n".join(
         [
             f"{len(done)} rigs of {len(results)}; median error {100 * median:.2f} % of the range",
-            *(f"{name}: {count}" for name, count in counts.items()),
+            *(f"{name}: {int(count.sum())}" for name, count in counts.items()),
             f"true values in their 95 % intervals: {sum(inside)} of {len(inside)} "
             f"(share {sum(inside) / max(len(inside), 1):.3f}, {low:.3f} to {high:.3f})",
         ]
     )
+
+
+main = common.command(parser, _run)

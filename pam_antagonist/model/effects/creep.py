@@ -26,11 +26,7 @@ from pam_antagonist.model.effects.base import (
 def relaxing_force(share, stiffness, static_force, muscle_length):
     """Force y [N] that relaxes: a share of the static force, and the tube's own spring.
 
-    Args:
-        share: φ [-].
-        stiffness: κ [N/m].
-        static_force: F of the static map [N].
-        muscle_length: l [m].
+    `share`: φ [-]. `stiffness`: κ [N/m]. `static_force`: F of the static map [N]. `muscle_length`: l [m].
     """
     return share * static_force - stiffness * muscle_length
 
@@ -39,12 +35,8 @@ def relaxing_force(share, stiffness, static_force, muscle_length):
 def late_force(share, stiffness, static_force, muscle_length, creep):
     """Force [N] that creep adds to the contraction force: the late force c minus the relaxing force y.
 
-    Args:
-        share: φ [-].
-        stiffness: κ [N/m].
-        static_force: F of the static map [N].
-        muscle_length: l_i [m].
-        creep: the late force c [N].
+    `share`: φ [-]. `stiffness`: κ [N/m]. `static_force`: F of the static map [N]. `muscle_length`: l_i [m]. `creep`:
+    the late force c [N].
     """
     return creep - relaxing_force(share, stiffness, static_force, muscle_length)
 
@@ -53,13 +45,8 @@ def late_force(share, stiffness, static_force, muscle_length, creep):
 def late_rate(share, stiffness, time, static_force, muscle_length, creep):
     """dc/dt [N/s]: the late force follows the relaxing force with the time constant.
 
-    Args:
-        share: φ [-].
-        stiffness: κ [N/m].
-        static_force: F of the static map [N].
-        muscle_length: l_i [m].
-        time: time constant T [s].
-        creep: the late force c [N].
+    `share`: φ [-]. `stiffness`: κ [N/m]. `static_force`: F of the static map [N]. `muscle_length`: l_i [m]. `time`:
+    time constant T [s]. `creep`: the late force c [N].
     """
     return (relaxing_force(share, stiffness, static_force, muscle_length) - creep) / time
 

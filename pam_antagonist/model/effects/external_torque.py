@@ -30,10 +30,7 @@ NEVER = 1e9
 def decay(noise, prior, external_torque):
     """dd/dt [N m/s]: back to zero within T = 2 s²/σ².
 
-    Args:
-        noise: σ [N m/s^0.5].
-        prior: s [N m], UNBOUNDED for a random walk.
-        external_torque: d [N m].
+    `noise`: σ [N m/s^0.5]. `prior`: s [N m], UNBOUNDED for a random walk. `external_torque`: d [N m].
     """
     return -external_torque * (noise * noise / (2.0 * prior * prior))
 

@@ -20,11 +20,7 @@ _LEAST = {"coulomb": 0.0, "stribeck": 0.0}
 def extra_coulomb(coulomb, stribeck, velocity, joint_velocity):
     """Torque [N m] added to T_s + T_p: a constant, and a part that fades with the velocity.
 
-    Args:
-        coulomb: c [N m].
-        stribeck: d [N m].
-        velocity: v [rad/s].
-        joint_velocity: ψ̇ [rad/s].
+    `coulomb`: c [N m]. `stribeck`: d [N m]. `velocity`: v [rad/s]. `joint_velocity`: ψ̇ [rad/s].
     """
     if stribeck == 0.0:
         return coulomb

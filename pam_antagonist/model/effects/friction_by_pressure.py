@@ -17,12 +17,8 @@ from pam_antagonist.model.effects.base import Effect, SealedJoint, inlined, per_
 def extra_coulomb(slope_1, slope_2, first_pressure, second_pressure, atmosphere):
     """Torque [N m] added to T_s + T_p.
 
-    Args:
-        slope_1: b_1 [N m/Pa].
-        slope_2: b_2 [N m/Pa].
-        first_pressure: P_1 [Pa].
-        second_pressure: P_2 [Pa].
-        atmosphere: P_out [Pa].
+    `slope_1`: b_1 [N m/Pa]. `slope_2`: b_2 [N m/Pa]. `first_pressure`: P_1 [Pa]. `second_pressure`: P_2 [Pa].
+    `atmosphere`: P_out [Pa].
     """
     return slope_1 * (first_pressure - atmosphere) + slope_2 * (second_pressure - atmosphere)
 

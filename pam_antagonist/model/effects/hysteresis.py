@@ -37,10 +37,7 @@ def loop_force(amplitude, hysteresis):
 def loop_rate(width, length_rate, hysteresis):
     """dz/dt [1/s] by Bouc and Wen: z depends on the path of the length and not on its speed.
 
-    Args:
-        width: s [m].
-        length_rate: dl/dt [m/s].
-        hysteresis: z [-].
+    `width`: s [m]. `length_rate`: dl/dt [m/s]. `hysteresis`: z [-].
     """
     return (length_rate - 0.5 * (abs(length_rate) * hysteresis + length_rate * abs(hysteresis))) / width
 

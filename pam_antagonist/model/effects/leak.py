@@ -25,12 +25,8 @@ _GAUGE = 350e3
 def outflow(area, exponent, chamber_pressure, atmosphere, orifice_flow):
     """Mass flow out of a leaking muscle [kg/s], through an orifice or through a crack with viscous flow.
 
-    Args:
-        area: A [m²].
-        exponent: n [-].
-        chamber_pressure: P [Pa].
-        atmosphere: P_out [Pa].
-        orifice_flow: of an ideal orifice from P to P_out, by its area [kg/(s m²)].
+    `area`: A [m²]. `exponent`: n [-]. `chamber_pressure`: P [Pa]. `atmosphere`: P_out [Pa]. `orifice_flow`: of an ideal
+    orifice from P to P_out, by its area [kg/(s m²)].
     """
     flow = area * orifice_flow
     if exponent != 1.0:

@@ -18,10 +18,7 @@ from pam_antagonist.model.numeric import sine_and_cosine
 def weight(torque, hanging, joint_angle):
     """Torque [N m] of the limb's weight on the joint.
 
-    Args:
-        torque: G = m g l [N m].
-        hanging: ψ_h [rad].
-        joint_angle: ψ [rad].
+    `torque`: G = m g l [N m]. `hanging`: ψ_h [rad]. `joint_angle`: ψ [rad].
     """
     sine, _ = sine_and_cosine(joint_angle - hanging)
     return -torque * sine

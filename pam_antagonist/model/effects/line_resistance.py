@@ -32,10 +32,7 @@ _FLOW = 5e-5
 def pressure_fall(resistance, exponent, valve_flow):
     """Pressure drop [Pa] along a line.
 
-    Args:
-        resistance: R [Pa s/kg].
-        exponent: n [-].
-        valve_flow: m [kg/s].
+    `resistance`: R [Pa s/kg]. `exponent`: n [-]. `valve_flow`: m [kg/s].
     """
     fall = resistance * valve_flow
     if exponent != 1.0:
@@ -59,13 +56,8 @@ def behind_rate(chamber_rate):
 def before_rate(resistance, exponent, time, valve_pressure, chamber_pressure, valve_flow):
     """dP_s/dt [Pa/s] at the valve: the pressure follows chamber pressure plus pressure drop with a lag.
 
-    Args:
-        resistance: R [Pa s/kg].
-        exponent: n [-].
-        time: lag T [s].
-        valve_pressure: P_s [Pa].
-        chamber_pressure: P_c [Pa].
-        valve_flow: m through the valve [kg/s].
+    `resistance`: R [Pa s/kg]. `exponent`: n [-]. `time`: lag T [s]. `valve_pressure`: P_s [Pa]. `chamber_pressure`: P_c
+    [Pa]. `valve_flow`: m through the valve [kg/s].
     """
     return (chamber_pressure + pressure_fall(resistance, exponent, valve_flow) - valve_pressure) / time
 
@@ -77,13 +69,8 @@ def steady_chamber(resistance, exponent, valve_pressure, valve_flow, atmosphere,
     A line settles within milliseconds. If a recording begins while a muscle fills, the pressures before and behind the
     line differ from the start.
 
-    Args:
-        resistance: R [Pa s/kg].
-        exponent: n [-].
-        valve_pressure: P_s [Pa].
-        valve_flow: m through the valve [kg/s].
-        atmosphere: P_out [Pa].
-        supply_pressure: P_tank [Pa].
+    `resistance`: R [Pa s/kg]. `exponent`: n [-]. `valve_pressure`: P_s [Pa]. `valve_flow`: m through the valve [kg/s].
+    `atmosphere`: P_out [Pa]. `supply_pressure`: P_tank [Pa].
     """
     chamber = valve_pressure - pressure_fall(resistance, exponent, valve_flow)
     return min(max(chamber, min(atmosphere, valve_pressure)), max(supply_pressure, valve_pressure))

@@ -18,10 +18,7 @@ from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoi
 def load(constant, sine, travel):
     """Torque [N m] of the load on the joint.
 
-    Args:
-        constant: b [N m].
-        sine: a [N m].
-        travel: sin ψ of a lever, ψ of a pulley [-].
+    `constant`: b [N m]. `sine`: a [N m]. `travel`: sin ψ of a lever, ψ of a pulley [-].
     """
     return constant + sine * travel
 

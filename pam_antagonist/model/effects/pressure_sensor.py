@@ -31,10 +31,7 @@ from pam_antagonist.model.effects.base import (
 def shown(offset, gain, pressure):
     """Reading of the sensor [Pa].
 
-    Args:
-        offset: o [Pa].
-        gain: g [-].
-        pressure: P [Pa].
+    `offset`: o [Pa]. `gain`: g [-]. `pressure`: P [Pa].
     """
     return (1.0 + gain) * pressure + offset
 
@@ -43,10 +40,7 @@ def shown(offset, gain, pressure):
 def pressure_behind(offset, gain, reading):
     """The pressure behind a reading [Pa]; the inverse of :func:`shown`.
 
-    Args:
-        offset: o [Pa].
-        gain: g [-].
-        reading: of the sensor [Pa].
+    `offset`: o [Pa]. `gain`: g [-]. `reading`: of the sensor [Pa].
     """
     return (reading - offset) / (1.0 + gain)
 
@@ -73,10 +67,7 @@ def drift_change(reading_drift_rate):
 def drift_acceleration(drift_time, reading_drift, reading_drift_rate):
     """d²s/dt² [Pa/s²] without the noise: the drift goes back to 0 within a few T.
 
-    Args:
-        drift_time: T [s].
-        reading_drift: s [Pa].
-        reading_drift_rate: ds/dt [Pa/s].
+    `drift_time`: T [s]. `reading_drift`: s [Pa]. `reading_drift_rate`: ds/dt [Pa/s].
     """
     return -(2.0 * reading_drift_rate + reading_drift / drift_time) / drift_time
 

@@ -32,12 +32,8 @@ def passing(late_command_rate):
 def approaching(time, late_command, late_command_rate, asked_pressure, quickest_lag):
     """Second derivative [Pa/s²] of the pressure that the regulator follows.
 
-    Args:
-        time: T [s].
-        late_command: P* [Pa].
-        late_command_rate: dP*/dt [Pa/s].
-        asked_pressure: u [Pa].
-        quickest_lag: shortest time constant that a step of the integration follows [s].
+    `time`: T [s]. `late_command`: P* [Pa]. `late_command_rate`: dP*/dt [Pa/s]. `asked_pressure`: u [Pa].
+    `quickest_lag`: shortest time constant that a step of the integration follows [s].
     """
     # A search may try times that are too short for the integration step; a rig file may not have them.
     late = max(time, 2.0 * quickest_lag)

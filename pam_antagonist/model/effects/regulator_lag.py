@@ -37,15 +37,9 @@ def correcting(
 ):
     """ds/dt [Pa/s²]: change of the rate by which a regulator approaches the pressure P*.
 
-    Args:
-        frequency: ω [1/s].
-        damping: ζ [-].
-        dead_zone: δ [Pa].
-        largest_rate: s_max [Pa/s]; 0: none.
-        regulator_rate: s [Pa/s].
-        asked_pressure: P* [Pa].
-        valve_pressure: P [Pa].
-        quickest_lag: shortest time constant that a step of the integration follows [s].
+    `frequency`: ω [1/s]. `damping`: ζ [-]. `dead_zone`: δ [Pa]. `largest_rate`: s_max [Pa/s]; 0: none.
+    `regulator_rate`: s [Pa/s]. `asked_pressure`: P* [Pa]. `valve_pressure`: P [Pa]. `quickest_lag`: shortest time
+    constant that a step of the integration follows [s].
     """
     # A search may try frequencies that are too high for the integration step; a rig file may not have them.
     omega = min(frequency, 1.0 / quickest_lag)

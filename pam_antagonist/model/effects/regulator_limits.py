@@ -17,10 +17,7 @@ from pam_antagonist.model.effects.base import Effect, EffectParameter, SealedJoi
 def within(lowest, highest, asked_pressure):
     """Pressure [Pa] that the regulator follows.
 
-    Args:
-        lowest: P_min [Pa]; 0: none.
-        highest: P_max [Pa]; 0: none.
-        asked_pressure: u [Pa].
+    `lowest`: P_min [Pa]; 0: none. `highest`: P_max [Pa]; 0: none. `asked_pressure`: u [Pa].
     """
     raised = max(asked_pressure, lowest) if lowest > 0.0 else asked_pressure
     return min(raised, highest) if highest > 0.0 else raised

@@ -26,11 +26,8 @@ def held(regulator_goal):
 def following(threshold, regulator_goal, asked_pressure, quickest_lag):
     """Rate [Pa/s] of the pressure P*, which the command moves at either end of the threshold.
 
-    Args:
-        threshold: b [Pa].
-        regulator_goal: P* [Pa].
-        asked_pressure: u [Pa].
-        quickest_lag: shortest time constant that a step of the integration follows [s].
+    `threshold`: b [Pa]. `regulator_goal`: P* [Pa]. `asked_pressure`: u [Pa]. `quickest_lag`: shortest time constant
+    that a step of the integration follows [s].
     """
     return played(threshold, regulator_goal, asked_pressure, quickest_lag)
 

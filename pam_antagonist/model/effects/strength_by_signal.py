@@ -16,16 +16,9 @@ from pam_antagonist.model.effects.base import Effect, SealedJoint, along_signals
 def stronger(muscle_force, slope1, slope2, slope3, slope4, signal1, signal2, signal3, signal4):
     """Contraction force of a muscle [N].
 
-    Args:
-        muscle_force: F [N].
-        slope1: g_1 [1 by the unit of the signal].
-        slope2: g_2, likewise.
-        slope3: g_3, likewise.
-        slope4: g_4, likewise.
-        signal1: s_1 − s̄_1 [SI].
-        signal2: s_2 − s̄_2 [SI].
-        signal3: s_3 − s̄_3 [SI].
-        signal4: s_4 − s̄_4 [SI].
+    `muscle_force`: F [N]. `slope1`: g_1 [1 by the unit of the signal]. `slope2`: g_2, likewise. `slope3`: g_3,
+    likewise. `slope4`: g_4, likewise. `signal1`: s_1 − s̄_1 [SI]. `signal2`: s_2 − s̄_2 [SI]. `signal3`: s_3 − s̄_3
+    [SI]. `signal4`: s_4 − s̄_4 [SI].
     """
     return muscle_force * (1.0 + along_signals(slope1, slope2, slope3, slope4, signal1, signal2, signal3, signal4))
 

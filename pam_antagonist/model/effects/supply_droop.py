@@ -27,11 +27,7 @@ def deviation(supply):
 def deviation_rate(stiffness, time, supply, drawn_flow):
     """ds/dt [Pa/s].
 
-    Args:
-        stiffness: c [Pa/kg].
-        time: T [s].
-        supply: s [Pa].
-        drawn_flow: that both valves draw [kg/s].
+    `stiffness`: c [Pa/kg]. `time`: T [s]. `supply`: s [Pa]. `drawn_flow`: that both valves draw [kg/s].
     """
     return -stiffness * drawn_flow - supply / time
 

@@ -34,11 +34,7 @@ def cooling(time, warmth):
 def warmth_rate(share, time, warmth, polytropic_rate):
     """dq/dt [Pa/s].
 
-    Args:
-        share: χ [-].
-        time: T [s].
-        warmth: q [Pa].
-        polytropic_rate: dP/dt of equation (4) [Pa/s].
+    `share`: χ [-]. `time`: T [s]. `warmth`: q [Pa]. `polytropic_rate`: dP/dt of equation (4) [Pa/s].
     """
     return share * polytropic_rate - cooling(time, warmth)
 

@@ -33,12 +33,8 @@ def position(open_rate):
 def position_rate(time, reach, open_rate, wanted_open_rate, quickest_lag):
     """dα/dt [1/s] of a valve that follows the wanted open rate, at its full speed at most.
 
-    Args:
-        time: T [s].
-        reach: w [-].
-        open_rate: α [-].
-        wanted_open_rate: α* [-].
-        quickest_lag: shortest time constant that a step of the integration follows [s].
+    `time`: T [s]. `reach`: w [-]. `open_rate`: α [-]. `wanted_open_rate`: α* [-]. `quickest_lag`: shortest time
+    constant that a step of the integration follows [s].
     """
     # A search may try times that are too short for the integration step; a rig file may not have them.
     stroke = max(time, quickest_lag)

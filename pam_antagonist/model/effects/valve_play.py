@@ -27,11 +27,8 @@ def position(spool_voltage):
 def following(play, spool_voltage, valve_voltage, quickest_lag):
     """dv/dt [V/s] of a spool, which the command moves at either end of the play.
 
-    Args:
-        play: b [V].
-        spool_voltage: v [V].
-        valve_voltage: u [V].
-        quickest_lag: shortest time constant that a step of the integration follows [s].
+    `play`: b [V]. `spool_voltage`: v [V]. `valve_voltage`: u [V]. `quickest_lag`: shortest time constant that a step of
+    the integration follows [s].
     """
     return played(play, spool_voltage, valve_voltage, quickest_lag)
 

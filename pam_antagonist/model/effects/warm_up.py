@@ -26,11 +26,7 @@ from pam_antagonist.model.effects.base import (
 def lost_force(share, warmed, static_force, passive_force):
     """Force [N] that warming adds to the contraction force: minus a share of the pressure's part.
 
-    Args:
-        share: s [-].
-        warmed: w [-].
-        static_force: F(l, P) [N].
-        passive_force: F(l, P_out) [N].
+    `share`: s [-]. `warmed`: w [-]. `static_force`: F(l, P) [N]. `passive_force`: F(l, P_out) [N].
     """
     return -share * warmed * (static_force - passive_force)
 

@@ -61,23 +61,9 @@
     layout.font.size = narrow ? 11 : 12;
   }
 
-  // Long rows of numbers are whole numbers of a decimal place, each the step from the one before; null is a gap.
-  function restored(values) {
-    if (!values || !values.steps) { return values; }
-    const scale = 10 ** values.decimals;
-    let sum = 0;
-    return values.steps.map((step) => { sum += step; return step === null ? null : sum / scale; });
-  }
-
-  function figureOf(text) {
-    const figure = JSON.parse(text);
-    figure.data.forEach((trace) => { trace.x = restored(trace.x); trace.y = restored(trace.y); });
-    return figure;
-  }
-
   // Always light, for papers and slides; as far zoomed as it is seen.
   function save(plot) {
-    const figure = figureOf(plot.source);
+    const figure = JSON.parse(plot.source);
     axesOf(plot.layout, /^[xy]axis/).forEach((key) => { figure.layout[key].range = plot.layout[key].range.slice(); });
     const name = plot.getAttribute("aria-label").replace(/[^\p{L}\p{N}]+/gu, "_");
     Plotly.downloadImage(figure, { format: "svg", width: plot.clientWidth, height: plot.clientHeight, filename: name });
@@ -150,7 +136,7 @@
   }
 
   function show(plot) {
-    const figure = figureOf(colored(plot.source));
+    const figure = JSON.parse(colored(plot.source));
     const before = plot.layout;
     plot.dataset.height = figure.layout.height;
     plot.dataset.named = new Set(figure.data.filter((trace) => trace.showlegend).map((trace) => trace.name)).size;

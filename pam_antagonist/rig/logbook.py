@@ -1,0 +1,180 @@
+"""The log book of a rig: a file of JSON lines beside its rig file, one line for each finding."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pam_antagonist.errors import BadInput
+from pam_antagonist.paths import config_dir
+from pam_antagonist.rig import Rig
+from pam_antagonist.rig.fingerprint import RigIdentity, differences
+
+_ENDING = ".log.jsonl"
+_EARLIEST = datetime.datetime(2000, 1, 1, tzinfo=datetime.timezone.utc)
+"""Stamps before it count from the start of a clock, not of the calendar."""
+
+
+class Measured(BaseModel):
+    """A value with its standard error, in the unit that it has."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    value: float
+    std: float | None = Field(None, ge=0.0)
+    unit: str = ""
+
+
+class Span(BaseModel):
+    """A recording: its name, when it began, how long it is, and the hash of its files."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    name: str
+    begin: datetime.datetime | None = None
+    seconds: float = Field(0.0, ge=0.0)
+    sha256: str = ""
+
+    @classmethod
+    def of(cls, name: str, begin_ns: int, seconds: float, sha256: str) -> Span:
+        """A recording whose first stamp is `begin_ns` [ns]."""
+        begin = datetime.datetime.fromtimestamp(begin_ns * 1e-9, datetime.timezone.utc)
+        return cls(name=name, begin=begin if begin >= _EARLIEST else None, seconds=seconds, sha256=sha256)
+
+
+class Entry(BaseModel):
+    """What one command found."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    at: datetime.datetime
+    command: str
+    rig: str
+    """Identity of the rig that was given, as :class:`RigIdentity` writes it."""
+    recordings: tuple[Span, ...] = ()
+    verdict: str = ""
+    said: str = ""
+    values: dict[str, Measured] = {}
+    covariance: tuple[tuple[tuple[str, ...], tuple[tuple[float, ...], ...]], ...] = ()
+    """Names of values that were fitted together, and the covariance of their errors."""
+
+    @property
+    def when(self) -> datetime.datetime:
+        """Middle of the recordings; without their dates the time of the command."""
+        spans = [span for span in self.recordings if span.begin is not None]
+        if not spans:
+            return self.at
+        begins = [span.begin for span in spans if span.begin is not None]
+        last = max(begin + datetime.timedelta(seconds=span.seconds) for begin, span in zip(begins, spans, strict=True))
+        return min(begins) + 0.5 * (last - min(begins))
+
+
+class Logbook(NamedTuple):
+    """The entries of one joint by the time of their recordings, and what is odd about their files."""
+
+    entries: tuple[Entry, ...]
+    notes: tuple[str, ...]
+
+
+def book_of(rig: str | Path) -> Path | None:
+    """The log book of a rig file; None for a rig of the package, which belongs to nobody."""
+    path = Path(rig)
+    if path.suffix not in (".yaml", ".yml") or path.resolve().is_relative_to(config_dir().resolve()):
+        return None
+    return path.with_name(f"{path.stem}{_ENDING}")
+
+
+def append(books: Sequence[Path], entry: Entry, earlier: Path | None = None) -> None:
+    """Append an entry to log books; a new one begins with the entries of an `earlier` one.
+
+    Raises:
+        BadInput: a file cannot be written.
+    """
+    line = entry.model_dump_json(exclude_defaults=True) + "\n"
+    for book in books:
+        try:
+            new = not book.exists()
+            text = earlier.read_text(encoding="utf-8") if new and earlier is not None and earlier.exists() else ""
+            whole = text + ("" if not text or text.endswith("\n") else "\n")
+            # One write, so that two commands at the same time do not mix their lines.
+            handle = os.open(book, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            try:
+                content = whole if line in whole else whole + line
+                os.write(handle, (("" if new or _ended(book) else "\n") + content).encode())
+            finally:
+                os.close(handle)
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadInput(f"{book}: the log book cannot be written: {error}") from None
+
+
+def _ended(book: Path) -> bool:
+    """Whether the last line of a file is whole: a crash may have cut it."""
+    with book.open("rb") as file:
+        if file.seek(0, os.SEEK_END) == 0:
+            return True
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+
+
+def read(books: Sequence[Path], rig: Rig) -> Logbook:
+    """Read the log books of a rig.
+
+    Recordings count once for each command. Damaged entries, and those of other rigs, are left out.
+
+    Raises:
+        BadInput: a file cannot be read.
+    """
+    found, notes, ours = dict[str, Entry](), list[str](), RigIdentity.of(rig)
+    for book in books:
+        try:
+            lines = book.read_bytes().split(b"\n")
+        except OSError as error:
+            raise BadInput(f"{book}: the log book cannot be read: {error.strerror}") from None
+        damaged, others = list[int](), dict[str, list[int]]()
+        for number, line in enumerate(lines, 1):
+            if not line.strip():
+                continue
+            try:
+                entry = Entry.model_validate_json(line)
+                apart = differences(ours, RigIdentity.read(entry.rig))
+            except (ValidationError, BadInput):
+                damaged.append(number)
+                continue
+            if apart:
+                others.setdefault(apart[0], []).append(number)
+            else:
+                found[json.dumps(entry.model_dump(mode="json"), sort_keys=True)] = entry
+        if damaged:
+            notes.append(
+                f"{book}: {_lines(damaged)} cannot be read and {_are(damaged)} left out; the file is unchanged"
+            )
+        notes += [
+            f"{book}: {_lines(numbers)} {_are(numbers)} of another rig ({why}) and left out"
+            for why, numbers in others.items()
+        ]
+    # The same recordings, worked on again by the same command, are one observation.
+    latest = {(entry.command, tuple(span.sha256 or str(k) for span in entry.recordings) or k): entry
+              for k, entry in enumerate(sorted(found.values(), key=lambda entry: entry.at))}  # fmt: skip
+    return Logbook(tuple(sorted(latest.values(), key=lambda entry: entry.when)), tuple(notes))
+
+
+def _lines(numbers: Sequence[int]) -> str:
+    text = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+    return f"line {text}" if len(numbers) == 1 else f"lines {text}"
+
+
+def _are(numbers: Sequence[int]) -> str:
+    return "is" if len(numbers) == 1 else "are"
+
+
+def identity(rig: Rig) -> str:
+    """Identity of a rig, for an entry."""
+    return RigIdentity.of(rig).text()
+
+
+def measured(values: Mapping[str, tuple[float, float, str]]) -> dict[str, Any]:
+    """Values with standard errors and units, for an entry."""
+    return {name: Measured(value=value, std=std, unit=unit) for name, (value, std, unit) in values.items()}

@@ -1,0 +1,65 @@
+"""Readable units for people, such as mm² for orifices. Files use SI units."""
+
+from __future__ import annotations
+
+import math
+import re
+from operator import attrgetter
+from typing import NamedTuple
+
+from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.rig.schema import Rig
+from pam_antagonist.strict_yaml import described, fields_of
+
+
+class Unit(NamedTuple):
+    """A readable unit."""
+
+    name: str
+    scale: float
+
+
+_READABLE = {
+    "m": Unit("mm", 1e3),
+    "m²": Unit("mm²", 1e6),
+    "m³": Unit("cm³", 1e6),
+    "kg m²": Unit("kg cm²", 1e4),
+    "kg/s": Unit("mg/s", 1e6),
+    "Pa": Unit("kPa", 1e-3),
+    "Pa/s": Unit("kPa/s", 1e-3),
+    "Pa/kg": Unit("kPa/g", 1e-6),
+    "Pa s/kg": Unit("kPa s/g", 1e-6),
+    "N m Pa²": Unit("N m kPa²", 1e-6),
+    "rad": Unit("°", math.degrees(1.0)),
+    "rad/s": Unit("°/s", math.degrees(1.0)),
+}
+_SMALL = 1e-9
+"""[m²] Smaller areas are shown in µm² instead of mm²."""
+_LOW = 10.0
+"""[Pa] Smaller pressures are shown in Pa instead of kPa."""
+_EFFECTS = {parameter_path(effect.name, item.name): item.unit for effect in CATALOGUE.values()
+            for item in effect.parameters}  # fmt: skip
+
+
+def readable(unit: str, value: float = math.inf) -> Unit:
+    """The readable unit of a quantity.
+
+    `unit`: SI unit of the quantity, as in the description of a rig file or an effect. `value`: of the quantity in this
+    unit, or the smallest of several; selects µm² or Pa for very small values.
+    """
+    written = re.sub(r"(?<=m)[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
+    if written == "m²" and abs(value) < _SMALL:
+        return Unit("µm²", 1e12)
+    if written == "Pa" and 0.0 < abs(value) < _LOW:
+        return Unit("Pa", 1.0)
+    return _READABLE.get(written, Unit(written, 1.0))
+
+
+def unit_of(rig: Rig, name: str) -> str:
+    """The SI unit of a parameter of a rig file by its dotted path, ``-`` for a pure number."""
+    if name in _EFFECTS:
+        return _EFFECTS[name]
+    part, _, last = name.rpartition(".")
+    kind = type(attrgetter(part)(rig) if part else rig)
+    found = re.search(r"\[([^\]]*)\]", described(fields_of(kind)[last]))
+    return found[1] if found else "-"

@@ -1,1 +1,0 @@
-"""How well the torque from outside is estimated, on simulated joints that are pushed."""
