@@ -72,7 +72,13 @@ def linearised(first, start, time, pressure, signals, p, longest, moving, moves)
     """Each step of :func:`angles`, and how it passes on a small change of the state.
 
     Args:
-        first, start, time, pressure, signals, p, longest: as those of :func:`angles`.
+        first: as that of :func:`angles`; so are start, signals, p and longest.
+        start: angle [rad] and velocity [rad/s] with which each episode begins (E, 2).
+        time: of the rows [s] (N,).
+        pressure: P_1, P_2 (N, 2) [Pa].
+        signals: further signals (N, S) [SI].
+        p: parameter vector (m,).
+        longest: longest step of the integration [s].
         moving: indices of the states that the joint's motion changes (Q,), angle and velocity first.
         moves: of these states, for difference quotients (Q,).
 
