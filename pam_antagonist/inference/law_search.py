@@ -167,11 +167,13 @@ def learn(
     start, tried = folds.squares(models), list[Learned]()
     now, learned, offered = folds, models, 0
     while above_noise(now.squares(learned)) and (count := len(now.fitted[0].laws(learned[0]))):
+        before = now.squares(learned)
+        least = max(LEAST_OF_LAW, _LEAST_OF_ALL * whole / float(before.sum()))
+        if least >= 1.0:
+            break
         number = begin + len({item.round for item in tried})
         offered += count
         progress(f"round {number}: tables of what strength, friction, damping and torque may depend on")
-        before = now.squares(learned)
-        least = max(LEAST_OF_LAW, _LEAST_OF_ALL * whole / float(before.sum()))
         found = _proposed(now, learned, number, least)
         if found is None:
             break
