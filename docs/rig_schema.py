@@ -46,6 +46,7 @@ def rig_json_schema() -> dict[str, Any]:
         **schema["properties"],
     }
     schema["anyOf"] = [{"required": ["based_on"]}, {"required": required}]
+    schema["$defs"]["Law"] = _LAW
     schema["properties"]["effects"] = {
         "type": "object",
         "default": {},
@@ -59,7 +60,7 @@ def rig_json_schema() -> dict[str, Any]:
 def _effect(name: str) -> dict[str, Any]:
     effect = CATALOGUE[name]
     if effect.of_tables:
-        laws = dict.fromkeys(learned.LAWS, _LAW)
+        laws = dict.fromkeys(learned.LAWS, {"$ref": "#/$defs/Law"})
         return {"type": "object", "description": effect.meaning, "additionalProperties": False, "properties": laws}
     return {
         "type": "object",

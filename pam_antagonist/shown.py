@@ -68,7 +68,7 @@ def percent(value: float | None) -> str:
     """A share as a percentage; a dash for a missing value."""
     if value is None or not math.isfinite(value):
         return MISSING
-    return f"{100.0 * value:.1f} %"
+    return f"{round(100.0 * value, 1) + 0.0:.1f} %"  # no -0.0
 
 
 def unlike(value: float, limit: float, decimals: int) -> str:

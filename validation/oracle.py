@@ -64,11 +64,6 @@ def parser() -> common.Parser:
     return out
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _run, argv)
-
-
 def _run(arguments: argparse.Namespace) -> int:
     old = {} if arguments.against is None else read(arguments.against)
     done = read(arguments.file) if arguments.file.exists() else {}
@@ -257,3 +252,6 @@ def _leaves(value: Any, path: str = "") -> dict[str, float]:
 
 def _grown(old: float, new: float, ratio: float, floor: float) -> str:
     return "worse" if new > ratio * old + floor else "better" if old > ratio * new + floor else ""
+
+
+main = common.command(parser, _run)

@@ -13,7 +13,8 @@
    :mod:`splits` says how firm they are.
 5. Describe. :mod:`description` makes the :class:`Diagnosis`: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
-   :mod:`found_calibrations` the corrections that a user enters, :mod:`rig_choice` the rig files.
+   :mod:`found_calibrations` the corrections that a user enters, :mod:`rig_choice` the rig files. :mod:`closed_loop` is
+   the diagnosis with its inputs and ``report.json``, :mod:`closed_trials` that of short trials.
 
 All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on. :mod:`checkpoint`
 keeps finished candidates on disk.

@@ -1,4 +1,8 @@
-"""Drift of a joint's parameters over many episodes, and the best number of last episodes to fit a model to."""
+"""Drift of a joint's parameters over many episodes, and the best number of last episodes to fit a model to.
+
+All of it is worked out to first order, from products of the model's derivatives by episode. Errors are those of
+simulations, but for forecasts.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from pam_antagonist.inference.bootstrap import CHANCE, Interval
 from pam_antagonist.inference.episodes import EpisodeModel, Squares
-from pam_antagonist.inference.held_episodes import Held, thinned
+from pam_antagonist.inference.held_episodes import Held, last, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven
 
 Floats = NDArray[np.float64]
@@ -20,11 +23,16 @@ Indices = NDArray[np.intp]
 WINDOWS = (1.0, 0.5, 0.25, 0.125, 0.0625)
 """Windows for a model of later episodes: shares of the fitted episodes, the last of them."""
 PARTS = 8
-_FITTED, _JUDGED, _ROUNDS = 150, 100, 8
-"""Most episodes of a part that are fitted, most that judge a forecast, and most simulations of a fit."""
-_ON_LINES, _GROUPS = 600, 12
-"""Most episodes that are fitted by straight lines, and groups of neighbouring ones with the same parameters."""
-_LINE_ROUNDS, _ENOUGH = 15, 1e-4
+_FITTED = 100
+"""Most episodes of a part that are fitted."""
+_POINTS = (1, 2, 3, 5, 9)
+"""Numbers of points through which the lines of drifting numbers may go; of one, nothing drifts."""
+_GROUPS = 24
+"""Groups of neighbouring episodes, each simulated with its own numbers."""
+_RIDGE = 1e-3
+"""Added to the products of each number with itself, as a share: what few episodes hardly determine stays as it is."""
+_LINE_ROUNDS = 2
+"""Steps of a fit that begins near its end, each with derivatives of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +49,33 @@ class Drift:
     errors: tuple[tuple[float, float], ...]
 
 
+class Linear:
+    """Episodes to first order around a model."""
+
+    def __init__(self, joint: PressureDriven, model: EpisodeModel) -> None:
+        self._at, self._model, self._joint = joint.coordinates(model), model, joint
+        left = joint.residual(model)
+        slopes, parts = joint.slopes(model, left), joint.spans
+        self.grams = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in parts])  # by episode (E, K, K)
+        self.pulls = np.stack([slopes[a:b].T @ left[a:b].ravel() for a, b in parts])  # likewise (E, K)
+        self.sums, self.counts = joint.squares(left)
+
+    def fitted(self, weights: Floats) -> EpisodeModel:
+        """The model with the least squared error. `weights`: of the episodes (E,)."""
+        step = solved(np.tensordot(weights, self.grams, 1), weights @ self.pulls)
+        return self._joint.moved(self._model, self._at + step)
+
+    def left(self, steps: Floats) -> Floats:
+        """Squared errors (E,) after steps of the coordinates (E, K)."""
+        found = self.sums + 2.0 * np.sum(self.pulls * steps, axis=1)
+        return np.asarray(found + np.einsum("ek,ekl,el->e", steps, self.grams, steps))
+
+
+def solved(gram: Floats, pull: Floats) -> Floats:
+    """The step with the least squared error."""
+    return np.asarray(-np.linalg.solve(gram + _RIDGE * np.diag(np.diag(gram)) + 1e-12 * np.eye(len(gram)), pull))
+
+
 def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift:
     """The model's parameters and errors over the recording, each part fitted by itself.
 
@@ -51,7 +86,9 @@ def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift
     errors = []
     for number, part in enumerate(np.array_split(np.union1d(held.pool, held.later), PARTS)):
         here = joint.take(thinned(part, _FITTED))
-        found = here.fit(everything, _ROUNDS)
+        found = everything
+        for _ in range(_LINE_ROUNDS):
+            found = Linear(here, found).fitted(np.ones(len(here)))
         best.append(here.shown(found))
         spread.append(here.draws(found, number))
         pair = (np.degrees(here.squares(here.residual(m)).rmse) for m in (everything, found))
@@ -66,69 +103,72 @@ def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift
     return Drift(values, changes, tuple(errors))
 
 
-def forecast(joint: PressureDriven, pool: Indices, model: EpisodeModel, window: float) -> float:
-    """Error [deg] on the episodes that follow a window: the last three eighths of the pool, one after the other.
+def forecasts(pool: Linear) -> tuple[float, ...]:
+    """Errors [deg] of all windows on the episodes that follow them: the last three eighths, one after the other.
 
-    `pool`: that may be fitted (E,).
+    `pool`: episodes that may be fitted.
     """
-    eighths = np.array_split(pool, PARTS)
-    sums, counts = 0.0, 0.0
-    for number in (5, 6, 7):
-        before = pool[: sum(len(part) for part in eighths[:number])]
-        length = max(1, round(len(pool) * window))
-        fitted = joint.take(thinned(before[-length:], _FITTED))
-        test = joint.take(thinned(eighths[number], _JUDGED))
-        found = test.squares(test.residual(fitted.fit(model, _ROUNDS)))
-        sums, counts = sums + found.sums.sum(), counts + found.counts.sum()
-    return float(np.degrees(np.sqrt(sums / counts)))
+    count = len(pool.sums)
+    edges = [round(count * share / PARTS) for share in (5, 6, 7, 8)]
+    out = []
+    for window in WINDOWS:
+        total = 0.0
+        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+            fitted = last(np.arange(begin), min(1.0, max(1, round(count * window)) / begin))
+            step = solved(pool.grams[fitted].sum(axis=0), pool.pulls[fitted].sum(axis=0))
+            total += float(pool.left(np.tile(step, (count, 1)))[begin:end].sum())
+        out.append(float(np.degrees(np.sqrt(max(total, 0.0) / pool.counts[edges[0] :].sum()))))
+    return tuple(out)
 
 
-class StraightLines:
-    """A model whose parameters follow straight lines over a recording: it shows what drift costs a constant model.
+class Lines:
+    """A model whose parameters follow lines through some points over a recording.
 
-    Each parameter has a value at the last fitted episode and a slope over the episodes. After the last fitted episode
-    it stays constant, since nothing says that the drift goes on. All episodes that may be fitted are.
+    The number of points is that with which every other fitted episode tells most of the rest. After the last fitted
+    episode the parameters stay, since nothing says that the drift goes on.
     """
 
-    def __init__(self, joint: PressureDriven, held: Held, model: EpisodeModel) -> None:
-        self._model = model
-        self._last = float(held.pool[-1])
-        groups = self._groups(joint, thinned(held.pool, _ON_LINES))
-        at = joint.coordinates(model)
-        count = len(at)
+    def __init__(self, joint: PressureDriven, pool: Indices, model: EpisodeModel, linear: Linear) -> None:
+        """`pool`: episodes that are fitted. `linear`: they to first order."""
+        self._joint, self._model, self._last = joint, model, float(pool[-1])
+        count = len(linear.pulls)
+        other = np.arange(count) % 2 == 1
+        left = []
+        for points in _POINTS:
+            hats = self._hats(pool, points)
+            steps = hats @ _along(hats[~other], linear.grams[~other], linear.pulls[~other])
+            left.append(linear.left(steps)[other].sum())
+        self.points = _POINTS[int(np.argmin(left))]
+        self._at = np.tile(joint.coordinates(model), (self.points, 1))
+        for _ in range(_LINE_ROUNDS):
+            parts = [Linear(one, here) for one, here in self._groups(pool)]
+            grams, pulls = np.concatenate([one.grams for one in parts]), np.concatenate([one.pulls for one in parts])
+            self._at = self._at + _along(self._hats(pool, self.points), grams, pulls)
 
-        def residual(z: Floats) -> Floats:
-            models = [joint.moved(model, z[:count] + t * z[count:]) for _, t in groups]
-            return np.concatenate([one.residual(here).ravel() for (one, _), here in zip(groups, models, strict=True)])
+    def _hats(self, episodes: Indices, points: int) -> Floats:
+        """Shares of the points in the parameters of episodes (E, P)."""
+        at = np.minimum(episodes / self._last, 1.0) * max(points - 1, 1)
+        return np.maximum(1.0 - np.abs(at[:, None] - np.arange(points)), 0.0) if points > 1 else np.ones((len(at), 1))
 
-        def jacobian(z: Floats) -> Floats:
-            rows = []
-            for one, t in groups:
-                here = joint.moved(model, z[:count] + t * z[count:])
-                slopes = one.slopes(here, one.residual(here))
-                rows.append(np.hstack([slopes, t * slopes]))
-            return np.vstack(rows)
-
-        found = least_squares(
-            residual, np.concatenate([at, np.zeros(count)]), jac=jacobian, x_scale="jac", ftol=_ENOUGH, xtol=_ENOUGH,
-            max_nfev=_LINE_ROUNDS,
-        )  # fmt: skip
-        self._at, self._slope = found.x[:count], found.x[count:]
-
-    def _groups(self, joint: PressureDriven, episodes: Indices) -> list[tuple[PressureDriven, float]]:
-        """Groups of episodes, each with its time: 0 at the last fitted one, in units of all of these."""
+    def _groups(self, episodes: Indices) -> list[tuple[PressureDriven, EpisodeModel]]:
+        """Groups of neighbouring episodes with their models."""
         parts = [part for part in np.array_split(episodes, _GROUPS) if len(part)]
-        return [(joint.take(part), min(0.0, part.mean() / self._last - 1.0)) for part in parts]
+        middles = self._hats(np.array([part.mean() for part in parts]), self.points) @ self._at
+        models = [self._joint.moved(self._model, at) for at in middles]
+        return [(self._joint.take(part), model) for part, model in zip(parts, models, strict=True)]
 
-    def between(self, joint: PressureDriven, episodes: Indices) -> Squares:
+    def between(self, episodes: Indices) -> Squares:
         """Squared errors of episodes among the fitted ones. `episodes`: numbers of some (K,), in order."""
-        found = [self._squares(one, t) for one, t in self._groups(joint, episodes)]
-        sums, counts = zip(*found, strict=True)
+        sums, counts = zip(*(one.squares(one.residual(here)) for one, here in self._groups(episodes)), strict=True)
         return Squares(np.concatenate(sums), np.concatenate(counts))
 
     def later(self, unseen: PressureDriven) -> Squares:
         """Squared errors of episodes after the fitted ones."""
-        return self._squares(unseen, 0.0)
+        return unseen.squares(unseen.residual(self._joint.moved(self._model, self._at[-1])))
 
-    def _squares(self, joint: PressureDriven, t: float) -> Squares:
-        return joint.squares(joint.residual(joint.moved(self._model, self._at + t * self._slope)))
+
+def _along(hats: Floats, grams: Floats, pulls: Floats) -> Floats:
+    """Steps at the points of lines (P, K) with the least squared error, from products by episode."""
+    points, count = hats.shape[1], pulls.shape[1]
+    gram = np.einsum("ep,eq,ekl->pkql", hats, hats, grams, optimize=True).reshape(points * count, points * count)
+    return solved(gram, (hats.T @ pulls).ravel()).reshape(points, count)

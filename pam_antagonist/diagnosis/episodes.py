@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.blas import one_blas_thread
-from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, StraightLines, course, forecast
+from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, Linear, Lines, course, forecasts
 from pam_antagonist.diagnosis.thresholds import MARGIN
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
 from pam_antagonist.inference.episode_search import Tried, search, with_effect
@@ -29,6 +29,11 @@ Indices = NDArray[np.intp]
 
 _USED = 600
 """Most episodes in a final fit: more add little information and take longer."""
+_ROUNDS = 4
+"""Simulations with derivatives of a fit that begins near its end."""
+_BINS = 12
+"""Parts of the time since an episode's start, each with its own variance of what the model leaves."""
+_IN_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,11 @@ class EpisodeDiagnosis:
     forecasts: tuple[float, ...]  # error [deg] of each window of ``WINDOWS`` on fitted episodes that follow it
     drift: Drift  # parameters of the extended model over the recording, fitted to each part of it anew
     counts: tuple[int, int, int]
-    lines: Row  # errors of the extended model with parameters that follow straight lines over the fitted episodes
+    # errors of the extended model with parameters that follow lines over the fitted episodes, through so many points.
+    lines: Row
+    points: int
+    # share of the measured angles of later and of interleaved episodes within the free run's 95 % interval.
+    coverage: tuple[float, float]
     # names of a rival and of the effect that it replaces, with the errors of the extended model then; for rivals that
     # the episodes do not distinguish from the effect.
     others: tuple[tuple[str, str, Row], ...] = ()
@@ -105,37 +114,71 @@ def diagnose(
     if coulomb is not None:
         models["with Coulomb friction alone"] = coulomb
     models["extended"] = model
+    pool = joint.take(thinned(held.pool, _USED))
     progress("from how many episodes a model for later ones is fitted")
-    forecasts = tuple(forecast(joint, held.pool, model, window) for window in WINDOWS)
-    window = WINDOWS[int(np.argmin(forecasts))]
+    whole = pool.fit(model, _ROUNDS)
+    linear = Linear(pool, whole)
+    expected = forecasts(linear)
+    window = WINDOWS[int(np.argmin(expected))]
     judged = {}
     for name, start in models.items():
         progress(f"errors: {name}")
-        judged[name] = _judged(joint, unseen, held, name, start, window)
+        fitted = whole if start is model else pool.fit(start)
+        judged[name] = _judged(joint, unseen, held, name, fitted, window)
     extended = judged["extended"]
     others = []
     for (name, instead_of), start in replaced.items():
         progress(f"errors: {name} in the place of {instead_of}")
         title = f"extended, {name} in the place of {instead_of}"
-        others.append((name, instead_of, _judged(joint, unseen, held, title, start, window).row))
-    progress("errors: numbers along straight lines")
-    lines = StraightLines(joint, held, extended.whole)
+        others.append((name, instead_of, _judged(joint, unseen, held, title, pool.fit(start, _ROUNDS), window).row))
+    progress("errors: numbers along lines")
+    lines = Lines(joint, thinned(held.pool, _USED), whole, linear)
     drifting = Row(
-        "extended, numbers along straight lines", rmse(*lines.later(unseen)), None,
-        rmse(*lines.between(joint, held.interleaved)),
+        "extended, numbers along lines", rmse(*lines.later(unseen)), None, rmse(*lines.between(held.interleaved))
     )  # fmt: skip
-    values = joint.take(thinned(last(held.pool, window), _USED)).intervals(extended.recent)
     progress("drift")
-    drift = course(joint, held, extended.whole)
+    recent = joint.take(thinned(last(held.pool, window), _USED))
+    values = recent.intervals(extended.recent)
+    coverage = (
+        covered(recent, unseen, extended.recent), covered(pool, joint.take(held.interleaved), whole)
+    )  # fmt: skip
     compared = None
     if coulomb is not None:
         compared = ratio(extended.squares, judged["with Coulomb friction alone"].squares)
     rows = (_configured(joint, unseen, held), *(one.row for one in judged.values()))
     return EpisodeDiagnosis(
-        tuple(item.name for item in tried if item.taken), tried, rows, extended.recent, values, window,
-        forecasts, drift, (len(held.pool), len(unseen), len(held.interleaved)), drifting, tuple(others),
-        compared, searched.left, searched.longest_step,
+        tuple(item.name for item in tried if item.taken), tried, rows, extended.recent, values, window, expected,
+        course(joint, held, whole), (len(held.pool), len(unseen), len(held.interleaved)), drifting, lines.points,
+        coverage, tuple(others), compared, searched.left, searched.longest_step,
     )  # fmt: skip
+
+
+def covered(fitted: PressureDriven, unseen: PressureDriven, model: EpisodeModel) -> float:
+    """Share of the measured angles within the 95 % interval of a free run.
+
+    The interval's variance is that of the numbers, carried to the angle by their derivatives, plus that of what the
+    model leaves of the fitted episodes at the same time since the start.
+    """
+    linear = Linear(fitted, model)
+    inverse = np.linalg.pinv(linear.grams.sum(axis=0), hermitian=True)
+    covariance = inverse @ (linear.pulls.T @ linear.pulls) @ inverse
+    left, since = fitted.residual(model)[:, 0] ** 2, _since_start(fitted)
+    counts = (since > 0.0) & np.isfinite(fitted.angle)
+    edges = np.quantile(since[counts], np.linspace(0.0, 1.0, _BINS + 1))
+    bins = np.digitize(since, edges[1:-1])
+    variances = [np.mean(left[counts & (bins == k)]) for k in range(_BINS)]
+    apart = unseen.residual(model)
+    slopes = unseen.slopes(model, apart)
+    of_numbers = np.einsum("nk,kl,nl->n", slopes, covariance, slopes, optimize=True)
+    own = np.interp(_since_start(unseen), 0.5 * (edges[1:] + edges[:-1]), variances)
+    judged = (_since_start(unseen) > 0.0) & np.isfinite(unseen.angle)
+    inside = np.abs(apart[:, 0]) <= _IN_95 * np.sqrt(of_numbers + own)
+    return float(np.mean(inside[judged]))
+
+
+def _since_start(joint: PressureDriven) -> Floats:
+    """Time since the start of its episode (N,) [s]."""
+    return np.asarray(joint.time - np.repeat(joint.time[joint.first[:-1]], np.diff(joint.first)))
 
 
 def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Row:
@@ -152,20 +195,19 @@ class _Judged(NamedTuple):
 
     row: Row
     squares: Floats
-    whole: EpisodeModel
     recent: EpisodeModel
 
 
 def _judged(
-    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, start: EpisodeModel, window: float
+    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, whole: EpisodeModel, window: float
 ) -> _Judged:
-    pool = joint.take(thinned(held.pool, _USED))
-    whole = pool.fit(start)
+    """`whole`: the model fitted to all episodes that may be fitted."""
     later = rmse(*unseen.squares(unseen.residual(whole)))
     forecast_error, recent = later, whole
     if window < 1.0:
-        recent = joint.take(thinned(last(held.pool, window), _USED)).fit(whole)
+        near = joint.take(thinned(last(held.pool, window), _USED))
+        recent = near.fit(Linear(near, whole).fitted(np.ones(len(near))), _ROUNDS // 2)
         forecast_error = rmse(*unseen.squares(unseen.residual(recent)))
     between = joint.take(held.interleaved)
     squares = between.squares(between.residual(whole))
-    return _Judged(Row(name, later, forecast_error, rmse(*squares)), squares.sums, whole, recent)
+    return _Judged(Row(name, later, forecast_error, rmse(*squares)), squares.sums, recent)

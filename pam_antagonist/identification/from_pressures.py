@@ -42,6 +42,7 @@ from pam_antagonist.identification.parts import (
     parts_of,
     with_joint,
 )
+from pam_antagonist.identification.regulators import beside_the_lag
 from pam_antagonist.identification.result import (
     AS_USUAL,
     FromPressures,
@@ -52,7 +53,6 @@ from pam_antagonist.identification.result import (
     linear_map,
 )
 from pam_antagonist.identification.runs import Run, said
-from pam_antagonist.identification.stretches import beside_the_lag
 from pam_antagonist.identification.unknowns import FAR, Fit, Unknown, fitted, parameters
 from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved

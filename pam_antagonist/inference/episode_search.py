@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.bootstrap import Interval, ratio
-from pam_antagonist.inference.episodes import EpisodeModel, Episodes
+from pam_antagonist.inference.episodes import ROUNDS, EpisodeModel, Episodes
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.held_episodes import thinned
+from pam_antagonist.inference.law_search import learn
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -70,7 +71,7 @@ class Begun(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Folds:
+class Folds:
     """Folds of a cross-validation: episodes that are fitted, and episodes that judge the fit."""
 
     fitted: tuple[Episodes, ...]
@@ -78,7 +79,7 @@ class _Folds:
     order: Indices  # puts the judged episodes into the order of the recording
 
     @classmethod
-    def of(cls, joint: Episodes, pool: Indices, few: int) -> _Folds:
+    def of(cls, joint: Episodes, pool: Indices, few: int) -> Folds:
         """Halves of many episodes, quarters of few."""
         pairs = [(thinned(pool[::2], _FITTED), thinned(pool[1::2], _SCORED))]
         if len(pool) < few:
@@ -86,12 +87,12 @@ class _Folds:
         order = np.argsort(np.concatenate([judged for _, judged in pairs]))
         return cls(tuple(joint.take(one) for one, _ in pairs), tuple(joint.take(one) for _, one in pairs), order)
 
-    def fit(self, before: Models, start: EpisodeModel) -> Models:
+    def fit(self, before: Models, start: EpisodeModel, rounds: int = ROUNDS) -> Models:
         """A fit of each fold with the effects of a start, from where the fold was; a start elsewhere is one for all."""
         if not np.array_equal(start.theta, before[0].theta):
-            return tuple(one.fit(start) for one in self.fitted)
+            return tuple(one.fit(start, rounds) for one in self.fitted)
         return tuple(
-            one.fit(EpisodeModel(model.theta, {**start.effects, **model.effects}, start.free))
+            one.fit(EpisodeModel(model.theta, {**start.effects, **model.effects}, start.free), rounds)
             for one, model in zip(self.fitted, before, strict=True)
         )
 
@@ -104,7 +105,7 @@ class _Folds:
         pairs = zip(self.fitted, models, strict=True)
         return float(sum(one.squares(one.residual(model)).sums.sum() for one, model in pairs))
 
-    def in_steps_that_serve(self, models: Models) -> tuple[_Folds, Models]:
+    def in_steps_that_serve(self, models: Models) -> tuple[Folds, Models]:
         """The folds with shorter steps if the models need them, and the models fitted with these steps."""
         step = self.fitted[0].step_that_serves(models[0])
         if step == self.longest_step:
@@ -157,15 +158,16 @@ def search(
     fewer episodes than this, each quarter is judged by fits to the rest.
     """
     begin = begin or by_score
-    folds = _Folds.of(joint, pool, few)
+    folds = Folds.of(joint, pool, few)
     configured = joint.as_configured
     folds, models = folds.in_steps_that_serve(folds.fit((configured,) * len(folds.fitted), configured))
-    base, whole = models[0], float(folds.squares(models).sum())
+    base, whole, noise = models[0], float(folds.squares(models).sum()), np.zeros(0)
     tried: list[Tried] = []
     rivals: dict[tuple[str, str], tuple[EpisodeModel, EpisodeModel]] = {}
     for number in range(1, MOST + 1):
         offered = joint.candidates(models[0].effects)
         if not offered:
+            noise = folds.squares_of_noise(models)
             break
         progress(f"round {number}: {', '.join(offered)}")
         before = folds.squares(models)
@@ -176,9 +178,9 @@ def search(
             if refitted is not None:
                 removed = ratio(before - folds.squares(refitted), before, len(offered))
             found.append((Tried(name, number, score, removed), refitted))
-        left = ratio(before, folds.squares_of_noise(models))
+        noise = folds.squares_of_noise(models)
         near = []
-        if left.low > ABOVE_NOISE:
+        if ratio(before, noise).low > ABOVE_NOISE:
             both = replace(joint.take(thinned(pool, _FITTED)), longest_step=folds.longest_step)
             near = _best(folds, both, found, float(before.sum()), whole)
         best = near[0][0] if near else None
@@ -187,10 +189,22 @@ def search(
             break
         rivals |= {(item.name, best.name): (near[0][1][0], other[0]) for item, other in near[1:]}
         folds, models = folds.in_steps_that_serve(near[0][1])
+
+    def above_noise(squares: Floats) -> bool:
+        return ratio(squares, noise).low > ABOVE_NOISE
+
+    def worth(before: Floats, after: Floats, offered: int) -> bool:
+        removed = ratio(before - after, before, offered)
+        enough = removed.value >= LEAST_REMOVED and removed.value * before.sum() >= LEAST_OF_ALL * whole
+        return enough and removed.low > 0.0
+
+    folds, models, learned = learn(folds, models, number + 1, whole, worth, above_noise, progress)
+    tried += [Tried(item.candidate.name, item.round, item.score, item.removed, item.taken) for item in learned]
     also = [item.name for item in tried if item.taken]
     replaced = {
         names: _exchanged(models[0], taken, other) for names, (taken, other) in rivals.items() if names[0] not in also
     }
+    left = ratio(folds.squares(models), noise)
     return Searched(base, models[0], tuple(tried), replaced, left, folds.longest_step)
 
 
@@ -202,7 +216,7 @@ def _exchanged(model: EpisodeModel, taken: EpisodeModel, other: EpisodeModel) ->
 
 
 def _best(
-    folds: _Folds,
+    folds: Folds,
     both: Episodes,
     found: Sequence[tuple[Tried, Models | None]],
     left: float,
@@ -253,7 +267,8 @@ def with_effect(
     if not forms:
         return None
     candidate = forms[0]
-    values = {path: (sizes or {}).get(free.path, free.item.scale) for free in candidate.sizes for path in free.paths}
+    values = dict(candidate.constants)
+    values |= {path: (sizes or {}).get(free.path, free.item.scale) for free in candidate.sizes for path in free.paths}
     values |= {path: shape.get(free.path, free.item.neutral) for free in candidate.shapes for path in free.paths}
     return EpisodeModel(model.theta, {**model.effects, **values}, (*model.free, *candidate.free))
 

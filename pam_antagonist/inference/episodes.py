@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, TypeVar
 
@@ -29,6 +29,7 @@ from pam_antagonist.inference.free_parameters import (
     FreeEffectParameter,
 )
 from pam_antagonist.inference.gauss_newton import effect_jacobian
+from pam_antagonist.inference.law_candidates import LawCandidate
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step
 from pam_antagonist.model.effects.base import SIGNALS
@@ -51,7 +52,8 @@ _ACCURATE = 0.2
 """Steps are accurate enough if they change the simulation by less than this share of a model's error (RMS)."""
 _ROUNDING = 1.0
 """[Pa] Largest difference of a logged "measured" pressure that is only a copy of the command."""
-_ROUNDS = 20
+ROUNDS = 20
+"""Most simulations with derivatives of a fit."""
 _CONVERGED = 1e-4
 """Relative change of the squared error, or of the parameters, at which a fit ends."""
 
@@ -180,6 +182,14 @@ class Episodes(Driven):
         `taken`: values of the model's effects' parameters, by dotted path.
         """
 
+    def laws(self, model: EpisodeModel) -> Sequence[LawCandidate]:
+        """Learned laws that may be added to a model; here none."""
+        return ()
+
+    def law_slopes(self, model: EpisodeModel, laws: Iterable[LawCandidate]) -> Iterator[Floats]:
+        """Derivatives of the residual by the coordinates of each law's moved values (N C, V), where all are 0."""
+        return iter(())
+
     @abstractmethod
     def as_if(self: E, model: Point) -> E:
         """These episodes as simulated by a model, with the noise of the readings added."""
@@ -260,8 +270,8 @@ class Episodes(Driven):
         effect = effect_jacobian(self, model, left, model.free, self.share_of_steps)
         return np.concatenate([self.jacobian(model, left), effect], axis=2).reshape(left.size, -1)
 
-    def fit(self, model: EpisodeModel, rounds: int = _ROUNDS) -> EpisodeModel:
-        """The model with the least squared error."""
+    def fit(self, model: EpisodeModel, rounds: int = ROUNDS) -> EpisodeModel:
+        """The model with the least squared error. `rounds`: most simulations with derivatives."""
         bounds = [self._bounds(direction) for direction in self.directions]
         bounds += [(item.coordinate(item.item.low), item.coordinate(item.item.high)) for item in model.free]
         low, high = np.array(bounds).T

@@ -354,6 +354,11 @@ class Candidate:
         )
 
     @property
+    def constants(self) -> Mapping[str, float]:
+        """Values that belong to it and stay, by dotted path."""
+        return {}
+
+    @property
     def sizes(self) -> tuple[FreeEffectParameter, ...]:
         """Free sizes: the effect vanishes where they are 0."""
         return tuple(parameter for parameter in self.free if parameter.item.is_size)

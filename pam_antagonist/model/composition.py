@@ -76,7 +76,7 @@ from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model.joint import quickest_lag
 from pam_antagonist.model.muscle import force as static_map
 from pam_antagonist.model.orifice import orifice_flow
-from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECTS, SUPPLY
+from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECTS, SUPPLY, VISCOUS
 '''
 _NOW = """FIRST, SECOND = np.int64(0), np.int64(1)
 
@@ -147,7 +147,8 @@ class _Writer:
 
     def tables(self, effect: Effect, where: str, quantities: Sequence[str], of_muscle: bool) -> tuple[str, str]:
         """Condition and call of the learned laws in a function."""
-        known = {name: name for name in ("value", "p", "x", "dx")} | {"own": _OWN.get(where, "")}
+        known = {name: name for name in ("value", "p", "x", "dx")}
+        known |= {"own": _OWN.get(where, ""), "viscous": "p[VISCOUS]"}
         indices = {"law": par.LAW, "muscle": learned.JOINT}
         indices["place"] = 1 + list(learned.PLACES).index(learned.IN_HOOKS.get(where, ("flow",))[0])
         for name, index in indices.items():

@@ -12,6 +12,7 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
+from pam_antagonist.estimation.checkpoint import Checkpoint
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.node import PamNode
@@ -25,7 +26,6 @@ from pam_antagonist.nodes.parameters import (
 )
 from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
-from pam_antagonist.recording.signals import checkpoint_message
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 from pam_antagonist_msgs.msg import FilterCheckpoint, JointEstimate
 from pam_antagonist_msgs.srv import SetState
@@ -264,6 +264,20 @@ class EstimatorNode(PamNode):
             (refused > 0.05 * used, Level.WARN, f"{refused} angles were too far from the expected ones"),
         )
         return {"encoder": health}
+
+
+def checkpoint_message(checkpoint: Checkpoint, frame_id: str) -> FilterCheckpoint:
+    """A checkpoint as a message, without what :mod:`pam_antagonist.recording` loads at its first message (0.1 s)."""
+    out = FilterCheckpoint()
+    wire.set_stamp(out.header.stamp, checkpoint.stamp_ns)
+    wire.set_stamp(out.started, checkpoint.started_ns)
+    out.header.frame_id = frame_id
+    for name, value in vars(checkpoint.identity).items():
+        setattr(out, name, list(value) if name == "added" else value)
+    for name in ("state", "covariance", "cross", "angle_sensor"):
+        setattr(out, name, getattr(checkpoint, name).ravel().tolist())
+    out.voltage, out.distances, out.rejected = checkpoint.voltage, checkpoint.distances, checkpoint.rejected
+    return out
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -8,13 +8,14 @@ then members in order, primitives aligned to their size relative to the end of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
 
 from .messages import typestore
 from .raw import Payloads
@@ -63,16 +64,16 @@ class _Layout:
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-def _layout(msgtype: str, order: str, size_of: Callable[[str, _Layout], int]) -> _Layout:
+def _layout(msgtype: str, store: Typestore, order: str, size_of: Callable[[str, _Layout], int]) -> _Layout:
     """The layout of a message; ``size_of`` says how long a string or sequence is whose length was added last."""
     out = _Layout(order)
-    pending = _members("", msgtype)
+    pending = _members("", msgtype, store)
     base: Any
     count: Any
     while pending:
         path, (kind, what) = pending.pop()
         if kind == Nodetype.NAME:
-            pending.extend(_members(path, what))
+            pending.extend(_members(path, what, store))
             continue
         base, count = (what[0], None) if kind == Nodetype.BASE else what
         if kind == Nodetype.SEQUENCE or base == "string":
@@ -88,10 +89,10 @@ def _layout(msgtype: str, order: str, size_of: Callable[[str, _Layout], int]) ->
     return out
 
 
-def _members(prefix: str, msgtype: str) -> list[tuple[str, Any]]:
+def _members(prefix: str, msgtype: str, store: Typestore) -> list[tuple[str, Any]]:
     """Members of a message as a stack, the first one on top."""
     dot = f"{prefix}." if prefix else ""
-    return [(dot + name, description) for name, description in reversed(typestore().fielddefs[msgtype][1])]
+    return [(dot + name, description) for name, description in reversed(store.fielddefs[msgtype][1])]
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,10 @@ class Decoded:
             result[group.rows] = group.columns[path]
         return result
 
+    def has(self, path: str) -> bool:
+        """Whether the messages have a field; those of a former definition lack the fields that were added later."""
+        return not self.groups or path in self.groups[0].columns
+
     def stamp_ns(self, path: str) -> NDArray[np.int64]:
         """Times of a builtin_interfaces/Time field (N,) [ns]."""
         nanosec = self.fixed(f"{path}.nanosec").astype(np.int64)
@@ -128,8 +133,22 @@ class Decoded:
         return self.fixed(f"{path}.sec").astype(np.int64) * 1_000_000_000 + nanosec
 
 
-def decode(payloads: Payloads, msgtype: str) -> Decoded:
-    """Decode all messages of one topic, of a type known to :func:`~pam_antagonist.recording.messages.typestore`."""
+def decode(payloads: Payloads, msgtype: str, stores: Sequence[Typestore] = ()) -> Decoded:
+    """Decode all messages of one topic.
+
+    `stores`: definitions to try in order; the first that fits all payloads is taken. Default: the present one.
+    """
+    first: CdrError | None = None
+    for store in stores or (typestore(),):
+        try:
+            return _decode(payloads, msgtype, store)
+        except CdrError as error:
+            first = first or error
+    assert first is not None
+    raise first
+
+
+def _decode(payloads: Payloads, msgtype: str, store: Typestore) -> Decoded:
     length = payloads.length
     if len(length) == 0:
         return Decoded(0, ())
@@ -151,14 +170,14 @@ def decode(payloads: Payloads, msgtype: str) -> Decoded:
         while len(rows):
             if len(done) == _MOST_LAYOUTS:
                 raise CdrError(f"message {rows[0]} has a layout of its own, as {_MOST_LAYOUTS} before it")
-            group, there = _first_layout(rows, matrix, msgtype, "<" if kind else ">")
+            group, there = _first_layout(rows, matrix, msgtype, store, "<" if kind else ">")
             done.append(group)
             rows, matrix = rows[~there], matrix[~there]
     return Decoded(len(payloads), tuple(done))
 
 
 def _first_layout(
-    rows: NDArray[np.intp], matrix: NDArray[np.uint8], msgtype: str, order: str
+    rows: NDArray[np.intp], matrix: NDArray[np.uint8], msgtype: str, store: Typestore, order: str
 ) -> tuple[Group, NDArray[np.bool_]]:
     """The messages that have the layout of the first row, and which ones they are."""
     size, first = matrix.shape[1], matrix[0].tobytes()
@@ -174,7 +193,7 @@ def _first_layout(
             raise CdrError(f"message {rows[0]} ends after {size} bytes, where {path} needs {at + 4 + count} bytes")
         return count
 
-    layout = _layout(msgtype, order, size_of)
+    layout = _layout(msgtype, store, order, size_of)
     _check_end(next(reversed(layout.fields)), layout, size, rows[0])
     rest = size - layout.end
     if rest > _MAX_PADDING + _MAX_EMPTY * list(layout.counts.values()).count(0):
@@ -219,7 +238,7 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
             return len(values) + 1
         return len(values) if isinstance(values, (list, tuple)) else int(np.shape(values)[-1])
 
-    layout = _layout(msgtype, "<" if little_endian else ">", size_of)
+    layout = _layout(msgtype, typestore(), "<" if little_endian else ">", size_of)
     if unused := set(columns) - set(layout.fields) - set(layout.counts):
         raise KeyError(f"{msgtype} has no field {sorted(unused)[0]!r}")
     table = np.zeros(size, layout.dtype(layout.end))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from .cdr import Decoded
-from .messages import is_known
+from .messages import stores_of
 from .notes import Issue
 from .raw import RawTopic
 from .storage import RawBag
@@ -137,7 +137,7 @@ def _problem(bag: RawBag, topic: Topic, actual: str) -> str | None:
         return f"topic {actual} is a {raw.msgtype or 'message without a type'}, expected {topic.type}"
     if raw.encoding != "cdr":
         return f"topic {actual} is encoded as {raw.encoding!r}, expected cdr"
-    if not is_known(raw.msgtype, raw.digest, raw.definition):
+    if not stores_of(raw.msgtype, raw.digest, raw.definition):
         return f"topic {actual} was recorded with another definition of {topic.type} than this package has"
     return None
 

@@ -17,6 +17,7 @@ from . import plausible, signals, stamps
 from .cdr import CdrError, Decoded, decode
 from .compression import CompressionError
 from .corrections import Corrections
+from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
 from .notes import Issue, noted_issues
 from .raw import RawTopic
@@ -49,6 +50,11 @@ class _Topic:
         """What two messages with one stamp must agree in (K, m); None for topics that no result is made from."""
         fields = ("position", "effort") if self.joint is not None else _COMPARED.get(self.name)
         return None if fields is None else np.column_stack([np.asarray(self.values(name), float) for name in fields])
+
+    def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
+        """A field of numbers (K, *shape), NaN where the message definition in the bag has no such field."""
+        there = self.decoded.has(path)
+        return self.values(path).reshape(-1, *shape) if there else np.full((len(self.keep), *shape), np.nan)
 
     @property
     def arrival(self) -> Arrival:
@@ -186,7 +192,8 @@ def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Values, also
 def _decode(path: Path, name: str, raw: RawTopic) -> _Topic:
     """Decode one topic and order its messages by reception."""
     try:
-        decoded = decode(unpack_messages(raw), raw.msgtype)
+        stores = stores_of(raw.msgtype, raw.digest, raw.definition)
+        decoded = decode(unpack_messages(raw), raw.msgtype, stores)
         stamp_ns = decoded.stamp_ns("header.stamp")
     except (CdrError, CompressionError) as exc:
         raise BadInput(f"{path}: {raw.topic} cannot be read as {raw.msgtype}, {exc}") from exc
@@ -347,13 +354,13 @@ def _validation(
 
 
 def _estimate(topic: _Topic) -> RecordedEstimate:
-    columns = {name: topic.values(name).reshape(-1, *shape) for name, shape in ESTIMATE_SHAPES.items()}
+    columns = {name: topic.values_or_nan(name, *shape) for name, shape in ESTIMATE_SHAPES.items()}
     started_ns = topic.decoded.stamp_ns("started")[topic.keep]
     return RecordedEstimate(topic.arrival.stamp_ns, started_ns, **columns)
 
 
 def _reference(topic: _Topic) -> RecordedReference:
-    fields = (topic.values(name) for name in ("mode", "value", "stiffness", "damping"))
+    fields = (topic.values_or_nan(name) for name in ("mode", "value", "stiffness", "damping"))
     return RecordedReference(topic.arrival.stamp_ns, *fields)
 
 

@@ -101,7 +101,7 @@ class RecordedEstimate(Shown):
         nis: (M,).
         subsystem: 1 to 18 (M,) uint8.
         flags: (M,) uint8.
-        external_torque: (M,) [N m]; NaN where the rig has no such state.
+        external_torque: (M,) [N m]; NaN where the rig has no such state, or the bag's message definition no such field.
         external_torque_covariance: With angle, velocity, torque and itself (M, 4); NaN likewise.
     """
 
@@ -158,8 +158,8 @@ class RecordedReference(Shown):
         stamp_ns: Header stamps (K,) [ns]; the time of reception where a message carried none.
         mode: JointReference.ANGLE = 0, TORQUE = 1 and so on (K,) uint8.
         value: (K,) [rad] or [N m].
-        stiffness: (K,) [N m/rad].
-        damping: (K,) [N m s/rad].
+        stiffness: (K,) [N m/rad]; NaN where the bag's message definition has no such field.
+        damping: (K,) [N m s/rad]; NaN likewise.
     """
 
     stamp_ns: Stamps

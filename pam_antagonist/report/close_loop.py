@@ -82,7 +82,7 @@ class DiagnoseResult(ClosedLoop, Result):
             Findings((*calibration_findings(self), *notes)),
             *in_first_lines(assumption(self.start)),
             errors_table(self),
-            sizes_table(self),
+            sizes_table(self.effects),
             calibration_table(self),
             ranking_table(self),
             Findings(tuple(map(note, self.next_steps))),
@@ -113,10 +113,8 @@ def document(found: ClosedLoop, with_figures: bool) -> Document:
         "This report compares the model of the joint with measurements. It traces what the model lacks to a physical "
         "effect, if one explains it on data that no fit used."
     )
-    title = _TITLES[found.verdict]
-    if found.effects:
-        title = "Found: " + ", ".join(dict.fromkeys(effect.in_short.replace("_", " ") for effect in found.effects))
-    elif found.calibrations and found.verdict == "none":
+    title = title_of(found.verdict, [effect.in_short for effect in found.effects])
+    if found.calibrations and found.verdict == "none":
         title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
     first, *others = drawn.residuals(found) if with_figures else (None,)
     parts: list[Block] = [
@@ -134,7 +132,8 @@ def document(found: ClosedLoop, with_figures: bool) -> Document:
         parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration"))
     if found.effects:
         figures = (*drawn.laws(found.effects), *drawn.profiles(found.profiles)) if with_figures else ()
-        parts.append(Section("Size of the effect", (sizes_table(found), *_laws(found), *figures), 2, "parameters"))
+        sizes = (sizes_table(found.effects), *_laws(found), *figures)
+        parts.append(Section("Size of the effect", sizes, 2, "parameters"))
     parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates"))
     if found.remaining:
         parts.append(Section("What is left", drawn.left(found.remaining, with_figures), 2, "left"))
@@ -149,6 +148,12 @@ def document(found: ClosedLoop, with_figures: bool) -> Document:
     meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if found.driven else {})
     parts += background(tuple(meanings.items()), _provenance(found))
     return Document("Closing the loop with measured data", title, tuple(parts))
+
+
+def title_of(verdict: str, effects: Sequence[str]) -> str:
+    """The title of a page: the verdict, or what was found."""
+    found = ", ".join(dict.fromkeys(name.replace("_", " ") for name in effects))
+    return f"Found: {found}" if found else _TITLES[verdict]
 
 
 # ------------------------------------------------------------------ tables and tiles
@@ -214,7 +219,7 @@ def ranking_table(found: ClosedLoop) -> Table:
     return Table(header, rows, caption)
 
 
-def sizes_table(found: ClosedLoop) -> Table:
+def sizes_table(effects: Sequence[FoundEffect]) -> Table:
     """Parameters of the detected effects."""
     rows = tuple(
         (
@@ -222,7 +227,7 @@ def sizes_table(found: ClosedLoop) -> Table:
             number(size.value * unit.scale),
             number(size.std * unit.scale, 2),
         )
-        for effect in found.effects
+        for effect in effects
         for name, size in effect.parameters.items()
         for unit in [readable(size.unit, size.value)]
     )

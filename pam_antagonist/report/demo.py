@@ -20,12 +20,11 @@ from pam_antagonist.replays.channels import judged
 from pam_antagonist.replays.result import numbers as replay_numbers
 from pam_antagonist.report.document import Block, Document, Section, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
-from pam_antagonist.report.figures import tracking_figure
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay import errors_table
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
-from pam_antagonist.report.style import ESTIMATE, MODEL
+from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
 from pam_antagonist.report.table import Table, number, percent
 from pam_antagonist.rig.limits import rest_pressure, rest_voltage
 
@@ -179,11 +178,11 @@ def _verdict(demo: Demo) -> str:
             "Estimates or commands came too late, or were refused: logs/ and /diagnostics in the bag say which."
         )
     steps, slowest = len(followed.steps) - 1, _slowest(demo)
-    settled = (
-        f"Each of the {steps} steps settled within {slowest:.1f} s"
-        if math.isfinite(slowest)
-        else f"Not each of the {steps} steps settled within its time"
-    )
+    if math.isfinite(slowest):
+        settled = f"{'The step' if steps == 1 else f'Each of the {steps} steps'} settled within {slowest:.1f} s"
+    else:
+        no = "The step did not settle" if steps == 1 else f"Not each of the {steps} steps settled"
+        settled = f"{no} within its time"
     worst = f"{number(followed.worst_steady_error, 2)}{_SIGN[demo.mode.quantity]}"
     steady = f", and the largest error in steady state was {worst}"
     return f"{settled}{steady if math.isfinite(followed.worst_steady_error) else ''}."
@@ -288,9 +287,18 @@ def _figure(demo: Demo) -> Figure:
     if demo.yielding is not None:
         wanted = spring_and_damper(recording)[replay.run.index]
         about += " The reference is where spring and damper would be, by the torque that was applied."
-    signals = (measured * scale, rows[name] * scale, wanted * scale)
-    title = f"{name.capitalize()}: reference, measurement and estimate"
-    return tracking_figure(title, about, (name, sign), time(replay), signals, replay.name)
+    x, measured, wanted = time(replay), measured * scale, wanted * scale
+    shown = (
+        Line("measured", x, measured, MEASURED),
+        Line("UKF", x, rows[name] * scale, ESTIMATE),
+        Line("reference", x, wanted, MODEL, dash="dash"),
+    )
+    error = Line("tracking error", x, wanted - measured, SECOND, quiet=True)
+    panels = (
+        Panel(TIME, Axis(f"{name.capitalize()} [{sign}]"), shown, 250),
+        Panel(TIME, Axis(f"Reference − measured [{sign}]"), (error,), 160),
+    )
+    return Figure(f"{name.capitalize()}: reference, measurement and estimate", about, panels, replay.name)
 
 
 def _stiffness(replay: Replay) -> tuple[FloatArray, FloatArray]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -16,18 +17,22 @@ from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.model.effects.learned import FIRST_SIGNAL
 from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
 from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.learned import Law, laws_of, value_path
 from pam_antagonist.rig.units import readable, unit_of
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+T = TypeVar("T")
 
 _WORDS = {
     "friction": "constant (Coulomb) friction",
@@ -40,6 +45,9 @@ _BY_SIGNAL = {
     "load_by_signal": "a torque that depends on",
     "strength_by_signal": "strength of the muscles that depends on",
 }
+LEARNED = "learned: "
+_ARGUMENT = re.compile(r"effects\.learned\.law\d+_argument")
+"""Path of the code of what a law depends on."""
 _DRIFT = 0.8
 """The rig drifts if the error of a model of the last episodes is less than this times that of all episodes."""
 
@@ -47,6 +55,9 @@ _DRIFT = 0.8
 def in_words(effect: str) -> str:
     """An effect in words."""
     name, _, signal = effect.partition(": ")
+    if name == "learned":
+        place, _, argument = signal.partition(" by ")
+        return f"{place}, which depends on {argument} (a learned law)"
     return f"{_BY_SIGNAL[name]} {signal}" if signal else _WORDS.get(name, name)
 
 
@@ -108,7 +119,9 @@ def verdict(found: EpisodeDiagnosis) -> str:
             f"No effect that was offered is needed: the error on later episodes is {after}°, with the rig as "
             f"configured {given}°."
         )
-    words = [in_words(effect) for effect in found.effects]
+    words = [in_words(effect) for effect in found.effects if not effect.startswith(LEARNED)]
+    if count := len(found.effects) - len(words):
+        words.append(in_words(found.effects[-1]) if count == 1 else f"what {count} learned laws add")
     listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
     change = "falls" if found.rows[-1].forecast.value < found.rows[0].forecast.value else "changes"
     return (
@@ -136,9 +149,9 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
             f"The remaining error is hardly more than noise: the model's squared error is {interval(found.left)} "
             "times what the noise of the readings alone would leave. No further effect is named."
         ))  # fmt: skip
-    last = max(item.round for item in found.tried)
+    last = max((item.round for item in found.tried if not item.name.startswith(LEARNED)), default=0)
     for item in found.tried:
-        if item.round == last and not item.taken:
+        if item.round == last and not item.taken and not item.name.startswith(LEARNED):
             how = "was not fitted, since its score is lower than those of the others"
             if item.removed is not None:
                 how = removes(item.removed)
@@ -152,12 +165,18 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
             f"{percent(found.window)} of the fitted episodes are used, and {number(whole.value)}° if all are used. "
             "The share was chosen by forecasts within the fitted episodes."
         ))  # fmt: skip
+    out += _about_laws(found)
     lines = found.lines
     assert lines.interleaved is not None
     out.append(note(
-        "A model whose numbers change along straight lines over the fitted episodes, and then stay at their last "
-        f"values, has an error of {number(lines.later.value)}° on later episodes and of "
+        f"A model whose numbers change along lines through {found.points} points over the fitted episodes, and then "
+        f"stay at their last values, has an error of {number(lines.later.value)}° on later episodes and of "
         f"{number(lines.interleaved.value)}° on interleaved ones."
+    ))  # fmt: skip
+    out.append(note(
+        f"The 95 % interval of a free run holds {percent(found.coverage[0])} of the angles of later episodes and "
+        f"{percent(found.coverage[1])} of interleaved ones. Its variance is that of the numbers, plus that of what the "
+        "model leaves of fitted episodes at the same time since the start."
     ))  # fmt: skip
     if moved_values := _moved(found, joint.rig):
         changes = "; ".join(moved_values)
@@ -167,6 +186,21 @@ def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, .
         out.append(note(f"On interleaved episodes the extended model leaves {interval(found.ratio)} of the squared "
                         "error of the model with Coulomb friction alone."))  # fmt: skip
     return (*out, *units_findings(joint), note(next_step(found, joint)))
+
+
+def _about_laws(found: EpisodeDiagnosis) -> list[Finding]:
+    """The learned laws one by one, and what a dependence on the time since the start means."""
+    taken = [item for item in found.tried if item.taken and item.name.startswith(LEARNED)]
+    out = []
+    for item in taken:
+        place, _, argument = item.name.removeprefix(LEARNED).partition(" by ")
+        out.append(note(f"{place[:1].upper()}{place[1:]} depends on {argument}: a learned law."))
+    if any("time since the start" in item.name for item in taken):
+        out.append(warn(
+            "What depends on the time since the start stands for what nobody measured: whoever drives the joint may "
+            "move other joints by time."
+        ))  # fmt: skip
+    return out
 
 
 def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
@@ -203,7 +237,7 @@ def _not_told_apart(found: EpisodeDiagnosis, name: str, instead_of: str, row: Ro
 def _moved(found: EpisodeDiagnosis, rig: Rig) -> list[str]:
     """Numbers with a significant drift, and their changes."""
     out = []
-    for name, change in found.drift.changes.items():
+    for name, change in without_laws(found.drift.changes).items():
         if change.low > 0.0 or change.high < 0.0:
             title, text, written = shown(rig, name, change, 2)
             out.append(f"{title} by {text} {written}")
@@ -234,7 +268,7 @@ def about_episodes(fitted: int, later: int, between: int) -> str:
 def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
     """Numbers of the extended model, and their changes over the recording."""
     rows = []
-    for name, value in found.values.items():
+    for name, value in without_laws(found.values).items():
         rows.append((*shown(rig, name, value), shown(rig, name, found.drift.changes[name], 2)[1]))
     return Table(
         ("Value", "95 % interval by episode", "Unit", "Change over the recording, corrected 95 % interval"),
@@ -247,7 +281,7 @@ def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
 def drift_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
     """Numbers of the extended model in each part of the recording, and its errors there."""
     rows = []
-    for name, parts in found.drift.values.items():
+    for name, parts in without_laws(found.drift.values).items():
         texts = [shown(rig, name, part, 2) for part in parts]
         title, _, written = texts[0]
         rows.append((f"{title} [{written}]", *(text for _, text, _ in texts)))
@@ -282,7 +316,7 @@ def figure(found: EpisodeDiagnosis, rig: Rig) -> Figure:
         Line("fitted to each part", parts, own, SECOND),
     )
     panels = [Panel(Axis(), Axis("RMSE [°]", from_zero=True), series)]
-    for name, values in found.drift.values.items():
+    for name, values in without_laws(found.drift.values).items():
         shown, factor = unit(rig, name)
         value, low, high = factor * np.array(values).T
         drawn = (
@@ -295,7 +329,44 @@ def figure(found: EpisodeDiagnosis, rig: Rig) -> Figure:
     return Figure("Drift", about, tuple(panels))
 
 
-def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, ...], with_figures: bool) -> Document:
+def without_laws(values: Mapping[str, T]) -> dict[str, T]:
+    """Values without those of learned laws, which a figure shows."""
+    return {name: value for name, value in values.items() if ".learned." not in name}
+
+
+def law_figure(found: EpisodeDiagnosis, extended: Rig) -> Figure | None:
+    """The learned laws, each over what it depends on; None if there are none."""
+    panels: list[Panel] = []
+    for k, law in laws_of(extended).items():
+        rows = [found.values[value_path(k, node)] for node in range(1, len(law.nodes) + 1)]
+        shown, factor = _unit_of_law(extended, law)
+        value, low, high = factor * np.array(rows).T
+        nodes = np.array(law.nodes)
+        unit_shown = readable(law.argument_unit)
+        drawn = (
+            Band("95 % interval by episode", nodes * unit_shown.scale, low, high, BAND, bool(panels)),
+            Line("the law", nodes * unit_shown.scale, value, ESTIMATE, quiet=bool(panels)),
+        )
+        across = Axis(f"{law.on} [{unit_shown.name}]")
+        panels.append(Panel(across, Axis(f"{law.at} [{shown}]"), drawn))
+    about = (
+        "Laws that were learned from the episodes: changes of the muscles' strength, of friction, damping or torque by "
+        "what each depends on. They are constant outside of the range that is shown."
+    )
+    return Figure("Learned laws", about, tuple(panels)) if panels else None
+
+
+def _unit_of_law(rig: Rig, law: Law) -> tuple[str, float]:
+    """Unit in which the values of a law are shown, and the factor to it."""
+    if law.unit == "-":
+        return "%", 100.0
+    per_inertia = {"N m": "rad/s²", "N m s/rad": "1/s"}[law.unit]
+    return (per_inertia, 1.0 / rig.joint.inertia) if rig.units.force == "per_inertia" else (law.unit, 1.0)
+
+
+def document(
+    found: EpisodeDiagnosis, joint: PressureDriven, extended: Rig, hashes: tuple[str, ...], with_figures: bool
+) -> Document:
     """The page; with the SHA-256 of the recordings."""
     given, after = found.rows[0], found.rows[-1]
     tiles = Tiles((
@@ -308,12 +379,13 @@ def document(found: EpisodeDiagnosis, joint: PressureDriven, hashes: tuple[str, 
         tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
         "Forecasts within the fitted episodes, by which the share was chosen",
     )
+    drawn = [law_figure(found, extended), figure(found, joint.rig)] if with_figures else []
     recordings = [(f"Recording {k}", value) for k, value in enumerate(hashes, 1)]
     blocks: tuple[Block, ...] = (
         Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
         Text(verdict(found), "verdict"), tiles, Findings(findings(found, joint)), errors_table(found),
         values_table(found, joint.rig), tried_table(found), drift_table(found, joint.rig),
-        *((figure(found, joint.rig),) if with_figures else ()), forecasts,
+        *(one for one in drawn if one is not None), forecasts,
         *background("close_loop of episodes", [("Rig", joint.rig.name), *recordings]),
     )  # fmt: skip
     return Document("What the model of a joint lacks", joint.name, blocks)
@@ -351,6 +423,8 @@ class EpisodesDiagnoseResult(Result):
         """The rig with the effects, and the further signals that they need."""
         start, values = self.joint.rig, self.joint.values(self.found.model)
         last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
+        codes = [int(value) for path, value in values.items() if _ARGUMENT.fullmatch(path)]
+        last = max([last, *(code - FIRST_SIGNAL + 1 for code in codes)])
         source = f"extended by close_loop from {self.joint.name}; started from: {start.source}"
         signals = dict(list(start.signals.items())[:last])
         return moved(start, values).replaced(name=f"{start.name}_extended", source=source, signals=signals)
@@ -368,12 +442,15 @@ class EpisodesDiagnoseResult(Result):
             "ratio_to_coulomb_interleaved": found.ratio,
             "ratio_to_noise": found.left,
             "longest_step_s": found.longest_step,
+            "laws": [law.to_json() for law in laws_of(self.rig_extended).values()],
             **picked(found, "values", "tried", "window"),
             "forecasts_deg": dict(zip(map(str, WINDOWS), found.forecasts, strict=True)),
             "course": found.drift.values,
             "changes": found.drift.changes,
             "course_errors_deg": found.drift.errors,
             "straight_lines_deg": found.lines,
+            "points_of_lines": found.points,
+            "coverage95": {"later": found.coverage[0], "interleaved": found.coverage[1]},
             "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
             "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
             "rig": rig.name,
@@ -389,7 +466,7 @@ class EpisodesDiagnoseResult(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return document(self.found, self.joint, self.hashes, figures)
+        return document(self.found, self.joint, self.rig_extended, self.hashes, figures)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each number of the extended model: its value and 95 % interval by episode (needs pandas)."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.report import decimate
-from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Heatmap, Line, Panel
-from pam_antagonist.report.style import DEEP, ESTIMATE, MEASURED, MODEL, PALE, SECOND
+from pam_antagonist.report.figure import TIME, Axis, FloatArray, Heatmap, Line, Panel
+from pam_antagonist.report.style import DEEP, PALE
 
 
 def seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> FloatArray:
@@ -32,29 +32,6 @@ def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: 
     """Single samples as a faint line, and in front their moving mean, which reduces the sensor's noise."""
     faint = Line(name, x, values, color, width=0.8, quiet=True, opacity=0.3)
     return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
-
-
-def tracking_figure(
-    title: str,
-    about: str,
-    quantity: tuple[str, str],
-    x: FloatArray,
-    signals: tuple[FloatArray, FloatArray, FloatArray],
-    link: str,
-) -> Figure:
-    """A control loop: what was measured, estimated and wanted (N,) over time, the tracking error below."""
-    (name, unit), (measured, estimated, wanted) = quantity, signals
-    shown = (
-        Line("measured", x, measured, MEASURED),
-        Line("UKF", x, estimated, ESTIMATE),
-        Line("reference", x, wanted, MODEL, dash="dash"),
-    )
-    error = (Line("tracking error", x, wanted - measured, SECOND, quiet=True),)
-    panels = (
-        Panel(TIME, Axis(f"{name.capitalize()} [{unit}]"), shown, 250),
-        Panel(TIME, Axis(f"Reference − measured [{unit}]"), error, 160),
-    )
-    return Figure(title, about, panels, link)
 
 
 def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, columns: int = 400) -> Panel:

@@ -219,7 +219,7 @@ def parameters_table(found: Identified, caption: str = "") -> Table:
 
 def change(value: float) -> str:
     """A relative change in per cent, with its sign."""
-    return f"{100.0 * value:+.2f} %" if math.isfinite(value) else MISSING
+    return f"{round(100.0 * value, 2) + 0.0:+.2f} %" if math.isfinite(value) else MISSING
 
 
 def _between(found: Identified) -> list[Section]:

@@ -124,7 +124,8 @@ def _disturbance(replay: Replay, x: FloatArray) -> list[Figure]:
     if estimate is None:
         return []
     parts = [] if applied is None else [Line("applied", x, applied[replay.run.index], MEASURED)]
-    panel = Panel(TIME, Axis("Torque [N m]"), (*parts, Line("UKF", x, estimate, ESTIMATE)), 220)
+    # The noise of the estimate would hide what was applied.
+    panel = Panel(TIME, Axis("Torque [N m]"), (Line("UKF", x, estimate, ESTIMATE), *parts), 220)
     about = "The filter estimates the disturbance torque from the pressures. Where the joint sticks, friction hides it."
     return [Figure("Disturbance torque", about, (panel,), replay.name)]
 

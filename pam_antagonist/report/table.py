@@ -24,7 +24,6 @@ class Table:
     caption: str = ""
     best: tuple[frozenset[int], ...] = ()  # for each row, the columns with the best value (bold in HTML)
     prose: bool = False  # whether the cells are left-aligned text instead of numbers
-    widths: tuple[int, ...] = ()  # widths of the columns in a page [%]; empty: from the cells
 
     def __post_init__(self) -> None:
         """Check the shape."""

@@ -36,7 +36,8 @@ _PRIOR = 0.3
 _WHERE = {
     "flow": "the flow into {m}", "leak": "a leak of {m}", "valve": "the opening of {v}", "sensor": "the sensor of {m}",
     "force": "the force of {m}", "strength": "the strength of {m}", "torque": "the torque on the joint",
-    "friction": "the joint's friction", "exchange": "the flow from muscle 1 to muscle 2", "supply": "the supply",
+    "friction": "the joint's friction", "damping": "the joint's viscous friction", "supply": "the supply",
+    "exchange": "the flow from muscle 1 to muscle 2",
     "encoder": "the encoder", "line": "the line of {m}", "volume": "the volume of {m}", "meter": "the torque meter",
 }  # fmt: skip
 """Places in words, those too at which no rig has a law."""
@@ -286,7 +287,7 @@ def as_numbers(content: Mapping[str, Any], signals: Sequence[str] = ()) -> dict[
         law = _read(given, where)
         if complaint := law.complaint(signals):
             raise BadInput(f"{where}.{complaint}")
-        out |= numbers_of(law, int(name[-1]), signals)
+        out |= numbers_of(law, int(name.removeprefix("law")), signals)
     return out
 
 

@@ -39,8 +39,8 @@ from pam_antagonist.rig import Rig
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = (
-    "check", "excite", "identify", "import_csv", "load_rig", "new_rig", "read_bag", "replay", "simulate", "static",
-    "Estimator",
+    "check", "excite", "history", "identify", "import_csv", "load_rig", "new_rig", "read_bag", "replay", "simulate",
+    "static", "Estimator",
 )  # fmt: skip
 
 

@@ -66,7 +66,7 @@ def test_a_report_is_the_same(command, options, scheduler, bags, tmp_path):
 
 def test_cases_of_a_battery_are_the_same(scheduler, tmp_path):
     for name, where in (("here", []), ("there", ["--dask", scheduler])):
-        arguments = ["--out", str(tmp_path / name), "--count", "0", "--nothing", "2", "--duration", "12", *where]
+        arguments = ["--out", str(tmp_path / name), "--count", "0", "--nothing", "2", "--duration", "21", *where]
         assert battery.main(arguments) == 0
     names = sorted(path.name for path in (tmp_path / "here").iterdir())
     assert names == sorted(path.name for path in (tmp_path / "there").iterdir()) and len(names) == 3

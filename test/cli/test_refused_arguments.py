@@ -71,7 +71,7 @@ REFUSED = {
         ("--count 0", "one case or more"),
         ("--nothing -1", "whole number from 0"),
         ("--seed -1", "whole number from 0"),
-        ("--duration 1", "10 to 3600"),
+        ("--duration 1", "more than 20 s"),
         ("--jobs 0", "whole number from 1"),
     ],
     "paper": [

@@ -18,11 +18,11 @@ import pytest
 import pam_antagonist
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.episode_drift import StraightLines, course
+from pam_antagonist.diagnosis.episode_drift import Linear, Lines, course
 from pam_antagonist.diagnosis.episodes import diagnose, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.bootstrap import drawn, ratio
-from pam_antagonist.inference.episode_search import ABOVE_NOISE
+from pam_antagonist.inference.episode_search import ABOVE_NOISE, with_effect
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.pressure_driven import angles
@@ -31,14 +31,18 @@ from pam_antagonist.recording.signals import FurtherSignal
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.report.table import number
+from pam_antagonist.rig.learned import laws_of
 
 EPISODES, ROWS, PERIOD = 120, 60, 0.0125
 GAIN, STIFFNESS, VISCOUS = 2.4e-4, 60.0, 6.0  # [rad/s² by Pa], [1/s²], [1/s]
 SUBSTEPS = 25
 
 
-def joint(by_signal: float, coulomb: float | np.ndarray = 8.0, seed: int = 1) -> Recording:
-    """Episodes of a joint whose friction grows with one of two signals by so many rad/s² a Pa, or with time."""
+def joint(by_signal: float, coulomb: float | np.ndarray = 8.0, seed: int = 1, by_time: float = 0.0) -> Recording:
+    """Episodes of a joint whose friction grows with one of two signals by so many rad/s² a Pa, or with time.
+
+    A torque grows with the time since the start of an episode by ``by_time`` [rad/s³].
+    """
     rng = np.random.default_rng(seed)
     time = PERIOD * np.arange(ROWS)
     parts: dict[str, list[np.ndarray]] = {"pressure": [], "angle": [], "other": [], "decoy": []}
@@ -51,7 +55,9 @@ def joint(by_signal: float, coulomb: float | np.ndarray = 8.0, seed: int = 1) ->
         parts["other"].append(other)
         parts["decoy"].append(decoy)
         friction = constant + by_signal * (other - 400e3)
-        parts["angle"].append(_moved(waves[0] - waves[1], friction) + 2e-4 * rng.standard_normal(ROWS))
+        parts["angle"].append(
+            _moved(waves[0] - waves[1] + by_time * time / GAIN, friction) + 2e-4 * rng.standard_normal(ROWS)
+        )
     whole = {name: np.concatenate(values) for name, values in parts.items()}
     stamps = 10**18 + np.concatenate([e * 3 * 10**9 + np.rint(time * 1e9).astype(np.int64) for e in range(EPISODES)])
     return Recording(
@@ -161,15 +167,14 @@ def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
     assert 0.0 < friction.low < friction.value < friction.high
     still = found.changes["joint.stiffness"]
     assert still.low < 0.0 < still.high
-    lines = StraightLines(episodes, held, episodes.take(held.pool).fit(model))
+    pool = episodes.take(held.pool)
+    whole = pool.fit(model)
+    lines = Lines(episodes, held.pool, whole, Linear(pool, whole))
     later = episodes.take(held.later)
-    constant = later.squares(later.residual(episodes.take(held.pool).fit(model))).rmse
+    constant = later.squares(later.residual(whole)).rmse
     assert lines.later(later).rmse < 0.8 * constant
     between = episodes.take(held.interleaved)
-    assert (
-        lines.between(episodes, held.interleaved).rmse
-        < 0.5 * between.squares(between.residual(episodes.take(held.pool).fit(model))).rmse
-    )
+    assert lines.between(held.interleaved).rmse < 0.5 * between.squares(between.residual(whole)).rmse
     first = found.values["effects.friction.coulomb"][0]
     assert first.low / inertia < 4.5 < first.high / inertia
 
@@ -262,3 +267,52 @@ def test_neighbouring_episodes_are_drawn_together() -> None:
     together = ratio(tens, np.ones(400))
     assert together.high - together.low > 2.0 * (alone.high - alone.low)
     assert drawn(400).shape == (1000, 400)
+
+
+def test_a_torque_that_no_effect_of_the_catalogue_follows_becomes_a_learned_law(tmp_path: Path) -> None:
+    """A torque grows from 0 to 7 rad/s² within each episode, by the time since its start."""
+    recording = joint(by_signal=0.0, coulomb=2.0, seed=8, by_time=10.0)
+    result = pam_antagonist.diagnose(recording, "regulator_joint", also=["other"])
+    assert isinstance(result, EpisodesDiagnoseResult)
+    found = result.found
+    assert "learned: the torque on the joint by the time since the start" in found.effects
+    base, extended = found.rows[1], found.rows[-1]
+    assert extended.later.high < 0.1 * base.later.low
+    (law,) = (one for one in laws_of(result.rig_extended).values() if one.argument == "time")
+    torque = np.array(law.values) / result.joint.rig.joint.inertia
+    assert torque == pytest.approx(10.0 * np.array(law.nodes), abs=0.4)
+    assert min(found.coverage) >= 0.9, found.coverage
+    assert "stands for what nobody measured" in result.summary()
+
+    result.save(tmp_path / "out")
+    numbers = json.loads((tmp_path / "out" / "report.json").read_text())
+    (entry,) = (one for one in numbers["laws"] if one["arguments"] == ["time"])
+    assert entry["place"] == "torque" and set(numbers["coverage95"]) == {
+        "later",
+        "interleaved",
+    }
+    assert "Learned laws" in (tmp_path / "out" / "report.html").read_text()
+    assert law in laws_of(load_rig(tmp_path / "out" / "rig_extended.yaml", regulators=True)).values()
+
+
+def test_the_first_order_of_all_laws_is_that_of_small_changes(tied: Recording) -> None:
+    """Places, arguments and operators; friction that holds the joint makes difference quotients a little rough."""
+    episodes = PressureDriven.of(tied, load_rig("regulator_joint", regulators=True), ["other"]).take(np.arange(30))
+    model = episodes.fit(with_effect(episodes.as_configured, episodes.candidates({})["friction"], {}))
+    offered = {candidate.name: candidate for candidate in episodes.laws(model)}
+    left = episodes.residual(model).ravel()
+    names = [
+        "the strength of muscle 1 by its own pressure", "the strength of muscle 2 by the time since the start",
+        "the joint's friction by the other with a lag of 0.1 s", "the joint's friction by the speed",
+        "the joint's viscous friction by P2, which fades within 0.1 s", "the torque on the joint by the angle",
+        "the torque on the joint by the angle, within 3.44 °", "the torque on the joint by P1 - P2",
+    ]  # fmt: skip
+    chosen = [offered[f"learned: {name}"] for name in names]
+    for candidate, columns in zip(chosen, episodes.law_slopes(model, chosen), strict=True):
+        for size, column in zip(candidate.sizes, columns.T, strict=True):
+            only = {item.path: 0.02 * item.item.scale * (item == size) for item in candidate.sizes}
+            changed = with_effect(model, (candidate,), {}, only)
+            assert changed is not None
+            quotient = (episodes.residual(changed).ravel() - left) / 0.02
+            assert np.linalg.norm(column - quotient) < 0.2 * np.linalg.norm(quotient), candidate.name
+            assert column @ quotient == pytest.approx(quotient @ quotient, rel=0.2), candidate.name

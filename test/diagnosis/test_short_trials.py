@@ -59,3 +59,5 @@ def test_a_leak_of_a_known_rig_is_found_in_short_trials(tmp_path: Path) -> None:
     assert effect["parameters"]["area_1"]["value"] == pytest.approx(3e-8, rel=0.2)
     errors = report["filter_errors_deg"]
     assert errors["extended"] < 0.2 * errors["as_configured"]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Found: leak" in page and "leak, muscle 1: area_1 [mm²]" in page

@@ -53,9 +53,13 @@ def test_every_folder_of_the_package_stands_in_the_table() -> None:
 
 def test_pipeline_has_the_five_steps_in_this_order() -> None:
     source = (ROOT / "pam_antagonist" / "diagnosis" / "pipeline.py").read_text(encoding="utf-8")
-    body = source.split("def diagnose(")[1].split("\ndef ")[0]
-    places = [body.index(f"{step}(") for step in ("prepare", "by_itself_or_in_turn", "search", "judge", "describe")]
-    assert places == sorted(places)
+    for function, steps in (
+        ("diagnose", ("prepare", "describe")),
+        ("verdicts", ("by_itself_or_in_turn", "search", "judge")),
+    ):
+        body = source.split(f"def {function}(")[1].split("\ndef ")[0]
+        places = [re.search(rf"\b{step}\(", body).start() for step in steps]
+        assert places == sorted(places)
 
 
 def test_the_docstring_of_the_diagnosis_names_all_of_its_modules() -> None:

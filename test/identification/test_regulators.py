@@ -10,7 +10,7 @@ import pytest
 
 from pam_antagonist import check, identify, load_rig, simulate
 from pam_antagonist.cli.check import main
-from pam_antagonist.identification.stretches import beside_the_lag
+from pam_antagonist.identification.regulators import beside_the_lag
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.simulation.excitation import for_rig

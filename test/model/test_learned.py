@@ -39,6 +39,7 @@ def cases() -> dict[str, Law]:
         Law("torque", (-0.4, 0.4), (-0.1, 0.1), argument="angle"),
         Law("torque", (-1.0, 1.0), (0.05, -0.05), argument="velocity"),
         Law("torque", (0.0,), (0.04,)),
+        Law("damping", (3e5, 9e5), (-9.0, 0.1), argument="pressure_sum"),
         Law("friction", (0.0, 0.5, 1.0), (0.05, 0.02, -9.0), argument="speed"),
         Law("friction", (3e5, 9e5), (0.0, 0.1), argument="pressure_sum", operator="lag", time=0.1),
         Law("exchange", DROP, (1e-5, 0.0, 0.0, 1e-5), argument="pressure_difference"),
@@ -150,6 +151,7 @@ def second_version(law: Law, x: list[float], u: tuple[float, float], time: float
             static + along(place("force", i), speed[i]) + along(place("strength", i), speed[i]) * (static - passive)
         )
     tau = T["r"] * math.cos(psi) * (forces[1] - forces[2]) - along(-place("torque"), psi_dot)
+    tau -= max(place("damping"), -T["c_s"]) * psi_dot
     coulomb = paper.shaft_friction(T, forces[1], forces[2]) + paper.muscle_friction(T, p_1, p_2)
     t_f, _ = paper.friction(T, psi_dot, tau - T["k_s"] * psi, max(coulomb + place("friction"), 0.0))
     rates = [(known[law.argument](i) - held[i]) / law.time for i in held] if law.operator != "none" else []

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from sent import MS, Sent, asked, measure, packed, stamp_of
 
@@ -127,3 +128,24 @@ def test_a_checkpoint_is_published_once_a_second_and_when_the_state_is_set(node:
     assert stamp_of(first) == begin + 19 * MS and first.header.frame_id == "joint"
     assert asked(node._set_state, angle=0.1, velocity=0.0, pressure=[4e5, 4e5])[0]
     assert len(sent) == 2 and sent[1].state[0] == 0.1 and sent[1].started == sent[1].header.stamp
+
+
+def test_a_message_holds_what_the_filter_remembers() -> None:
+    from rclpy.serialization import serialize_message
+
+    from pam_antagonist.estimation import Estimator
+    from pam_antagonist.nodes.estimator import checkpoint_message
+    from pam_antagonist.recording import signals
+    from pam_antagonist.recording.cdr import Payloads, decode
+    from pam_antagonist.recording.topics import TOPICS
+    from pam_antagonist.rig import load_rig
+
+    estimator, other = (Estimator(load_rig("shin2022")) for _ in range(2))
+    stamps = 10**18 + MS * np.arange(200)
+    pressure, voltage = np.full((200, 2), 450e3) + np.arange(200)[:, None] * 100.0, np.full((200, 2), 5.5)
+    estimator.run(stamps[:100], pressure[:100], voltage[:100])
+    data = Payloads.of([serialize_message(checkpoint_message(estimator.checkpoint(), "elbow"))])
+    (recorded,) = signals.read_checkpoints(decode(data, TOPICS["filter_checkpoint"].type), np.arange(1))
+    other.restore(recorded)
+    whole, rest = (one.run(stamps[100:], pressure[100:], voltage[100:]) for one in (estimator, other))
+    assert rest.rows.tobytes() == whole.rows.tobytes()

@@ -200,18 +200,22 @@ def test_encoder_with_stamps_of_its_own_is_interpolated(rig: FakeRig, tmp_path: 
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_estimate_and_reference(rig: FakeRig, tmp_path: Path, storage: str) -> None:
+@pytest.mark.parametrize("former", [False, True])
+def test_estimate_and_reference(rig: FakeRig, tmp_path: Path, former: bool, storage: str) -> None:
+    """Also of a bag from before the messages had the torque from outside and the stiffness: those are not known."""
     streams = rig.streams()
+    rig.store = typestore(former=former)
     time = typestore().types["builtin_interfaces/msg/Time"](1_780_000_000, 122_000_000)
     estimates, references = Stream(ESTIMATE), Stream(REFERENCE)
     for i, stamp in enumerate(rig.stamp_ns):
         fields = {"angle": 0.1 * i, "velocity": 0.2 * i, "torque": 0.3 * i, "covariance": np.arange(9.0) + i,
                   "pressure": np.array([1.0, 2.0]) * i, "force": np.array([3.0, 4.0]) * i, "stiffness": 5.0 * i,
                   "innovation": np.array([np.nan, 6.0]), "innovation_covariance": np.arange(4.0) - i, "nis": 7.0 * i,
-                  "subsystem": i % 18 + 1, "flags": i % 128, "external_torque": 8.0 * i,
-                  "external_torque_covariance": np.arange(4.0) + i}  # fmt: skip
+                  "subsystem": i % 18 + 1, "flags": i % 128}  # fmt: skip
+        if not former:
+            fields |= {"external_torque": 8.0 * i, "external_torque_covariance": np.arange(4.0) + i}
         estimates.items.append(rig.message(ESTIMATE, stamp, started=time, **fields))
-    more = {"stiffness": 9.0, "damping": 0.25}
+    more = {} if former else {"stiffness": 9.0, "damping": 0.25}
     references.items.append(rig.message(REFERENCE, FIRST_NS, mode=1, value=0.5, **more))
     references.items.append(rig.message(REFERENCE, 0, mode=0, value=-0.25, log_ns=FIRST_NS + 200_000, **more))
     streams |= {"/pam/joint_estimate": estimates, "/pam/reference": references}
@@ -229,9 +233,11 @@ def test_estimate_and_reference(rig: FakeRig, tmp_path: Path, storage: str) -> N
     np.testing.assert_array_equal(recording.reference.stamp_ns, [FIRST_NS, FIRST_NS + 200_000])
     np.testing.assert_array_equal(recording.reference.mode, [1, 0])
     np.testing.assert_array_equal(recording.reference.value, [0.5, -0.25])
-    np.testing.assert_array_equal(estimate.external_torque, 8.0 * steps)
-    np.testing.assert_array_equal(estimate.external_torque_covariance[:, 3], 3.0 + steps)
-    assert recording.reference.stiffness.tolist() == [9.0] * 2 and recording.reference.damping.tolist() == [0.25] * 2
+    nothing = np.nan * steps
+    np.testing.assert_array_equal(estimate.external_torque, nothing if former else 8.0 * steps)
+    np.testing.assert_array_equal(estimate.external_torque_covariance[:, 3], nothing if former else 3.0 + steps)
+    np.testing.assert_array_equal(recording.reference.stiffness, [np.nan if former else 9.0] * 2)
+    np.testing.assert_array_equal(recording.reference.damping, [np.nan if former else 0.25] * 2)
 
 
 def test_a_validation_topic_of_another_type_is_left_out_and_said(rig: FakeRig, tmp_path: Path) -> None:

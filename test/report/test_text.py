@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.report.table import number
+from pam_antagonist.report.table import number, percent
 from pam_antagonist.strict_json import dumps, plain, write_json
 
 
@@ -79,3 +79,7 @@ def test_what_has_no_form_is_refused() -> None:
 )
 def test_numbers_have_the_digits_that_mean_something(value: float | None, digits: int, text: str) -> None:
     assert number(value, digits) == text
+
+
+def test_a_share_is_never_minus_nothing() -> None:
+    assert [percent(value) for value in (-1e-5, 0.1234, -0.02, None)] == ["0.0 %", "12.3 %", "-2.0 %", "–"]

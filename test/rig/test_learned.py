@@ -14,7 +14,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import free_parameters
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig, fingerprint, load_rig
-from pam_antagonist.rig.learned import Law, laws_of, value_path, with_law
+from pam_antagonist.rig.learned import LAWS, Law, laws_of, value_path, with_law
 from pam_antagonist.rig.write import write_rig
 
 LAW = Law("flow", (-1e5, 0.0, 1e5), (0.0, 1e-6, 3e-6), 2, "pressure_difference", "lag", 0.5, std=(1e-7, 2e-7, 3e-7))
@@ -116,7 +116,7 @@ def test_refused_in_one_line_with_what_was_expected(tmp_path: Path, changes: dic
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        ("effects: {learned: {law9: {place: flow}}}", ["'law9'", "expected one of law1"]),
+        ("effects: {learned: {law13: {place: flow}}}", ["'law13'", "expected one of law1"]),
         ("effects: {learned: {law1: 3.0}}", ["'law1'", "expected one of"]),
         ("effects: {learned: {law1: [1.0]}}", ["law1: expected entries place"]),
         ("effects: {learned: {law1_place: 3.0}}", ["learned.law1"]),
@@ -143,13 +143,13 @@ def test_other_files_are_refused(tmp_path: Path, body: str, words: list[str]) ->
 
 def test_laws_take_the_places_that_are_free(rig: Rig) -> None:
     many = rig
-    for _ in range(4):
+    for _ in LAWS:
         many = with_law(many, LAW)
-    assert list(laws_of(many)) == [1, 2, 3, 4]
-    with pytest.raises(BadInput, match=r"4 learned laws, expected at most 4$"):
+    assert list(laws_of(many)) == list(range(1, 13))
+    with pytest.raises(BadInput, match=r"12 learned laws, expected at most 12$"):
         with_law(many, LAW)
     other = Law("torque", (0.0,), (0.1,))
-    assert laws_of(with_law(many, other, number=2))[2] == other
+    assert laws_of(with_law(many, other, number=11))[11] == other
 
 
 def test_a_covariance_is_carried_in_three_directions_that_keep_each_deviation(rig: Rig) -> None:

@@ -191,27 +191,20 @@ def check_node(name: str, has: Rules) -> None:
 
 @pytest.mark.ros
 def test_the_policy_allows_what_the_nodes_do(tmp_path: Path, auditor: Auditor) -> None:
+    """The bridge has all of it without a device, for which it waits; its commander is the plant's."""
     from pam_antagonist.nodes.client import ReferenceClient
 
-    names = ("plant", "estimator", "controller", "recorder")
+    names = ("plant", "estimator", "controller", "recorder", "bridge")
     with Processes(tmp_path) as processes:
         processes.start("record", ["--out", str(tmp_path / "bag")])
         for name in names[:3]:
             processes.start(name)
         with ReferenceClient() as watch:
             processes.wait(watch.missing)
+        processes.start("bridge", ["--ros-args", "-p", f"port:={tmp_path / 'absent'}"])
         auditor.wait(processes, *names)
         for name in names:
             check_node(name, auditor.has(name))
-
-
-@pytest.mark.ros
-def test_the_policy_allows_what_the_bridge_does(tmp_path: Path, auditor: Auditor) -> None:
-    """It has all of it without a device, for which it waits."""
-    with Processes(tmp_path) as processes:
-        processes.start("bridge", ["--ros-args", "-p", f"port:={tmp_path / 'absent'}"])
-        auditor.wait(processes, "bridge")
-        check_node("bridge", auditor.has("bridge"))
 
 
 @pytest.mark.ros

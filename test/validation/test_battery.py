@@ -309,7 +309,7 @@ def oracle(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def test_it_goes_on_where_it_was_interrupted_and_refuses_another_battery(tmp_path: Path, oracle, capsys) -> None:
     def run(*arguments: object) -> int:
-        words = ("--out", tmp_path / "out", "--duration", 10, "--jobs", 2, *arguments)
+        words = ("--out", tmp_path / "out", "--duration", 21, "--jobs", 2, *arguments)
         return command.main([str(item) for item in words])
 
     assert run("--count", 6, "--shard", "2/2") == 0

@@ -13,11 +13,10 @@ from joblib import Parallel, delayed
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli.numbers import JOBS, SEED, whole
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording import Recording
 from pam_antagonist.report import terminal
 from pam_antagonist.report.table import markdown
-from pam_antagonist.rig import load_rig
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import write_json
 from validation import json_option
@@ -86,8 +85,9 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _main(arguments: argparse.Namespace) -> int:
-    if not 10.0 <= arguments.duration <= 3600.0:
-        raise BadInput(f"--duration {arguments.duration:g}: expected 10 to 3600 s")
+    if not SHORTEST < arguments.duration <= 3600.0:
+        # What is shorter counts as a trial, in which effects are looked for in another way.
+        raise BadInput(f"--duration {arguments.duration:g}: expected more than {SHORTEST:g} s, up to 3600")
     asked = {name: getattr(arguments, name) for name in ("seed", "count", *_KINDS, "effect")}
     every = cases(**asked)
     first, shards = arguments.shard
@@ -123,16 +123,11 @@ def _numbered(number: int, case: Case, duration: float, jobs: int) -> tuple[int,
 
 
 def diagnosis(case: Case, jobs: int) -> outcomes.Diagnose:
-    """The diagnosis of a case, without what is only for the report."""
-    from pam_antagonist.diagnosis import diagnose
+    """What ``close_loop`` makes of a case, without what is only for the report."""
+    from pam_antagonist import diagnose
 
-    def run(recordings: tuple[Recording, Recording]) -> Any:
-        return diagnose(
-            recordings, load_rig(RIG), joint="auto", holdout=outcomes.HOLDOUT, jobs=jobs, seed=case.seed % 2**31,
-            progress=None, profiles=False, estimator=False,
-        )  # fmt: skip
-
-    return run
+    options: dict[str, Any] = {"holdout": outcomes.HOLDOUT, "profiles": False, "estimator": False}
+    return lambda recordings: diagnose(recordings, RIG, jobs=jobs, seed=case.seed % 2**31, **options)
 
 
 def _report(done: Sequence[Outcome], count: int, asked: dict[str, Any], arguments: argparse.Namespace) -> None:

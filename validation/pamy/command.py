@@ -23,7 +23,7 @@ from pam_antagonist.recording.recording import Recording
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report import html
 from pam_antagonist.rig import load_rig
-from validation.pamy import baselines, page
+from validation.pamy import baselines, network, page
 
 _DESCRIPTION = """\
 Apply close_loop to the recording of a real arm, compare it with models without physics, and show drift and regulators.
@@ -65,11 +65,12 @@ def _run(arguments: argparse.Namespace) -> int:
     result = replace(result, took=time.perf_counter() - begin)
     hashes = (hashlib.sha256(arguments.file.read_bytes()).hexdigest(),)
     with common.output_folder(arguments.out) as folder:
-        content = report.document(result.found, result.joint, hashes, not arguments.no_figures)
+        found = report.EpisodesDiagnoseResult(result.found, result.joint, hashes)
+        content = found.document(not arguments.no_figures)
         html.write(folder, content, page.numbers(result, hashes))
     if arguments.docs is not None:
         common.write_text(arguments.docs, page.markdown(result))
-    print(report.EpisodesDiagnoseResult(result.found, result.joint, hashes).summary())
+    print(found.summary())
     common.announce_report(arguments, arguments.out)
     return common.DONE
 
@@ -99,4 +100,8 @@ def analysed(recording: Recording, jobs: int) -> page.ArmResult:
     commanded = rmse(
         *later.squares(replace(later, pressure=held_by, longest_step=found.longest_step).residual(found.model))
     )
-    return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, 0.0)
+    beside = None
+    if available("torch"):
+        progress("the recurrent network")
+        beside = network.row(joint.take(held.pool), later, joint.take(held.interleaved))
+    return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, 0.0, beside)

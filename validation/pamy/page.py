@@ -13,7 +13,8 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report.identify_episodes import regulators_sentences, regulators_table
-from pam_antagonist.report.table import Table, number
+from pam_antagonist.report.table import Table, number, percent
+from validation.pamy import network
 
 _ADDRESS = "https://github.com/ALRhub/action-conditional-rkn"
 _HEAD = """\
@@ -42,7 +43,9 @@ _RULES = """\
 
 The form of the model, the candidates, and that friction may go with signals come from a first look at these data.
 Errors of later episodes were in view when the directions of the force map were chosen, when the smallest share of last
-episodes (1/16) was added, and when it was decided that numbers along straight lines keep their last values. The rule
+episodes (1/16) was added, and when it was decided that numbers along lines keep their last values. That laws
+of damping, of lagging pressures and of the time since the start are offered, and at what shares laws are taken, comes
+from a first look at these data too; which of them are taken was decided within the fitted episodes. The rule
 that an effect removes 5 % of what is left is that of joints with valves. The rule of 1 % of what there was comes from a
 simulated joint.
 
@@ -50,7 +53,8 @@ simulated joint.
 
 Torque in N m, areas and stiffness in N m/rad cannot be known without a torque or an inertia. That friction depends on
 the other joint's pressures is a correlation in recordings of a policy, not an experiment: hold that joint at two
-pressures to find out.
+pressures to find out. What depends on the time since the start stands for what nobody measured: the policy moves the
+other joints by time.
 """
 
 
@@ -67,6 +71,7 @@ class ArmResult:
             the measured ones.
         regulators: fitted to the episodes that may be fitted.
         took: seconds.
+        network: the recurrent network; None without torch.
     """
 
     found: EpisodeDiagnosis
@@ -76,13 +81,15 @@ class ArmResult:
     commanded: Interval
     regulators: RegulatorsFound
     took: float
+    network: Row | None = None
 
 
 def markdown(result: ArmResult) -> str:
     """The page."""
     found = result.found
     notes = _list(item.text for item in report.findings(found, result.joint))
-    all_rows = [found.rows[0], *result.baselines, *found.rows[1:]]
+    beside = () if result.network is None else (result.network,)
+    all_rows = [found.rows[0], *result.baselines, *beside, *found.rows[1:]]
     errors = report.errors_table(_with_rows(found, all_rows))
     trees = (
         ""
@@ -93,7 +100,7 @@ def markdown(result: ArmResult) -> str:
     parts = [
         _HEAD.format(address=_ADDRESS), "## What the model lacks", report.verdict(found), notes, "## Errors",
         f"{errors.caption}. Every fit and every choice of the extended model saw the other episodes only. {trees}",
-        _table(errors),
+        _table(errors), _beside_the_network(result),
         "## Numbers, and their drift",
         "Torques are per inertia; a bar is one of the recording, a quarter of the normalised range.",
         f"{values.caption}.", _table(values),
@@ -103,6 +110,29 @@ def markdown(result: ArmResult) -> str:
         f"The command took {result.took:.0f} s.",
     ]  # fmt: skip
     return "\n\n".join(part.strip() for part in parts if part.strip()) + "\n"
+
+
+def _beside_the_network(result: ArmResult) -> str:
+    """How far the model is from the recurrent network, on later and on interleaved episodes."""
+    found, own = result.found, result.network
+    later, between = network.EARLIER if own is None else (own.later.value, (own.interleaved or own.later).value)
+    whence = "" if own is not None else " in an earlier run; torch is not installed here"
+    numbers = len(found.values)
+    best = [(found.rows[-1].forecast.value, later, "later")]
+    between_ours = min(row.interleaved.value for row in (found.rows[-1], found.lines) if row.interleaved)
+    best.append((between_ours, between, "interleaved"))
+    sentences = [
+        f"On {name} episodes the model errs by {number(ours)}°, {number(abs(ours - theirs), 2)}° "
+        f"{'more' if ours > theirs else 'less'} than the network."
+        for ours, theirs, name in best
+    ]
+    return (
+        f"A recurrent network (GRU, 2 × 64, {network.NUMBERS} numbers, fitted to the same episodes; four pressures and "
+        f"the first angle in) errs by {number(later)}° on later and {number(between)}° on interleaved "
+        f"episodes{whence}. The extended model has {numbers} numbers. {' '.join(sentences)} The network gives no "
+        f"interval; the model's 95 % interval holds {percent(found.coverage[0])} and {percent(found.coverage[1])} of "
+        "the angles."
+    )
 
 
 def _with_rows(found: EpisodeDiagnosis, rows: Sequence[Row]) -> EpisodeDiagnosis:

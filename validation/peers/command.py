@@ -50,11 +50,6 @@ def parser() -> common.Parser:
     return out
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; the result is its exit status."""
-    return common.run(parser, _run, argv)
-
-
 def _run(arguments: argparse.Namespace) -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     file = arguments.out / "peers.jsonl"
@@ -188,3 +183,6 @@ def missing() -> list[str]:
     """The libraries whose peers are left out, and what installs them."""
     absent = sorted({library for library in _LIBRARY.values() if not available(library)})
     return [f"left out, since not installed: {', '.join(absent)}; to get them: {install('peers')}"] if absent else []
+
+
+main = common.command(parser, _run)

@@ -7,7 +7,7 @@ r"""A law that was learned from recordings: a table of numbers at one place of t
 
 $a$ is what the law depends on. $\mathcal{O}$ is an operator with a memory, or none. $\theta$ is a table with up to 15
 nodes $z_k$ and as many values. Outside of the nodes, which are the range that was seen, it is constant. A rig has up to
-four laws. Its file names what a law is made of:
+twelve laws. Its file names what a law is made of:
 
 ```yaml
 effects:
@@ -31,6 +31,7 @@ effects:
 | `force` | muscle | N | further contraction force |
 | `strength` | muscle | - | share of the force that the pressure adds, F(l, P) − F(l, P_out) |
 | `torque` | joint | N m | further torque on the joint |
+| `damping` | joint | N m s/rad | change of the viscous friction c_s, which stays at 0 or above |
 | `friction` | joint | N m | change of the Coulomb torque T_s + T_p, which stays at 0 or above |
 | `exchange` | joint | kg/s | mass flow from muscle 1 to muscle 2, only towards the lower pressure |
 | `supply` | joint | - | change of the supply's pressure, as a share of it |
@@ -65,14 +66,14 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint, played
 
-LAWS, NODES = 4, 15
+LAWS, NODES = 12, 15
 """The most laws of a rig, and the most nodes of a law."""
 PLACES = {
     "flow": "kg/s", "leak": "m2", "exchange": "kg/s", "force": "N", "strength": "-", "valve": "-", "sensor": "Pa",
-    "torque": "N m", "friction": "N m", "supply": "-",
+    "torque": "N m", "damping": "N m s/rad", "friction": "N m", "supply": "-",
 }  # fmt: skip
 """Places of a law, with the unit of its values. Their codes are 1, 2 and so on, as those of the other tables."""
-OF_JOINT = ("torque", "friction", "exchange", "supply")
+OF_JOINT = ("torque", "damping", "friction", "exchange", "supply")
 """Places that do not belong to a muscle."""
 ARGUMENTS = {
     "none": "-", "pressure_1": "Pa", "pressure_2": "Pa", "pressure_difference": "Pa", "pressure_sum": "Pa",
@@ -87,7 +88,7 @@ MUSCLES = ("both", "1", "2", "joint")
 """Where a law acts; these codes begin at 0."""
 
 # numba would compile a function anew for each literal.
-FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, FRICTION, SUPPLY = map(np.int64, range(1, 11))
+FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, _DAMPING, FRICTION, SUPPLY = map(np.int64, range(1, 12))
 JOINT = np.int64(2)
 """Index of the joint, in the place of a muscle's."""
 (
@@ -239,9 +240,17 @@ def _further_force(static_force, passive_force, now, own, muscle, law, x, p):
 
 @inlined
 def _of_joint(place, now, law, x, p):
-    """Sum of the laws at a place of the joint: ``torque`` [N m], ``friction`` [N m]."""
+    """Sum of the laws at a place of the joint: ``friction`` [N m], ``supply``."""
     value, _, _ = _sums(place, JOINT, now, now, law, x, p)
     return value
+
+
+@inlined
+def _further_torque(now, viscous, law, x, p):
+    """Further torque on the joint [N m]: places ``torque`` and ``damping``."""
+    torque, damping, _ = _sums(TORQUE, JOINT, now, now, law, x, p)
+    _, velocity, _, _ = now
+    return torque - max(damping, -viscous) * velocity
 
 
 @inlined
@@ -325,7 +334,7 @@ def _states(number: int) -> Iterator[AddedState]:
 
 IN_HOOKS = {
     "mass_loss": ("flow", "leak", "exchange"), "open_rate": ("valve",), "supply_change": ("supply",),
-    "contraction_force": ("force", "strength"), "joint_torque": ("torque",), "coulomb_torque": ("friction",),
+    "contraction_force": ("force", "strength"), "joint_torque": ("torque", "damping"), "coulomb_torque": ("friction",),
     "sensor_reading": ("sensor",), "sensor_inverse": ("sensor",),
 }  # fmt: skip
 """Places that act in each hook; in all others of the effect's functions, laws with states do."""
@@ -343,7 +352,7 @@ EFFECT = Effect(
         "mass_loss": _lost_air,
         "contraction_force": _further_force,
         "coulomb_torque": _of_joint,
-        "joint_torque": _of_joint,
+        "joint_torque": _further_torque,
         "sensor_reading": _shown,
         "sensor_inverse": _pressure_behind,
         "muscle_rates": _rates,
