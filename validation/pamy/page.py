@@ -117,21 +117,23 @@ def _beside_the_network(result: ArmResult) -> str:
     found, own = result.found, result.network
     later, between = network.EARLIER if own is None else (own.later.value, (own.interleaved or own.later).value)
     whence = "" if own is not None else " in an earlier run; torch is not installed here"
-    numbers = len(found.values)
-    best = [(found.rows[-1].forecast.value, later, "later")]
-    between_ours = min(row.interleaved.value for row in (found.rows[-1], found.lines) if row.interleaved)
-    best.append((between_ours, between, "interleaved"))
+    numbers = len(found.model.theta) + len(found.model.free)
+    assert found.lines.interleaved is not None
+    pairs = [
+        (found.rows[-1].forecast.value, later, "later episodes"),
+        (found.lines.interleaved.value, between, "interleaved episodes, along lines,"),
+    ]
     sentences = [
-        f"On {name} episodes the model errs by {number(ours)}°, {number(abs(ours - theirs), 2)}° "
+        f"On {name} the model errs by {number(ours)}°, {number(abs(ours - theirs), 2)}° "
         f"{'more' if ours > theirs else 'less'} than the network."
-        for ours, theirs, name in best
+        for ours, theirs, name in pairs
     ]
     return (
         f"A recurrent network (GRU, 2 × 64, {network.NUMBERS} numbers, fitted to the same episodes; four pressures and "
         f"the first angle in) errs by {number(later)}° on later and {number(between)}° on interleaved "
-        f"episodes{whence}. The extended model has {numbers} numbers. {' '.join(sentences)} The network gives no "
-        f"interval; the model's 95 % interval holds {percent(found.coverage[0])} and {percent(found.coverage[1])} of "
-        "the angles."
+        f"episodes{whence}. The extended model has {numbers} numbers, along lines {found.points} times as many. "
+        f"{' '.join(sentences)} The network gives no interval; the model's 95 % interval "
+        f"holds {percent(found.coverage[0])} and {percent(found.coverage[1])} of the angles."
     )
 
 
