@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.blas import one_blas_thread
-from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, Linear, Lines, course, forecasts
+from pam_antagonist.diagnosis.episode_drift import WINDOWS, Drift, Linear, Lines, course, forecasts, solved
 from pam_antagonist.diagnosis.thresholds import MARGIN
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
 from pam_antagonist.inference.episode_search import Tried, search, with_effect
@@ -157,12 +157,18 @@ def covered(fitted: PressureDriven, unseen: PressureDriven, model: EpisodeModel)
     """Share of the measured angles within the 95 % interval of a free run.
 
     The interval's variance is that of the numbers, carried to the angle by their derivatives, plus that of what the
-    model leaves of the fitted episodes at the same time since the start.
+    model leaves of each fitted episode, fitted without it, at the same time since the start.
     """
     linear = Linear(fitted, model)
-    inverse = np.linalg.pinv(linear.grams.sum(axis=0), hermitian=True)
+    whole = linear.grams.sum(axis=0)
+    inverse = np.linalg.pinv(whole, hermitian=True)
     covariance = inverse @ (linear.pulls.T @ linear.pulls) @ inverse
-    left, since = fitted.residual(model)[:, 0] ** 2, _since_start(fitted)
+    left, since = fitted.residual(model), _since_start(fitted)
+    change = fitted.slopes(model, left)
+    left = left[:, 0].copy()
+    for (begin, end), gram, pull in zip(fitted.spans, linear.grams, linear.pulls, strict=True):
+        left[begin:end] -= change[begin:end] @ solved(whole - gram, pull)
+    left = left**2
     counts = (since > 0.0) & np.isfinite(fitted.angle)
     edges = np.quantile(since[counts], np.linspace(0.0, 1.0, _BINS + 1))
     bins = np.digitize(since, edges[1:-1])
