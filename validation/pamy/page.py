@@ -46,7 +46,7 @@ Errors of later episodes were in view when the directions of the force map were 
 episodes (1/16) was added, and when it was decided that numbers along lines keep their last values. That laws
 of damping, of lagging pressures and of the time since the start are offered, and at what shares laws are taken, comes
 from a first look at these data too; which of them are taken was decided within the fitted episodes. The interval takes
-residuals of fitted episodes from a fit without each of them, since it had held 89.5 % of later episodes before. The rule
+residuals of fitted episodes from a fit without each of them, since it held 89.5 % of later episodes before. The rule
 that an effect removes 5 % of what is left is that of joints with valves. The rule of 1 % of what there was comes from a
 simulated joint.
 
