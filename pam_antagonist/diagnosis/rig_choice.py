@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pam_antagonist.diagnosis import held_out
 from pam_antagonist.diagnosis.agreement import common_point
 from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
-from pam_antagonist.diagnosis.models import Model, in_threads
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
 from pam_antagonist.diagnosis.result import MODELS, Diagnosis, HeldOutComparison, RecordingEntry
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
@@ -107,7 +107,7 @@ def rig_errors(
             given = held_out.corrected(recording, part, "extended")
             return alone, held_out.estimator_errors(*given, rigs[name]).errors
 
-        found = in_threads(errors, ((part,) for part in parts), settings.jobs)
+        found = [errors(part) for part in parts]
         counts = [int(part.experiment.held_samples.sum()) for part in parts]
         filters = [(ukf, count) for (_, ukf), count in zip(found, counts, strict=True)]
         return RigErrors.total(total_of([alone for alone, _ in found], counts), filters)
