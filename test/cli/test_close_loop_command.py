@@ -35,7 +35,8 @@ def done(leaking: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_report_and_rig_are_written(done):
-    assert sorted(path.name for path in done.iterdir()) == ["report.html", "report.json", "rig_extended.yaml"]
+    names = ["report.html", "report.json", "rig_extended.log.jsonl", "rig_extended.yaml"]
+    assert sorted(path.name for path in done.iterdir()) == names
     assert not (done.parent / "found.part").exists()
     assert load_rig(done / "rig_extended.yaml").effects["leak"]["area_2"] > 0.0
 

@@ -59,7 +59,7 @@ def result(bags: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) ->
 @pytest.mark.slow
 def test_two_bags_give_a_rig_that_everything_loads(result, bags):
     assert {path.name for path in result.iterdir()} == {
-        "rig.yaml", "rig_1.yaml", "rig_2.yaml", "report.html", "report.json"
+        "rig.yaml", "rig.log.jsonl", "rig_1.yaml", "rig_2.yaml", "report.html", "report.json"
     }  # fmt: skip
     start = load_rig("shin2022")
     for name in ("rig.yaml", "rig_1.yaml"):
