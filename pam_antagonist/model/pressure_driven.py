@@ -20,6 +20,22 @@ _length = muscle.length
 _substeps_of = inlined(integration.substeps_of)
 
 
+@inlined
+def _without_flow(p):
+    """Zeros with which equation (4) keeps the pressures, in place: no flow, and no effect of the volume."""
+    p[VALVE : VALVE + 2 * VALVE_SIZE] = 0.0
+    p[POLYTROPIC_VOLUME] = 0.0
+
+
+@inlined
+def _put_inputs(x, p, pressure, signals, k, share):
+    """Pressures and signals at a share of the way from row k − 1 to row k, in state and parameters."""
+    x[PRESSURE_1] = pressure[k - 1, 0] + share * (pressure[k, 0] - pressure[k - 1, 0])
+    x[PRESSURE_2] = pressure[k - 1, 1] + share * (pressure[k, 1] - pressure[k - 1, 1])
+    for j in range(signals.shape[1]):
+        p[SIGNAL + j] = signals[k - 1, j] + share * (signals[k, j] - signals[k - 1, j])
+
+
 @kernel
 def angles(first, start, time, pressure, signals, p, longest):
     """Angles of episodes, each started anew.
@@ -37,9 +53,7 @@ def angles(first, start, time, pressure, signals, p, longest):
         ψ of each row (N,) [rad].
     """
     p = p.copy()
-    # With these zeros, equation (4) keeps the pressures: no flow, and no effect of the volume.
-    p[VALVE : VALVE + 2 * VALVE_SIZE] = 0.0
-    p[POLYTROPIC_VOLUME] = 0.0
+    _without_flow(p)
     u = np.zeros(2)
     out = np.empty(time.shape[0])
     for e in range(first.shape[0] - 1):
@@ -57,11 +71,7 @@ def angles(first, start, time, pressure, signals, p, longest):
             p[FRICTION_STEP] = h
             for s in range(steps):
                 # The inputs are held over a step, at their values in its middle.
-                share = (s + 0.5) / steps
-                x[PRESSURE_1] = pressure[k - 1, 0] + share * (pressure[k, 0] - pressure[k - 1, 0])
-                x[PRESSURE_2] = pressure[k - 1, 1] + share * (pressure[k, 1] - pressure[k - 1, 1])
-                for j in range(signals.shape[1]):
-                    p[SIGNAL + j] = signals[k - 1, j] + share * (signals[k, j] - signals[k - 1, j])
+                _put_inputs(x, p, pressure, signals, k, (s + 0.5) / steps)
                 _rk4_step(x, u, p, h, x, scratch)
             out[k] = x[ANGLE]
     return out
@@ -88,8 +98,7 @@ def linearised(first, start, time, pressure, signals, p, longest, moving, moves)
         and the signals (S, 9 + signals); the changes at the end of the step by those at its begin (S, Q, Q).
     """
     p = p.copy()
-    p[VALVE : VALVE + 2 * VALVE_SIZE] = 0.0
-    p[POLYTROPIC_VOLUME] = 0.0
+    _without_flow(p)
     u = np.zeros(2)
     count, q = 0, moving.shape[0]
     for e in range(first.shape[0] - 1):
@@ -113,10 +122,8 @@ def linearised(first, start, time, pressure, signals, p, longest, moving, moves)
             p[FRICTION_STEP] = h
             for s in range(steps):
                 share = (s + 0.5) / steps
-                x[PRESSURE_1] = pressure[k - 1, 0] + share * (pressure[k, 0] - pressure[k - 1, 0])
-                x[PRESSURE_2] = pressure[k - 1, 1] + share * (pressure[k, 1] - pressure[k - 1, 1])
+                _put_inputs(x, p, pressure, signals, k, share)
                 for j in range(signals.shape[1]):
-                    p[SIGNAL + j] = signals[k - 1, j] + share * (signals[k, j] - signals[k - 1, j])
                     seen[at, 9 + j] = p[SIGNAL + j]
                 row[at] = k
                 seen[at, 0] = time[k - 1] + share * dt - time[begin]
