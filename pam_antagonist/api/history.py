@@ -13,7 +13,6 @@ import numpy as np
 from pam_antagonist.api.check import CheckResult
 from pam_antagonist.api.identify import IdentifyResult
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.identified import unit_of_unknown
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.identification.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
@@ -88,7 +87,7 @@ def log(
     log book goes on, whichever of the two files is used next.
 
     Args:
-        command: ``identify``, ``close_loop``, ``check``, ``commission`` or ``monitor``.
+        command: ``identify``, ``close_loop``, ``check`` or ``commission``.
         rig_file: that was given.
         recordings: that were used.
         rig: that was given.
@@ -139,19 +138,14 @@ def _identified(found: IdentifyResult) -> dict[str, Any]:
         if fit.lost:
             continue
         common = [k for k, item in enumerate(fit.unknowns) if not item.recording]
-        names = [fit.unknowns[k].name for k in common]
-        scale = np.array([
-            fit.unknowns[k].std * (abs(fit.values[fit.unknowns[k].name]) if fit.unknowns[k].positive else 1.0)
-            for k in common
-        ])  # fmt: skip
-        matrix = fit.covariance[np.ix_(common, common)] * np.outer(scale, scale)
-        # What the data do not determine follows the prior, which says nothing of a change.
-        values |= {
-            name: (fit.values[name], float(np.sqrt(matrix[k, k])), unit_of_unknown(fitted.start, fit.unknowns[i]))
-            for k, (name, i) in enumerate(zip(names, common, strict=True)) if not fit.reasons[name]
-        }  # fmt: skip
-        blocks.append((tuple(names), tuple(tuple(float(f"{x:.4g}") for x in row) for row in matrix)))
+        names = tuple(fit.unknowns[k].name for k in common)
+        amounts = fit.covariance[np.ix_(common, common)]
+        scale = np.array([fit.stds[name] for name in names]) / np.sqrt(np.diag(amounts))
+        matrix = amounts * np.outer(scale, scale)
+        blocks.append((names, tuple(tuple(float(f"{x:.4g}") for x in row) for row in matrix)))
         values |= _forces(fitted.rig, fit)
+    # What the data do not determine follows the prior, which says nothing of a change.
+    values |= {item.name: (item.value, item.std, item.unit) for item in found.parameters if item.determined}
     return out | {"values": measured(values), "covariance": tuple(blocks)}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -64,12 +63,11 @@ class Entry(BaseModel):
     @property
     def when(self) -> datetime.datetime:
         """Middle of the recordings; without their dates the time of the command."""
-        spans = [span for span in self.recordings if span.begin is not None]
-        if not spans:
+        dated = [(span.begin, datetime.timedelta(seconds=span.seconds)) for span in self.recordings if span.begin]
+        if not dated:
             return self.at
-        begins = [span.begin for span in spans if span.begin is not None]
-        last = max(begin + datetime.timedelta(seconds=span.seconds) for begin, span in zip(begins, spans, strict=True))
-        return min(begins) + 0.5 * (last - min(begins))
+        first = min(begin for begin, _ in dated)
+        return first + 0.5 * (max(begin + length for begin, length in dated) - first)
 
 
 class Logbook(NamedTuple):
@@ -127,7 +125,7 @@ def read(books: Sequence[Path], rig: Rig) -> Logbook:
     Raises:
         BadInput: a file cannot be read.
     """
-    found, notes, ours = dict[str, Entry](), list[str](), RigIdentity.of(rig)
+    found, notes, ours = list[Entry](), list[str](), RigIdentity.of(rig)
     for book in books:
         try:
             lines = book.read_bytes().split(b"\n")
@@ -146,7 +144,7 @@ def read(books: Sequence[Path], rig: Rig) -> Logbook:
             if apart:
                 others.setdefault(apart[0], []).append(number)
             else:
-                found[json.dumps(entry.model_dump(mode="json"), sort_keys=True)] = entry
+                found.append(entry)
         if damaged:
             notes.append(
                 f"{book}: {_lines(damaged)} cannot be read and {_are(damaged)} left out; the file is unchanged"
@@ -155,9 +153,11 @@ def read(books: Sequence[Path], rig: Rig) -> Logbook:
             f"{book}: {_lines(numbers)} {_are(numbers)} of another rig ({why}) and left out"
             for why, numbers in others.items()
         ]
-    # The same recordings, worked on again by the same command, are one observation.
-    latest = {(entry.command, tuple(span.sha256 or str(k) for span in entry.recordings) or k): entry
-              for k, entry in enumerate(sorted(found.values(), key=lambda entry: entry.at))}  # fmt: skip
+    # The same recordings, worked on again by the same command, are one observation; so are copies of an entry.
+    latest = {
+        (entry.command, tuple(span.sha256 for span in entry.recordings) or entry.at): entry
+        for entry in sorted(found, key=lambda entry: entry.at)
+    }
     return Logbook(tuple(sorted(latest.values(), key=lambda entry: entry.when)), tuple(notes))
 
 
