@@ -20,7 +20,7 @@ from __future__ import annotations
 import argparse
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.recordings import announce
+from pam_antagonist.cli.recordings import announce, check_page
 from pam_antagonist.report.history import Limit
 
 
@@ -53,14 +53,9 @@ def _limit(text: str) -> tuple[str, Limit]:
 def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.history import history
 
-    if arguments.out is not None:
-        common.check_output(arguments.out)
-        common.only_available_figures(arguments)
+    check_page(arguments)
     found = history(arguments.rig, arguments.log, dict(arguments.limit))
-    if arguments.out is None:
-        print(found.summary())
-    else:
-        announce(arguments, found, None)
+    announce(arguments, found, None)
     return common.DONE
 
 

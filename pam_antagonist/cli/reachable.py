@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.numbers import real
-from pam_antagonist.cli.recordings import announce
+from pam_antagonist.cli.recordings import announce, check_page
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.report.reachable import ReachableResult
 from pam_antagonist.rig import load_rig
@@ -40,16 +40,11 @@ def parser() -> common.Parser:
 
 
 def _main(arguments: argparse.Namespace) -> int:
-    if arguments.out is not None:
-        common.check_output(arguments.out)
-        common.only_available_figures(arguments)
+    check_page(arguments)
     rig = load_rig(arguments.rig, regulators=True)
     box = Box.of(rig.parameters(), arguments.lowest_pressure, arguments.supply_margin, arguments.least_force)
     found = ReachableResult.of(rig, box)
-    if arguments.out is None:
-        print(found.summary())
-    else:
-        announce(arguments, found, None)
+    announce(arguments, found, None)
     return common.DONE
 
 

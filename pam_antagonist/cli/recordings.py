@@ -128,8 +128,21 @@ def note_down(
         print(f"warning: {error}", file=sys.stderr)
 
 
+def check_page(arguments: argparse.Namespace) -> None:
+    """Before any work of a command whose ``--out`` may be left out: can the page be written?"""
+    if arguments.out is not None:
+        common.check_output(arguments.out)
+        common.only_available_figures(arguments)
+
+
 def announce(arguments: argparse.Namespace, found: Result, rig: str | None, apart: bool = False) -> None:
-    """Save a result, and say what it is and where rig and report are; without a rig, `apart` is an empty line."""
+    """Save a result, and say what it is and where rig and report are; without a rig, `apart` is an empty line.
+
+    Without ``--out`` it is only said.
+    """
+    if arguments.out is None:
+        print(found.summary())
+        return
     found.save(arguments.out, figures=not arguments.no_figures)
     print(found.summary())
     if rig is not None or apart:
