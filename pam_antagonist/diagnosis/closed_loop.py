@@ -29,15 +29,7 @@ from pam_antagonist.software import versions
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClosedLoop(Diagnosis):
-    """The diagnosis, see :class:`pam_antagonist.diagnosis.Diagnosis`, with its inputs.
-
-    Attributes:
-        start: the rig as configured.
-        hashes: SHA-256 of each recording, whole held-out recordings last.
-        seed: of the search.
-        kept: share of each recording that was held out, or names of held-out recordings.
-        typed: corrections with which the recordings were read.
-    """
+    """The diagnosis with its inputs; the fields are those of ``DiagnoseResult``, which adds the page."""
 
     start: Rig
     hashes: tuple[str, ...]

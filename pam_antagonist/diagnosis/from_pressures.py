@@ -115,11 +115,6 @@ class _Part(Experiment):
 
     @cached_property
     @override
-    def measured(self) -> Floats:
-        return self.trial.blocks(self.trial.measured[:, list(self.channels)])
-
-    @cached_property
-    @override
     def noise(self) -> Floats:
         return np.array([self.rig.sensors.error(name) for name in self._sensors])
 

@@ -91,16 +91,7 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identified(Shown):
-    """An identified rig.
-
-    Attributes:
-        rig: with the identified parameters, noise and tuning.
-        own: with several recordings, a rig with each one's own values; otherwise empty.
-        found: all results; those of a sealed joint have fewer steps and values.
-        held: errors on the part of each recording that no step used, with the compared rigs.
-        recordings: each with its joint condition and name.
-        seed: of further starts.
-    """
+    """An identified rig; the fields are those of ``IdentifyResult``, which adds the page."""
 
     rig: Rig
     own: tuple[Rig, ...]

@@ -72,11 +72,6 @@ class Experiment(Driven):
 
     @property
     @abstractmethod
-    def measured(self) -> Floats:
-        """Block means of the measurements (B, C), NaN where there are none."""
-
-    @property
-    @abstractmethod
     def noise(self) -> Floats:
         """Standard deviation of a block mean by the sensors alone (C,)."""
 
@@ -102,6 +97,11 @@ class Experiment(Driven):
 
         One that is given the measured angle at every step shows the errors of its equations in its residuals.
         """
+
+    @cached_property
+    def measured(self) -> Floats:
+        """Block means of the measurements (B, C), NaN where there are none."""
+        return self.trial.blocks(self.trial.measured[:, list(self.channels)])
 
     @abstractmethod
     def signals(self, point: Point) -> dict[str, Floats]:

@@ -73,11 +73,6 @@ class ValveDriven(Experiment):
 
     @cached_property
     @override
-    def measured(self) -> Floats:
-        return self.trial.blocks(self.trial.measured[:, list(self.channels)])
-
-    @cached_property
-    @override
     def noise(self) -> Floats:
         return np.array([self.trial.noise(c) for c in self.channels])
 
