@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.bootstrap import Interval, ratio
+from pam_antagonist.inference.episode_laws import learn
 from pam_antagonist.inference.episodes import ROUNDS, EpisodeModel, Episodes
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.held_episodes import thinned
-from pam_antagonist.inference.law_search import learn
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
