@@ -11,7 +11,7 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.diagnosis.learned_law import with_laws
-from pam_antagonist.diagnosis.preparation import Settings
+from pam_antagonist.diagnosis.preparation import Settings, silent
 from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import is_for
@@ -94,7 +94,7 @@ def diagnose(
     hashes = tuple(recording_hash(one) for one in every)
     if are_trials(every, chosen):
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
-        settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or _silent, False, False, Checkpoint())
+        settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or silent)
         found = _from_pressures(given, chosen, settings, len(kept))
         return PressuresDiagnoseResult(chosen, found, hashes)
     if are_episodes(every, chosen):
@@ -103,16 +103,16 @@ def diagnose(
             raise BadInput(f"rig {chosen.name} has pressure regulators: {expected}")
         first = PressureDriven.of(fitted[0], chosen, also, jobs)
         later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
-        return EpisodesDiagnoseResult(_of_episodes(first, holdout, later, progress or _silent), first, hashes)
+        return EpisodesDiagnoseResult(_of_episodes(first, holdout, later, progress or silent), first, hashes)
     if also:
         raise BadInput("also: expected a recording of many episodes of a joint with pressure regulators")
     for recording in every:
         recording.driven_by(chosen.drive).in_one_piece()
     run = partial(
-        _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed, progress=progress,
-        profiles=profiles, estimator=estimator, store=store,
+        _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed,
+        progress=progress or silent, profiles=profiles, estimator=estimator, store=store or Checkpoint(),
     )  # fmt: skip
-    diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or _silent)
+    diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or silent)
     return widened(
         DiagnoseResult,
         diagnosis,
@@ -132,7 +132,3 @@ def are_trials(recordings: Sequence[Recording], rig: Rig) -> bool:
         return False
     short = any(one.episode_ns is not None or one.duration_s < SHORTEST for one in recordings)
     return short and sum(one.duration_s for one in recordings) >= SHORTEST
-
-
-def _silent(_text: str) -> None:
-    """Ignore progress."""

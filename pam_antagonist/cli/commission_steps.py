@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
 from pam_antagonist.cli.progress import counted
@@ -50,7 +49,6 @@ The joint goes farther than its model says. What helps:
   - for the angle: pressures nearer to each other (--min-pressure, --max-pressure)
 A tighter limit ends the experiment as well."""
 """What a design keeps away from a limit grows and shrinks with the limit."""
-Floats = NDArray[np.float64]
 
 
 def _rounded(value: float) -> float:

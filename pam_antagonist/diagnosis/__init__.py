@@ -7,10 +7,10 @@
    recordings is a ``Model`` (:mod:`models`). :mod:`agreement` refuses recordings of different rigs.
 3. Search. :mod:`search` asks each of the :mod:`hypotheses` what it would make of the model, and takes the best answer:
    :mod:`catalogue_effects` are effects of the catalogue, :mod:`calibrations` zeros, scales and late stamps.
-4. Judge. :mod:`judgement` has the rules of the verdict on a group, in one table. :mod:`change_point` and :mod:`onset`
-   find effects that begin during a recording, :mod:`disturbance` and :mod:`disturbance_search` a torque that comes and
-   goes, :mod:`sticking` friction of a joint that sticks. :mod:`findings` names the effects, with muscle and size, and
-   :mod:`splits` says how firm they are.
+4. Judge. :mod:`judgement` has the rules of the verdict on a group, in one table. Some of them ask a hypothesis more:
+   an effect that begins or ends during a recording (:mod:`onset`, by :mod:`change_point`), a torque that comes and goes
+   (:mod:`disturbance_search`, by :mod:`disturbance`), friction of a joint that sticks (:mod:`sticking`).
+   :mod:`findings` names the effects, with muscle and size, and :mod:`splits` says how firm they are.
 5. Describe. :mod:`description` makes the :class:`Diagnosis`: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
    :mod:`found_calibrations` the corrections that a user enters, :mod:`rig_choice` the rig files. :mod:`closed_loop` is

@@ -73,8 +73,9 @@ class CatalogueEffect(Hypothesis):
 
     @override
     def take(self, now: Ranking, best: TriedCandidate) -> tuple[Model, Model]:
-        assert best.model is not None
-        return now.base, shared(best.model.map(relinearised))
+        base, model = super().take(now, best)
+        # One that sees the recordings in its own way has a base beside it, and is finished.
+        return (now.base, shared(model.map(relinearised))) if best.base is None else (base, model)
 
     @override
     def knows(self, name: str) -> bool:

@@ -1,8 +1,10 @@
 """What a model may lack, as hypotheses with one interface, and what trying one of them gives.
 
 A search (:mod:`search`) asks every hypothesis of a table in turn what it would make of the present model, takes the
-best answer that is worth it, and asks again. An effect of the catalogue and a calibration are hypotheses. Another
-package adds its own by an entry point of the group ``pam_antagonist.hypotheses``, the name of a class.
+best answer that is worth it, and asks again. An effect of the catalogue and a calibration are hypotheses; so are an
+effect that begins or ends, a disturbance torque and friction along the motion, which rules ask for
+(:mod:`judgement`). Another package adds its own by an entry point of the group ``pam_antagonist.hypotheses``, the name
+of a class.
 """
 
 from __future__ import annotations
@@ -50,6 +52,8 @@ class TriedCandidate:
     # has no excess.
     shares: tuple[float, float] | None = None
     model: Model | None = None
+    # the model without effects of the recordings as the candidate sees them; None: as they were.
+    base: Model | None = None
     # the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
     muscles: tuple[float, float] | None = None
     # of the excess without effects, fitted and held out together, that it removes; None likewise.
@@ -187,7 +191,7 @@ class Hypothesis(ABC):
     def take(self, now: Ranking, best: TriedCandidate) -> tuple[Model, Model]:
         """The models without and with effects, with a candidate that was chosen."""
         assert best.model is not None
-        return (now.base if self.is_effect else best.model), best.model
+        return best.base or (now.base if self.is_effect else best.model), best.model
 
     @abstractmethod
     def knows(self, name: str) -> bool:

@@ -88,11 +88,10 @@ class Case:
 
 def _begins_or_ends(case: Case) -> Judged | None:
     found = onset.begin_and_end(case.group, case.ranking, case.work)
-    if found is None or not explains(found.ranking.base, found.ranking.model):
+    if found is None or not explains(found.base, found.model):
         return None
-    changing = replace(case, ranking=found.ranking)
-    notes = (*warnings.implausible(found.ranking.base), *agreement.base_contradictions(found.ranking.base))
-    return onset.dated(_by_effects(changing, notes), found)
+    changing = replace(case, ranking=found)
+    return _by_effects(changing, changing.notes)
 
 
 def _nothing(case: Case) -> Judged:
@@ -167,7 +166,11 @@ def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work) -> Jud
 
 
 def _changes(case: Case) -> list[str]:
-    return warnings.changes(onset.parts_above_noise(case.group, case.ranking.base))
+    if not onset.can_change(case.group):
+        return []
+    base = case.ranking.base
+    parts = base.each(change_point.parts_above_noise)
+    return warnings.changes({e.trial.name: part for e, part in zip(base.experiments, parts, strict=True) if part})
 
 
 def _by_disturbance(case: Case, found: disturbance_search.Explanation | None, share: float | None) -> Judged | None:
@@ -202,9 +205,11 @@ def _by_effects(case: Case, base_notes: Sequence[str]) -> Judged:
     if explains_in_part(base, model):
         notes.insert(0, warnings.explained_in_part([effect.name for effect in found.effects]))
     contradictions = agreement.effect_contradictions(model, found.effects, found.values)
+    effects = onset.dated(found.effects, model)
+    changes = (onset.NOTE,) if any(one.onset_s is not None or one.end_s is not None for one in effects) else ()
     return Judged(
-        group, base, ranking, "effect", share, model, found.effects, found.values,
-        (*notes, *base_notes, *contradictions), firm,
+        group, base, ranking, "effect", share, model, effects, found.values,
+        (*notes, *base_notes, *contradictions, *changes), firm,
     )  # fmt: skip
 
 

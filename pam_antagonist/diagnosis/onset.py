@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from pam_antagonist.diagnosis import change_point, thresholds
+from pam_antagonist.diagnosis.catalogue_effects import CatalogueEffect
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
 from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, in_threads
 from pam_antagonist.diagnosis.preparation import Group
-from pam_antagonist.diagnosis.result import FoundEffect, Judged
+from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.search import search
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.calibration import is_calibration
@@ -43,90 +45,25 @@ acted comes back slowly, so that its end looks late."""
 _ROUNDS = 4
 _SAME = 3.0
 """Edges of two recordings are the same if they differ by less than this, in standard deviations."""
+NOTE = (
+    "effects begin or end during the recordings, so blocks on either side of each change were held out, and the errors "
+    "are those in these blocks. The times of the changes were fitted to all data"
+)
 
 
-class Dated(NamedTuple):
-    """When an effect acts in a recording, and how exactly that is known."""
+@dataclass(frozen=True)
+class EffectInPart(CatalogueEffect):
+    """An effect of the catalogue that begins or ends during recordings, where what acts throughout leaves more."""
 
-    span: Span
-    std_s: tuple[float, float]  # standard deviations of both [s]; 0 of one that lies beyond the recording
+    # whether nothing but noise may be left: then a search that stays far above it is ended early.
+    to_noise: bool = False
 
-    def is_like(self, other: Dated) -> bool:
-        """Whether another recording shows the same begin and end."""
-        near = [
-            a == b or abs(a - b) <= _SAME * float(np.hypot(one, two))
-            for a, b, one, two in zip(self.span, other.span, self.std_s, other.std_s, strict=True)
-        ]
-        return all(near)
-
-
-class _Refined(NamedTuple):
-    experiment: Experiment
-    fitted: Fitted
-    dated: Dated | None
-
-
-@dataclass(frozen=True, eq=False)
-class Changing:
-    """A search in recordings that change."""
-
-    ranking: Ranking  # of models of the recordings, each with the spans of its effects and with blocks held out in turn
-    dates: tuple[Mapping[str, Dated], ...]  # of each recording, when each effect acts that begins or ends, by its name
-
-
-def begin_and_end(group: Group, found: Ranking, work: Work) -> Changing | None:
-    """Effects that begin or end during the recordings, if they explain what others do not; else None.
-
-    Where effects that act throughout explain the recordings well, others are accepted only if they leave nothing but
-    noise: the residual of an effect of another form may come and go as well. A search that stays far above noise is
-    ended early then.
-
-    `found`: by the search for effects that act throughout.
-    """
-    chosen = found.model
-    if not _can_change(group) or is_all_noise(chosen):
-        return None
-    to_noise = explains(found.base, chosen) and not explains_in_part(found.base, chosen)
-    work.progress("whether something begins or ends during the recordings")
-    best = None
-    # Something may begin beside what acts throughout; but what begins bends the choice of what acts throughout.
-    for start in (found.base, chosen) if chosen.effects else (found.base,):
-        changing = _beside(start, work, to_noise)
-        if changing is None or not _better(chosen, changing):
-            continue
-        if is_all_noise(changing.ranking.model):
-            return changing
-        best = changing if best is None else best
-    return None if to_noise else best
-
-
-def parts_above_noise(group: Group, model: Model) -> dict[str, tuple[Span, ...]]:
-    """The parts of each recording in which it leaves its noise, by its name; without those that do not begin or end."""
-    if not _can_change(group):
-        return {}
-    found = model.each(change_point.parts_above_noise)
-    return {e.trial.name: parts for e, parts in zip(model.experiments, found, strict=True) if parts}
-
-
-def _can_change(group: Group) -> bool:
-    """Whether effects of these recordings can begin and end."""
-    return not group.held_out and all(experiment.runs_by_itself for experiment in group.experiments)
-
-
-def _beside(start: Model, work: Work, to_noise: bool) -> Changing | None:
-    """Effects that begin or end beside a model, one part of the recordings after the other; None if there are none.
-
-    `to_noise`: whether to end where the model stays far above noise.
-    """
-    throughout = dict.fromkeys(start.effects, THROUGHOUT)
-    model = replace(start, experiments=tuple(replace(one, spans=throughout) for one in start.experiments))
-    dates = [dict[str, Dated]() for _ in model.fits]
-    tried: list[TriedCandidate] = []
-    found = None
-    while len(model.effects) < thresholds.MOST_EFFECTS:
+    @override
+    def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
+        model = now.model
         changes = model.each(change_point.first_change)
         if not any(changes):
-            break
+            return []
         starts = [f.point if c is None else c.point for f, c in zip(model.fits, changes, strict=True)]
         spans = [THROUGHOUT if change is None else change.span for change in changes]
         for _ in range(_SEARCHES):
@@ -134,32 +71,72 @@ def _beside(start: Model, work: Work, to_noise: bool) -> Changing | None:
             parted = replace(model, experiments=tuple(_parted(*pair, model.effects) for pair in pairs))
             quiet = _without_effects(parted, starts)
             before = parted.map(_from, starts) if model.effects else quiet
-            first = quiet if model.effects else None
             # One effect at a time: another one that acts then is found in what is still above noise.
-            ranking = search(before, work, first=first, most=len(model.effects) + 1)
+            ranking = search(before, work, first=quiet if model.effects else None, most=len(model.effects) + 1)
             new = [name for name in ranking.model.effects if name not in model.effects]
             if not new:
-                return found
+                return []
             work.progress("when it begins and ends")
             refined = ranking.model.each(_refined)
             others = [[other for other in refined if other is not one] for one in refined]
             refined = in_threads(_best_of_recordings, zip(refined, starts, others, strict=True), model.jobs)
-            if to_noise and any(np.max(e.times_noise(f.residual)) > MAY_BE_NOISE for e, f, _ in refined):
-                return None
+            if self.to_noise and any(np.max(e.times_noise(f.residual)) > MAY_BE_NOISE for e, f in refined):
+                return []
             known, spans = spans, [one.experiment.span for one in refined]
             if all(_is_near(*pair) for pair in zip(known, spans, strict=True)):
                 break
-        model = Model(
+        shown = Model(
             tuple(_with_spans(one.experiment, new) for one in refined),
             tuple(one.fitted for one in refined),
             ranking.model.effects,
         )
-        for when, one in zip(dates, refined, strict=True):
-            when.update({} if one.dated is None else dict.fromkeys(new, one.dated))
-        tried += ranking.tried
-        base = _without_effects(model, [fitted.point for fitted in quiet.fits])
-        found = Changing(Ranking(base, model, tuple(tried)), tuple(dict(when) for when in dates))
-    return found
+        base = _without_effects(shown, [fitted.point for fitted in quiet.fits])
+        return [replace(one, model=shown, base=base) if one.effect in new else one for one in ranking.tried]
+
+    @override
+    def is_worth_taking(self, tried: TriedCandidate) -> bool:
+        return tried.base is not None
+
+
+class _Refined(NamedTuple):
+    experiment: Experiment
+    fitted: Fitted
+
+
+def begin_and_end(group: Group, found: Ranking, work: Work) -> Ranking | None:
+    """Effects that begin or end during the recordings, if they explain what others do not; else None.
+
+    Where effects that act throughout explain the recordings well, others are accepted only if they leave nothing but
+    noise: the residual of an effect of another form may come and go as well.
+
+    `found`: by the search for effects that act throughout.
+    """
+    chosen = found.model
+    if not can_change(group) or _is_all_noise(chosen):
+        return None
+    to_noise = explains(found.base, chosen) and not explains_in_part(found.base, chosen)
+    work.progress("whether something begins or ends during the recordings")
+    best = None
+    # Something may begin beside what acts throughout; but what begins bends the choice of what acts throughout.
+    for start in (found.base, chosen) if chosen.effects else (found.base,):
+        changing = search(_acting_throughout(start), work, (EffectInPart(to_noise),))
+        if changing.model.effects == start.effects or not _better(chosen, changing.model):
+            continue
+        if _is_all_noise(changing.model):
+            return changing
+        best = changing if best is None else best
+    return None if to_noise else best
+
+
+def can_change(group: Group) -> bool:
+    """Whether effects of these recordings can begin and end."""
+    return not group.held_out and all(experiment.runs_by_itself for experiment in group.experiments)
+
+
+def _acting_throughout(model: Model) -> Model:
+    """A model whose effects act throughout, whatever is found beside them."""
+    spans = dict.fromkeys(model.effects, THROUGHOUT)
+    return replace(model, experiments=tuple(replace(one, spans=spans) for one in model.experiments))
 
 
 def _with_spans(experiment: Experiment, new: Sequence[str]) -> Experiment:
@@ -168,10 +145,18 @@ def _with_spans(experiment: Experiment, new: Sequence[str]) -> Experiment:
 
 
 def _is_near(one: Span, other: Span) -> bool:
-    return all(a == b or abs(a - b) <= _FAR for a, b in zip(one, other, strict=True))
+    return all(a == b or abs(a - b) <= _FAR for a, b in zip(one.limits, other.limits, strict=True))
 
 
-def is_all_noise(model: Model) -> bool:
+def _is_like(one: Span, other: Span) -> bool:
+    """Whether two recordings show the same begin and end, within their standard deviations."""
+    return all(
+        a == b or abs(a - b) <= _SAME * float(np.hypot(*stds))
+        for a, b, *stds in zip(one.limits, other.limits, one.std_s, other.std_s, strict=True)
+    )
+
+
+def _is_all_noise(model: Model) -> bool:
     """Whether no stretch of any recording is above noise."""
     return all(change_point.is_noise(e, e.residual(f.point, whole=True)) for e, f in model.pairs)
 
@@ -204,25 +189,30 @@ def _without_effects(model: Model, points: Sequence[Point]) -> Model:
     return replace(model.map(one, points), effects=())
 
 
+def _shows(experiment: Experiment, fitted: Fitted) -> bool:
+    """Whether a recording's model has something that begins or ends in its span."""
+    return bool(set(experiment.span.edges) & set(experiment.edges(fitted.point)))
+
+
 def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
     """The most likely begin and end of one recording's new effects, by the likelihood with all else fitted again.
 
     All data count: an edge within what is held out would be anywhere there.
     """
-    if not set(experiment.span.edges) & set(experiment.edges(fitted.point)):
-        return _Refined(experiment, fitted, None)
+    if not _shows(experiment, fitted):
+        return _Refined(experiment, fitted)
     pace = fitted.scale.blocks_per_error
     linear = Linear.of(replace(experiment, split=None), fitted)
     span, stds, best = experiment.span, [0.0, 0.0], linear.on(np.ones(len(linear.residual), dtype=bool))
-    for k, edge in enumerate(span):
+    for k, edge in enumerate(span.limits):
         if np.isfinite(edge):
             span, best, stds[k] = _edge(linear, span, k, best)
-    moved = replace(experiment, span=span)
+    moved = replace(experiment, span=span._replace(std_s=(stds[0], stds[1])))
     again = refit(moved, best.point, fitted.free, rounds=_ROUNDS, renewals=1, blocks_per_error=pace, careful=2)
     if np.max(moved.times_noise(again.residual)) < thresholds.CLEAN and pace > 1.0:
         finer = refit(moved, again.point, again.free, renewals=2, blocks_per_error=1.0, careful=0)
         again = finer if np.max(moved.times_noise(finer.residual)) < thresholds.AT_NOISE else again
-    return _Refined(moved, relinearised(moved, again), Dated(span, (stds[0], stds[1])))
+    return _Refined(moved, relinearised(moved, again))
 
 
 def _edge(linear: Linear, span: Span, k: int, best: Near) -> tuple[Span, Near, float]:
@@ -278,13 +268,13 @@ def _best_of_recordings(own: _Refined, start: Point, others: Sequence[_Refined])
     """
     best = own
     for other in others:
-        if own.dated is None or other.dated is None or other.dated.is_like(own.dated):
+        if not (_shows(*own) and _shows(*other)) or _is_like(other.experiment.span, own.experiment.span):
             continue
-        moved = replace(own.experiment, span=other.dated.span)
+        moved = replace(own.experiment, span=other.experiment.span)
         shown = Point(start.theta, {**start.effects, **other.fitted.point.effects})
         tried = _refined(moved, refit(moved, shown, other.fitted.free))
         scale = own.fitted.scale
-        costs = [cost_of(e, f.point, e.residual(f.point), scale) for e, f, _ in map(_on_all, (best, tried))]
+        costs = [cost_of(e, f.point, e.residual(f.point), scale) for e, f in map(_on_all, (best, tried))]
         best = tried if costs[1] < costs[0] else best
     return best
 
@@ -293,55 +283,42 @@ def _on_all(one: _Refined) -> _Refined:
     return one._replace(experiment=replace(one.experiment, split=None))
 
 
-def _better(chosen: Model, found: Changing) -> bool:
+def _better(chosen: Model, found: Model) -> bool:
     """Whether effects that begin or end make all data clearly more likely than effects that act throughout.
 
     `chosen`: the model with effects that act throughout, or with none. `found`: effects that begin or end; each edge is
     one more free parameter.
     """
     gain = 0.0
-    changed = zip(found.ranking.model.pairs, found.dates, strict=True)
-    for (experiment, old), ((now, new), dates) in zip(chosen.pairs, changed, strict=True):
+    for (experiment, old), (now, new) in zip(chosen.pairs, found.pairs, strict=True):
         before, after = experiment.residual(old.point, whole=True), now.residual(new.point, whole=True)
         gain += float(np.sum(old.scale.misfits(before) - old.scale.misfits(after))) * old.scale.share
         values = max(len(before) * before.shape[1] / experiment.blocks_per_error, np.e)
-        edges = sum(len(span.edges) for span in {dated.span for dated in dates.values()})
+        edges = len(now.edges(new.point))
         gain -= (len(new.free) - len(old.free) + edges) * float(np.log(values))
     return gain >= thresholds.STRONG
 
 
-def dated(judged: Judged, found: Changing) -> Judged:
-    """A verdict with begin and end of each effect; one that acts at several times becomes several effects."""
-    names = [experiment.trial.name for experiment in found.ranking.model.experiments]
-    by_name = dict(zip(names, found.dates, strict=True))
-    effects = [one for effect in judged.effects for one in _by_date(effect, by_name)]
-    if all(effect.onset_s is None and effect.end_s is None for effect in effects):
-        return judged
-    note = (
-        "effects begin or end during the recordings, so blocks on either side of each change were held out, and the "
-        "errors are those in these blocks. The times of the changes were fitted to all data"
-    )
-    return replace(judged, effects=tuple(effects), warnings=(*judged.warnings, note))
+def dated(effects: Sequence[FoundEffect], model: Model) -> tuple[FoundEffect, ...]:
+    """Effects of a model with their begin and end; one that acts at several times becomes several effects."""
+    experiments = {experiment.trial.name: experiment for experiment in model.experiments}
+    return tuple(one for effect in effects for one in _by_date(effect, experiments))
 
 
-def _by_date(effect: FoundEffect, by_name: Mapping[str, Mapping[str, Dated]]) -> list[FoundEffect]:
+def _by_date(effect: FoundEffect, experiments: Mapping[str, Experiment]) -> list[FoundEffect]:
     """An effect for each time at which recordings show it, with the most exact begin and end of those."""
-    groups: list[list[tuple[str, Dated | None]]] = []
+    groups: list[list[tuple[str, Span]]] = []
     for name in effect.recordings:
-        one = by_name[name].get(effect.name)
-        for group in groups:
-            other = group[0][1]
-            if one is other or (one is not None and other is not None and one.is_like(other)):
-                group.append((name, one))
-                break
-        else:
-            groups.append([(name, one)])
+        one = experiments[name].span_of(effect.name)
+        group = next((group for group in groups if _is_like(one, group[0][1])), None)
+        if group is None:
+            groups.append(group := [])
+        group.append((name, one))
     out = []
     for group in groups:
-        known = [one for _, one in group if one is not None]
-        values: dict[str, Any] = {}
+        values: dict[str, Any] = {"recordings": tuple(name for name, _ in group)}
         for k, (when, std) in enumerate((("onset_s", "onset_std_s"), ("end_s", "end_std_s"))):
-            best = min((one for one in known if np.isfinite(one.span[k])), key=lambda one: one.std_s[k], default=None)
-            values |= {when: None if best is None else best.span[k], std: None if best is None else best.std_s[k]}
-        out.append(replace(effect, recordings=tuple(name for name, _ in group), **values))
+            known = [(one.std_s[k], one.limits[k]) for _, one in group if np.isfinite(one.limits[k])]
+            values[std], values[when] = min(known, key=lambda pair: pair[0], default=(None, None))
+        out.append(replace(effect, **values))
     return out

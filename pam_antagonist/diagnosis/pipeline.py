@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis.agreement import check_same_rig
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.description import describe
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.judgement import judge
@@ -20,35 +20,15 @@ from pam_antagonist.rig import Rig
 
 @one_blas_thread
 def diagnose(
-    recordings: Sequence[Recording],
-    rig: Rig,
-    *,
-    joint: str = "auto",
-    lock_angle: float | None = None,
-    holdout: float = 1.0 / 3.0,
-    held_out: Sequence[Recording] = (),
-    jobs: int = 2,
-    seed: int = 0,
-    progress: Callable[[str], None] | None = None,
-    profiles: bool = True,
-    estimator: bool = True,
-    store: Checkpoint | None = None,
+    recordings: Sequence[Recording], rig: Rig, *, held_out: Sequence[Recording] = (), **settings: Any
 ) -> Diagnosis:
     """Trace what a model lacks to a physical effect, if possible.
 
     Args:
         recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro.
         rig: as configured.
-        joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
-        lock_angle: angle of a locked joint [rad], where it is known.
-        holdout: share at the end of each recording that no fit sees.
         held_out: whole recordings of the same rig that no fit sees; the others are then fitted to their ends.
-        jobs: threads.
-        seed: draws the starts of fits.
-        progress: is called with what is being done.
-        profiles: whether to work out profile likelihoods.
-        estimator: whether to run the estimator before and after.
-        store: keeps finished candidates; default: nowhere.
+        settings: fields of :class:`~pam_antagonist.diagnosis.preparation.Settings`.
 
     Returns:
         The verdict and everything behind it.
@@ -56,13 +36,9 @@ def diagnose(
     Raises:
         BadInput: recordings from which nothing can be learned.
     """
-    silent: Callable[[str], None] = lambda text: None  # noqa: E731
-    settings = Settings(
-        joint, lock_angle, holdout, jobs, seed, progress or silent, profiles, estimator, store or Checkpoint()
-    )
-    timings = Timings()
-    prepared = prepare(recordings, held_out, rig, settings)
-    return describe(prepared, verdicts(prepared, settings, timings), settings, timings)
+    how, timings = Settings(**settings), Timings()
+    prepared = prepare(recordings, held_out, rig, how)
+    return describe(prepared, verdicts(prepared, how, timings), how, timings)
 
 
 def verdicts(prepared: Prepared, settings: Settings, timings: Timings) -> list[Judged]:
@@ -73,8 +49,8 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings) -> list[J
         base = by_itself_or_in_turn(group)
         check_same_rig(group.held_out, base)
         timings.end("recalibration")
-        ranking = search(base, Work(settings.about(group), settings.checkpoint), hypotheses())
+        ranking = search(base, Work(settings.about(group), settings.store), hypotheses())
         timings.end("selection")
-        judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.checkpoint)))
+        judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.store)))
         timings.end("judgement")
     return sorted(judged, key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))

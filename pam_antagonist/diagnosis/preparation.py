@@ -46,19 +46,23 @@ DRIVEN = "driven"
 _PARTS = ((AIR, "pressures"), (BALANCE, "torque"))
 
 
+def silent(_text: str) -> None:
+    """Progress that nobody wants to know."""
+
+
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """How a diagnosis is made; see :func:`pam_antagonist.diagnosis.diagnose`."""
+    """How a diagnosis is made."""
 
-    joint: str  # ``free``, ``locked`` or ``auto``
-    lock_angle: float | None  # angle of a locked joint [rad], where it is known
-    holdout: float
-    jobs: int
-    seed: int
-    progress: Callable[[str], None]
-    profiles: bool
-    estimator: bool
-    checkpoint: Checkpoint
+    joint: str = "auto"  # ``free``, ``locked`` or ``auto``: found from the recordings
+    lock_angle: float | None = None  # angle of a locked joint [rad], where it is known
+    holdout: float = 1.0 / 3.0  # share at the end of each recording that no fit sees
+    jobs: int = 2  # threads
+    seed: int = 0  # draws the starts of fits
+    progress: Callable[[str], None] = silent  # is called with what is being done
+    profiles: bool = True  # whether to work out profile likelihoods
+    estimator: bool = True  # whether to run the estimator before and after
+    store: Checkpoint = Checkpoint()  # keeps finished candidates; default: nowhere
 
     def about(self, group: Group) -> Callable[[str], None]:
         """What is being done to a group, with its name where there are several."""

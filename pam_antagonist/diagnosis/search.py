@@ -55,9 +55,11 @@ def search(
             break
         # Of an effect, other effects that do as well stand in the ranking.
         others = [one for other, each in found.items() for one in each if not (by.is_effect and other is by)]
-        base, model = by.take(now, best)
-        now = replace(now, base=base, model=model, rivals={**now.rivals, best.effect: best.near(others)})
+        without, model = by.take(now, best)
+        now = replace(now, base=without, model=model, rivals={**now.rivals, best.effect: best.near(others)})
         work.progress(f"{best.effect} added")
+    if now.model is base and first is None:
+        return now
     base, model = calibrations.needed(now.base, now.model)
     known = {each: calibrations.carried_on(each) for each in (base, model)}
     return replace(now, base=known[base], model=known[model])

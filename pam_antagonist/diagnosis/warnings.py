@@ -130,7 +130,7 @@ def changes(above_noise: Mapping[str, Sequence[Span]]) -> list[str]:
 
 
 def _edges(span: Span) -> list[tuple[str, float]]:
-    return [(what, time) for what, time in zip(("begins", "ends"), span, strict=True) if np.isfinite(time)]
+    return [(what, time) for what, time in zip(("begins", "ends"), span.limits, strict=True) if np.isfinite(time)]
 
 
 def along_motion(base: Model, model: Model) -> str:

@@ -17,11 +17,17 @@ class Span(NamedTuple):
 
     begin_s: float = -np.inf  # since the first sample [s]
     end_s: float = np.inf  # likewise [s]
+    std_s: tuple[float, float] = (0.0, 0.0)  # standard deviations of both [s], where they were fitted
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Begin and end [s], which may be infinite."""
+        return self.begin_s, self.end_s
 
     @property
     def edges(self) -> tuple[float, ...]:
         """Its finite limits [s]: begin and end, as far as they exist."""
-        return tuple(float(time) for time in self if np.isfinite(time))
+        return tuple(float(time) for time in self.limits if np.isfinite(time))
 
 
 THROUGHOUT = Span()

@@ -6,7 +6,7 @@ Where it is flat, the recordings do not determine the parameter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -19,51 +19,22 @@ from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
 
-_FAR = 2.0
-"""Distance in standard errors at which the rise of the posterior is compared with the parabola."""
-_STEPS = 2
 _FRACTIONS = (0.0, 0.5)
 """Values of an effect's size, as shares of the best one; at these it must lose likelihood to count as determined."""
 _NEAR = (-3.0, -1.5, 1.5, 3.0)
 """Values of an effect's size in standard errors from the best one, to compare the loss with the parabola."""
 _CHI_SQUARE = 3.84
-"""95 % of a chi-square with one degree of freedom: the rise of −2 log posterior at the ends of an interval."""
+"""95 % of a chi-square with one degree of freedom."""
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
+class Profile(NamedTuple):
     """The profile of one parameter."""
 
-    name: str
     best: float
     std: float
     value: Floats  # values at which it was held (K,), increasing
     loss: Floats  # of the log posterior at these values (K,), 0 at the best
-    flat: bool = False  # whether half of the size explains the recordings as well
-
-    @property
-    def parabola(self) -> Floats:
-        """Loss that the standard error predicts (K,)."""
-        return np.asarray(0.5 * ((self.value - self.best) / self.std) ** 2)
-
-    @property
-    def low(self) -> float | None:
-        """Lower end of the 95 % interval; None if it lies beyond the values."""
-        return self._end(-1)
-
-    @property
-    def high(self) -> float | None:
-        """Upper end of the 95 % interval; None if it lies beyond the values."""
-        return self._end(1)
-
-    def _end(self, side: int) -> float | None:
-        k = int(np.argmin(self.loss))
-        while 0 <= k + side < len(self.value):
-            if self.loss[k + side] >= 0.5 * _CHI_SQUARE:
-                share = (0.5 * _CHI_SQUARE - self.loss[k]) / (self.loss[k + side] - self.loss[k])
-                return float(self.value[k] + share * (self.value[k + side] - self.value[k]))
-            k += side
-        return None
+    flat: bool  # whether half of the size explains the recordings as well
 
 
 def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffectParameter, jobs: int = 1) -> Profile:
@@ -84,7 +55,7 @@ def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffect
     _, half = rises[_FRACTIONS.index(0.5)]
     points = sorted([*zip([*far, *near], (rise for rise, _ in rises), strict=True), (best, 0.0)])
     value, rise = np.array(points).T
-    return Profile(parameter.path, best, std, value, 0.5 * rise, half < _CHI_SQUARE)
+    return Profile(best, std, value, 0.5 * rise, half < _CHI_SQUARE)
 
 
 def _along(fitted: Fitted, k: int, parameter: FreeEffectParameter, value: float) -> Point:

@@ -36,8 +36,6 @@ _CLOCKS_S = 0.02
 """[s] How well clocks agree: where a recording begins in motion, its start is known as well as that."""
 _RECENT = 3
 """Simulations of a recording that are kept: where it is fitted, and in longer steps."""
-STARTS = 3
-"""Start values: the angle and both pressures."""
 _LONG_STEPS = (10e-3, 4e-3, 2e-3)
 """[s] Steps in which derivatives are simulated, the longest first that goes the model's way."""
 _OF_A_LAG = 0.5

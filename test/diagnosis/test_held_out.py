@@ -9,7 +9,6 @@ import pytest
 
 from pam_antagonist.diagnosis import diagnose, preparation
 from pam_antagonist.diagnosis.agreement import check_same_rig
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.held_out import innovation_evidence
 from pam_antagonist.diagnosis.models import recalibrated
 from pam_antagonist.diagnosis.preparation import Settings
@@ -115,7 +114,7 @@ def test_a_recording_of_another_rig_is_refused(rig, recorded, pair) -> None:
 
 def test_the_innovations_of_held_out_samples_count_and_no_others(rig, pair) -> None:
     """With all blocks held out in turn, each sample counts once: the evidence is that of the whole recording."""
-    settings = Settings("locked", None, 1.0 / 3.0, 1, 0, lambda text: None, False, True, Checkpoint())
+    settings = Settings("locked", jobs=1, profiles=False)
     prepared = preparation.prepare([pair[0]], [], rig, settings)
     (group,) = prepared.groups
     (experiment,) = group.experiments

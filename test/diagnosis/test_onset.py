@@ -60,12 +60,12 @@ def test_an_effect_that_begins_late_is_found_with_its_onset(late) -> None:
     model = Model((experiment,), (fitted,))
     found = onset.begin_and_end(Group("joint", (experiment,), (0,)), Ranking(model, model), Work())
     assert found is not None
-    assert found.ranking.model.effects == ("pressure_sensor",)
-    when = found.dates[0]["pressure_sensor"]
-    assert when.span.begin_s == pytest.approx(15.0, abs=max(3.0 * when.std_s[0], 0.1))
-    assert when.span.end_s == np.inf
+    assert found.model.effects == ("pressure_sensor",)
+    when = found.model.experiments[0].span_of("pressure_sensor")
+    assert when.begin_s == pytest.approx(15.0, abs=max(3.0 * when.std_s[0], 0.1))
+    assert when.end_s == np.inf
     assert when.std_s[0] < 0.5
-    point = found.ranking.model.fits[0].point
+    point = found.model.fits[0].point
     shown = point.effects["effects.pressure_sensor.offset_1"] + 450e3 * point.effects["effects.pressure_sensor.gain_1"]
     assert shown == pytest.approx(5e3, rel=0.2)
 
@@ -76,7 +76,7 @@ def test_several_changes_are_told_with_their_times(quiet) -> None:
         changed = with_effect(changed, OFFSET, span)
     fitted = refit(changed, changed.origin, rounds=4, renewals=1)
     first, second = change_point.parts_above_noise(changed, fitted)
-    assert (*first, *second) == pytest.approx((14.0, 15.0, 18.0, np.inf), abs=0.1)
+    assert (*first.limits, *second.limits) == pytest.approx((14.0, 15.0, 18.0, np.inf), abs=0.1)
     (said,) = warnings.changes({"locked": (first, second)})
     assert said.startswith(
         "locked: something that the model lacks begins at 14.0 s and ends at 15.0 s, then begins at 18.0 s; outside of"
