@@ -17,7 +17,7 @@ from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.replays.channels import CHANNELS, TORQUE, Channel
 from pam_antagonist.report import close_loop_figures as drawn
-from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings, sentence
+from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings
 from pam_antagonist.report.document import (
     Block,
     Definitions,
@@ -30,7 +30,6 @@ from pam_antagonist.report.document import (
     background,
     in_first_lines,
     note,
-    warn,
     words,
 )
 from pam_antagonist.report.result import Result, frame_of
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 _FEW_WORDS = 300
-"""Longest list of what the recordings cannot show [characters] that a terminal shows."""
+"""Longest list of what the recordings cannot show [characters] that is among the findings."""
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
 _CERTAIN = 0.05
@@ -70,23 +69,6 @@ class DiagnoseResult(ClosedLoop, Result):
         kept: share of each recording that was held out, or names of held-out recordings.
         typed: corrections with which the recordings were read.
     """
-
-    @override
-    def blocks(self) -> tuple[Block, ...]:
-        unseen = self.unseen
-        if sum(map(len, unseen)) > _FEW_WORDS:
-            unseen = ("What these recordings cannot show is listed in the report.",)
-        notes = (*(warn(sentence(text)) for text in self.warnings), *map(note, unseen))
-        return (
-            Text(self.sentence),
-            Findings((*calibration_findings(self), *notes)),
-            *in_first_lines(assumption(self.start)),
-            errors_table(self),
-            sizes_table(self.effects),
-            calibration_table(self),
-            ranking_table(self),
-            Findings(tuple(map(note, self.next_steps))),
-        )
 
     @override
     def document(self, figures: bool = True) -> Document:
@@ -117,11 +99,13 @@ def document(found: ClosedLoop, with_figures: bool) -> Document:
     if found.calibrations and found.verdict == "none":
         title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
     first, *others = drawn.residuals(found) if with_figures else (None,)
+    unseen = tuple(map(note, found.unseen))
+    few = unseen if sum(map(len, found.unseen)) <= _FEW_WORDS else ()
     parts: list[Block] = [
         Text(lede, "lede"),
         Text(found.sentence, "verdict"),
         Tiles(_tiles(found)),
-        Findings((*calibration_findings(found), *findings(found), *map(note, found.next_steps))),
+        Findings((*calibration_findings(found), *findings(found), *few, *map(note, found.next_steps))),
         *(() if first is None else (first,)),
         *in_first_lines(assumption(found.start)),
         errors_table(found),
@@ -129,21 +113,20 @@ def document(found: ClosedLoop, with_figures: bool) -> Document:
     if others:
         parts.append(Section("More residuals before and after", tuple(others), 2, "residual"))
     if found.calibrations:
-        parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration"))
+        parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration", brief=True))
     if found.effects:
         figures = (*drawn.laws(found.effects), *drawn.profiles(found.profiles)) if with_figures else ()
         sizes = (sizes_table(found.effects), *_laws(found), *figures)
-        parts.append(Section("Size of the effect", sizes, 2, "parameters"))
-    parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates"))
+        parts.append(Section("Size of the effect", sizes, 2, "parameters", brief=True))
+    parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates", brief=True))
     if found.remaining:
         parts.append(Section("What is left", drawn.left(found.remaining, with_figures), 2, "left"))
     about = Text(_STATISTICS_DRIVEN if found.driven else _STATISTICS)
     models = ("recalibrated", "extended") if found.effects else ("recalibrated",)
     tables = (_statistics(one.recording, one.residuals, models) for one in found.recordings if one.residuals)
     parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
-    if found.unseen:
-        unseen = Findings(tuple(map(note, found.unseen)))
-        parts.append(Section("What these recordings cannot show", (unseen,), folded=True))
+    if unseen and not few:
+        parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
     parts.append(Section("What was assumed", (Definitions(assumed(found)),), folded=True))
     meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if found.driven else {})
     parts += background(tuple(meanings.items()), _provenance(found))

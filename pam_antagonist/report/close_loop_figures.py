@@ -45,7 +45,7 @@ def _residual(part: HeldOutComparison, shown: Sequence[tuple[str, str]]) -> Figu
     held = {"fitted": (), "held out": (Span(0.0, float(x[-1])),)}.get(part.role, experiment.held_parts)
     panels = []
     for k, (name, unit, scale) in enumerate(experiment.titles):
-        parts: list[Series] = [Region(begin, min(end, float(x[-1]))) for begin, end in held]
+        parts: list[Series] = [Region(begin, min(end, float(x[-1]))) for begin, end, _ in held]
         parts += [Line(model, x, values[:, k] * scale, color, quiet=k > 0) for model, values, color in models]
         parts += [Reference(edge, f"{edge:.1f} s" if k == 0 else "", vertical=True) for edge in edges]
         parts += [Reference(sign * 2.0 * float(experiment.noise[k]) * scale) for sign in (-1.0, 1.0)]
@@ -63,7 +63,7 @@ def _residual(part: HeldOutComparison, shown: Sequence[tuple[str, str]]) -> Figu
 def _held(part: HeldOutComparison) -> str:
     from_s = part.experiment.errors_from * part.experiment.trial.dt
     if part.experiment.split is not None:
-        parts = ", ".join(f"{begin:.0f} to {end:.0f}" for begin, end in part.experiment.held_parts)
+        parts = ", ".join(f"{begin:.0f} to {end:.0f}" for begin, end, _ in part.experiment.held_parts)
         return f"Shaded: what was held out, {parts} s. No fit used it."
     return {
         "both": f"Shaded: the end, from {from_s:.4g} s on, was held out. No fit used it.",

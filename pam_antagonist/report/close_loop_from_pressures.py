@@ -11,7 +11,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.closed_trials import ClosedTrials
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
 from pam_antagonist.report.close_loop import effects_frame, sizes_table, title_of
-from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
+from pam_antagonist.report.document import Document, Findings, Section, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Comparison, Table, number, percent
@@ -28,30 +28,25 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
     """An effect that the model of a rig lacks, from measured pressures."""
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
-        found = self.found
+    def document(self, figures: bool = True) -> Document:
+        found, rig, best = self.found, self.start.name, self.found.proposed
         items = [note(text) for text in (found.extended or found.recalibrated).notes]
         if found.ambiguous_with:
             items.append(warn(f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
         items += [warn(text) for one in found.judged for text in one.warnings]
         for place in found.unexplained if found.effects else ():
             items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
-        tables = (_errors(found), sizes_table(self.effects), _effects(found))
-        return Text(self.sentence, "verdict"), Findings(tuple(items)), *(table for table in tables if table.rows)
-
-    @override
-    def document(self, figures: bool = True) -> Document:
-        found, rig, best = self.found, self.start.name, self.found.proposed
+        tables = [table for table in (_errors(found), sizes_table(self.effects), _effects(found)) if table.rows]
         was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
         now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
         tiles = Tiles((Tile("Error of the angle, held out", now, was),))
-        verdict, *rest = self.blocks()
         held = (found.extended or found.recalibrated).held if figures else ()
         drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
         ends = background("close_loop of trials", [("Rig", rig), *(("Recording", text) for text in self.hashes)])
-        lede = Text(f"Rig {rig}: which effect its model lacks.", "lede")
+        first = Text(f"Rig {rig}: which effect its model lacks.", "lede"), Text(self.sentence, "verdict"), tiles
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
-        return Document("Closing the loop with measured data", title, (lede, verdict, tiles, *rest, *drawn, *ends))
+        blocks = (*first, Findings(tuple(items)), *tables, *drawn, *ends)
+        return Document("Closing the loop with measured data", title, blocks)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter of each detected effect (needs pandas)."""

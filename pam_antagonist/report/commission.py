@@ -56,20 +56,16 @@ class CommissionResult(Result):
         return {"rig": self.rig, "steps": self.steps, "rig_seconds": driven, "left": self.left}
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
+    def document(self, figures: bool = True) -> Document:
         found = tuple((good if step.done else warn)(f"{step.name}: {step.said}") for step in self.steps)
         rows = tuple((step.name, f"{step.seconds:.0f}", f"{step.rig_seconds:.0f}") for step in self.steps)
-        return Findings(found), Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
-
-    @override
-    def document(self, figures: bool = True) -> Document:
-        findings, table = self.blocks()
-        blocks: list[Block] = [Text(self._lede(), "lede"), findings]
+        blocks: list[Block] = [Text(self._lede(), "lede"), Findings(found)]
         if self.next_line and not self.left and all(step.done for step in self.steps):
             blocks.append(Text(f"Next, type: {self.next_line}"))
         pages = tuple((f"{step.name}: its report", f"{step.folder}/report.html") for step in self.steps if step.folder)
         if pages:
             blocks.append(Links(pages))
+        table = Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took")
         blocks += [table, *map(figure_of, self.driven if figures else ())]
         ends = background("commission", [("Rig", self.rig), ("Command", self.command)])
         return Document("Commissioning", self.rig, (*blocks, *ends))

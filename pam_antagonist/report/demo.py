@@ -21,7 +21,6 @@ from pam_antagonist.replays.result import numbers as replay_numbers
 from pam_antagonist.report.document import Block, Document, Section, Text
 from pam_antagonist.report.figure import TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.replay import document as replay_document
-from pam_antagonist.report.replay import errors_table
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
@@ -132,10 +131,6 @@ class Demo(Result):
         return {**replay_numbers([self.replay]), "demo": about}
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
-        return Text(_verdict(self)), errors_table(self.replay.report), control_table(self)
-
-    @override
     def document(self, figures: bool = True) -> Document:
         replayed = replay_document([self.replay], figures)
         what = self.mode.quantity.name.lower()
@@ -153,9 +148,9 @@ class Demo(Result):
         blocks: tuple[Block, ...] = (
             *(first[::-1] if self.stopped else first),
             *((_figure(self), *_stiffness_figure(self)) if figures else ()),
-            Section("Control and pipeline", (control_table(self),), 2, "loop"),
+            Section("Control and pipeline", (control_table(self),), 2, "loop", brief=True),
             Section("How these numbers are defined", (Text(_definitions(self)),), folded=True),
-            Section("The estimate", (verdict, *estimate), 2, "estimate"),
+            Section("The estimate", (verdict, *estimate), 2, "estimate", brief=True),
             *ends,
         )
         return Document(f"Demo: a simulated joint, controlled by its {what}", "Sensor-less control, live", blocks)

@@ -92,6 +92,7 @@ class Section:
     level: Literal[2, 3] = 3
     anchor: str = ""  # target of the navigation; without one the section is not in the navigation
     folded: bool = False
+    brief: bool = False  # whether a terminal shows it as well
 
 
 Block: TypeAlias = Text | Findings | Tiles | Links | Definitions | Table | Figure | Columns | Section

@@ -18,7 +18,19 @@ from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, Tile, Tiles, background, note, warn
+from pam_antagonist.report.document import (
+    Block,
+    Document,
+    Finding,
+    Findings,
+    Section,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    note,
+    warn,
+)
 from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
@@ -334,8 +346,8 @@ def without_laws(values: Mapping[str, T]) -> dict[str, T]:
     return {name: value for name, value in values.items() if ".learned." not in name}
 
 
-def law_figure(found: EpisodeDiagnosis, extended: Rig) -> Figure | None:
-    """The learned laws, each over what it depends on; None if there are none."""
+def law_figures(found: EpisodeDiagnosis, extended: Rig) -> tuple[Figure, ...]:
+    """The learned laws, each over what it depends on, in one figure; none without them."""
     panels: list[Panel] = []
     for k, law in laws_of(extended).items():
         rows = [found.values[value_path(k, node)] for node in range(1, len(law.nodes) + 1)]
@@ -353,7 +365,7 @@ def law_figure(found: EpisodeDiagnosis, extended: Rig) -> Figure | None:
         "Laws that were learned from the episodes: changes of the muscles' strength, of friction, damping or torque by "
         "what each depends on. They are constant outside of the range that is shown."
     )
-    return Figure("Learned laws", about, tuple(panels)) if panels else None
+    return (Figure("Learned laws", about, tuple(panels)),) if panels else ()
 
 
 def _unit_of_law(rig: Rig, law: Law) -> tuple[str, float]:
@@ -379,13 +391,13 @@ def document(
         tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
         "Forecasts within the fitted episodes, by which the share was chosen",
     )
-    drawn = [law_figure(found, extended), figure(found, joint.rig)] if with_figures else []
+    drawn = (*law_figures(found, extended), figure(found, joint.rig)) if with_figures else ()
     recordings = [(f"Recording {k}", value) for k, value in enumerate(hashes, 1)]
     blocks: tuple[Block, ...] = (
         Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
         Text(verdict(found), "verdict"), tiles, Findings(findings(found, joint)), errors_table(found),
-        values_table(found, joint.rig), tried_table(found), drift_table(found, joint.rig),
-        *(one for one in drawn if one is not None), forecasts,
+        values_table(found, joint.rig), Section("All candidates", (tried_table(found),), 2, "candidates"),
+        Section("Over the recording", (drift_table(found, joint.rig), *drawn, forecasts), 2, "drift"),
         *background("close_loop of episodes", [("Rig", joint.rig.name), *recordings]),
     )  # fmt: skip
     return Document("What the model of a joint lacks", joint.name, blocks)
@@ -457,12 +469,6 @@ class EpisodesDiagnoseResult(Result):
             "units": picked(rig.units, "pressure", "force"),
             "recordings_sha256": self.hashes,
         }
-
-    @override
-    def blocks(self) -> tuple[Block, ...]:
-        found, joint = self.found, self.joint
-        listed = Findings(findings(found, joint))
-        return Text(self.sentence), listed, errors_table(found), values_table(found, joint.rig)
 
     @override
     def document(self, figures: bool = True) -> Document:

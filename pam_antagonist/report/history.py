@@ -214,10 +214,6 @@ class HistoryResult(Result):
             out.append(note(f"A trend needs {FEWEST} entries at different times: {few} values have fewer."))
         return tuple(out)
 
-    @override
-    def blocks(self) -> Sequence[Block]:
-        return Findings(self.findings()), *([self._table()] if self.courses else []), self._log(8)
-
     def _table(self) -> Table:
         rows = []
         for course in self.courses:
@@ -235,17 +231,13 @@ class HistoryResult(Result):
         about = "Spread: standard deviation between recordings beside the errors. Change: along the line, first to last"
         return Table(header, tuple(rows), about)
 
-    def _log(self, most: int = 10**9) -> Table:
-        rows = [
+    def _log(self) -> Table:
+        rows = tuple(
             (f"{entry.when:%Y-%m-%d %H:%M}", entry.command, ", ".join(span.name for span in entry.recordings),
              entry.said or entry.verdict)
-            for entry in self.book.entries[-most:]
-        ]  # fmt: skip
-        left = len(self.book.entries) - len(rows)
-        return Table(
-            ("when", "command", "recordings", "found"), tuple(rows),
-            "The last entries" if left > 0 else "Entries", prose=True,
+            for entry in self.book.entries
         )  # fmt: skip
+        return Table(("when", "command", "recordings", "found"), rows, "Entries", prose=True, last=8)
 
     @override
     def document(self, figures: bool = True) -> Document:
@@ -264,7 +256,7 @@ class HistoryResult(Result):
             if drawn[count:]:
                 blocks.append(Section("Other values", drawn[count:], folded=True))
         blocks += [
-            Section("Log book", (self._log(),), level=2, anchor="log"),
+            Section("Log book", (self._log(),), level=2, anchor="log", brief=True),
             *background(_WORDS, [("Rig", self.rig.name)]),
         ]
         return Document("Log book", self.rig.name, tuple(blocks))

@@ -55,17 +55,6 @@ class IdentifyResult(Identified, Result):
     """
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
-        return (
-            Text(verdict(self), "verdict"),
-            *_angles(self),
-            parameters_table(self),
-            *map(held_out_table, self.held),
-            Findings(findings(self)),
-            *in_first_lines(assumption(self.found.start, identified=True)),
-        )
-
-    @override
     def document(self, figures: bool = True) -> Document:
         return document(self, figures)
 
@@ -133,8 +122,8 @@ def _held_out(found: Identified, with_figures: bool) -> Section:
     content: list[Block] = [Text("Errors on data that were neither fitted nor used for tuning. The best is bold.")]
     for held in found.held:
         figures = held_out_figures(held) if with_figures else ()
-        content.append(Section(held.name, (held_out_table(held), *figures)))
-    return Section("On held-out data", tuple(content), 2, "held-out")
+        content.append(Section(held.name, (held_out_table(held), *figures), brief=True))
+    return Section("On held-out data", tuple(content), 2, "held-out", brief=True)
 
 
 def held_out_figures(held: Held) -> tuple[Figure, ...]:
@@ -174,7 +163,7 @@ def _rows(out: Comparison, name: str, unit: str, errors: Sequence[ChannelErrors]
 
 def _parameters(found: Identified, with_figures: bool) -> Section:
     drawn = (parameters_figure(found.parameters),) if with_figures else ()
-    return Section("Parameters", (*drawn, parameters_table(found, "All free parameters")), 2, "parameters")
+    return Section("Parameters", (*drawn, parameters_table(found, "All free parameters")), 2, "parameters", brief=True)
 
 
 def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:

@@ -13,7 +13,7 @@ from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background, note, warn
+from pam_antagonist.report.document import Document, Finding, Findings, Text, background, note, warn
 from pam_antagonist.report.episodes import (
     about_episodes,
     interval,
@@ -107,7 +107,7 @@ class EpisodesIdentifyResult(Result):
         return {**self.found.to_json(), "recordings_sha256": self.hashes, "rejected": self.rejected}
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
+    def document(self, figures: bool = True) -> Document:
         found = self.found
         later, between = (item.value for item in found.errors["identified"])
         before = found.errors["as configured"][0].value
@@ -125,16 +125,12 @@ class EpisodesIdentifyResult(Result):
         else:
             remarks += map(note, regulators_sentences(found.regulators))
         tables = () if found.regulators is None else (regulators_table(found.regulators, found.rig),)
-        return (
+        blocks = (
+            Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
             Text(do_not_use(self.rejected) if self.rejected else said, "verdict"),
             Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables,
+            *background("identify of episodes", [("Rig", found.start.name), ("Recording", self.hashes[0])]),
         )  # fmt: skip
-
-    @override
-    def document(self, figures: bool = True) -> Document:
-        lede = Text("A joint driven by pressure regulators, in many short recordings.", "lede")
-        provenance = [("Rig", self.found.start.name), ("Recording", self.hashes[0])]
-        blocks = (lede, *self.blocks(), *background("identify of episodes", provenance))
         return Document("Identified joint", self.joint.name, blocks)
 
     def to_dataframe(self) -> DataFrame:

@@ -62,10 +62,6 @@ class ReachableResult(Result):
         return given | {item.name: getattr(self, item.name) for item in fields(self)[2:]}
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
-        return Text(_lede(self)), table(self), *_yielding(self)
-
-    @override
     def document(self, figures: bool = True) -> Document:
         drawn = _figures(self) if figures else ()
         blocks: tuple[Block, ...] = (

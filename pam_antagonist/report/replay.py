@@ -55,15 +55,6 @@ class ReplayResult(Replay, Result):
         return numbers([self])
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
-        report, joint = self.report, self.report.joint
-        length = f"{report.duration_s:.1f} s, {report.samples} samples"
-        head = f"{self.name}: {length}, joint {joint.condition} (source: {joint.source})"
-        how = f"rig {self.rig.name}, tuning {self.tuning}, {report.realtime_factor:.1f} × real time"
-        rests_on = in_first_lines(assumption(self.rig, self.tuning))
-        return Text(head), Text(how), *rests_on, errors_table(report), Findings(findings(report))
-
-    @override
     def document(self, figures: bool = True) -> Document:
         return document([self], figures)
 
@@ -128,9 +119,14 @@ def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
 
 def _recording(replay: Replay, figures: Sequence[Figure], with_figures: bool) -> tuple[Block, ...]:
     report, inside = replay.report, filter_figures(replay) if with_figures else ()
+    joint, length = report.joint, f"{report.duration_s:.1f} s, {report.samples} samples"
+    about = (
+        f"{replay.name}: {length}, joint {joint.condition} (source: {joint.source}); rig {replay.rig.name}, tuning "
+        f"{replay.tuning}, {report.realtime_factor:.1f} × real time."
+    )
     beside = Columns(Findings(findings(report)), errors_table(report, "Errors. The smaller one is bold."))
     folded = Section("Innovations, valve voltages and active equations", inside, folded=True)
-    return Tiles(tiles(report)), beside, *figures, *((folded,) if inside else ())
+    return Tiles(tiles(report)), Text(about), beside, *figures, *((folded,) if inside else ())
 
 
 def _provenance(replays: Sequence[Replay]) -> list[tuple[str, str]]:

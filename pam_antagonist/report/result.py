@@ -11,7 +11,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
 from pam_antagonist.report import html, plotly_renderer, terminal
-from pam_antagonist.report.document import Block, Document, figures_of
+from pam_antagonist.report.document import Document, figures_of
 from pam_antagonist.shown import Shown
 
 if TYPE_CHECKING:
@@ -25,12 +25,8 @@ class Result(Shown):
         """The content of ``report.json``."""
         raise NotImplementedError
 
-    def blocks(self) -> Sequence[Block]:
-        """What a terminal shows."""
-        raise NotImplementedError
-
     def document(self, figures: bool = True) -> Document:
-        """What a page shows; False leaves the figures out."""
+        """What a page shows, and in short a terminal; False leaves the figures out."""
         raise NotImplementedError
 
     def write_rigs(self, folder: Path) -> None:
@@ -43,7 +39,7 @@ class Result(Shown):
 
     def summary(self) -> str:
         """The tables that the command prints."""
-        return terminal.render(self.blocks())
+        return terminal.summary(self.document(figures=False))
 
     def save(self, path: str | Path, figures: bool = True, overwrite: bool = False) -> Path:
         """Write ``report.html``, ``report.json``, and the rig files that the command writes.

@@ -50,11 +50,6 @@ class StaticResult(StaticFits, Result):
         return f"{verdict(self)} {len(self.warnings)} warnings"
 
     @override
-    def blocks(self) -> tuple[Block, ...]:
-        forms = () if self.force_map is None else (forms_table(self),)
-        return coefficients_table(self), *forms, Text(verdict(self)), Findings(tuple(map(_warning, self.warnings)))
-
-    @override
     def document(self, figures: bool = True) -> Document:
         names = " and ".join(table.name for table in self.tables)
         whose = "both muscles" if len(self.muscles) == 2 else f"muscle {self.muscles[0]}"

@@ -24,6 +24,7 @@ class Table:
     caption: str = ""
     best: tuple[frozenset[int], ...] = ()  # for each row, the columns with the best value (bold in HTML)
     prose: bool = False  # whether the cells are left-aligned text instead of numbers
+    last: int = 0  # rows that a terminal shows, the last ones; 0 for all
 
     def __post_init__(self) -> None:
         """Check the shape."""

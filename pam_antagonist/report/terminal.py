@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
-from pam_antagonist.report.document import Block, Finding, Findings, Section, Text, warn
+from pam_antagonist.report.document import Block, Columns, Document, Finding, Findings, Section, Text, warn
 from pam_antagonist.report.table import Table, with_unit
 
 WIDTH = 100
 _MARKS = {"good": "✓", "warn": "!", "note": " "}
+
+
+def summary(document: Document) -> str:
+    """What of a document is no lede, no figure and in no section of the page alone; findings come last."""
+    blocks = [block for block in _plain(document.blocks) if not (isinstance(block, Text) and block.kind == "lede")]
+    return render(sorted(blocks, key=lambda block: isinstance(block, Findings)))
+
+
+def _plain(blocks: Sequence[Block]) -> Iterator[Block]:
+    for block in blocks:
+        match block:
+            case Section(brief=True):
+                inner = tuple(_plain(block.blocks))
+                yield replace(block, blocks=tuple(one for one in inner if not isinstance(one, Findings)))
+                yield from (one for one in inner if isinstance(one, Findings))
+            case Columns():
+                yield from _plain((block.left, block.right))
+            case Text() | Findings() | Table():
+                yield block
 
 
 def render(blocks: Sequence[Block]) -> str:
@@ -27,7 +47,7 @@ def _block(block: Block) -> str:
         case Table():
             return table(block)
         case Section():
-            return f"{block.title}\n{render(block.blocks)}"
+            return f"{block.title}\n{inner}" if (inner := render(block.blocks)) else ""
     return ""
 
 
@@ -58,7 +78,7 @@ def table(content: Table, indent: str = "  ") -> str:
     """A table: first column left, the others right (text left), two spaces between; empty without rows."""
     if not content.rows:
         return ""
-    lines = [content.header, *content.rows]
+    lines = [content.header, *content.rows[-content.last :]]
     widths = [max(len(line[column]) for line in lines) for column in range(len(content.header))]
 
     def line(cells: Sequence[str]) -> str:

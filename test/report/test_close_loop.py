@@ -154,6 +154,5 @@ def test_what_is_left_is_a_table_of_all_recordings_without_shares_that_are_nothi
 
 
 def test_names_of_recordings_keep_their_first_letter(found: DiagnoseResult) -> None:
-    shown = replace(found, warnings=("lab/free: too short", "the noise is large")).blocks()
-    warnings, *_ = [block for block in shown if isinstance(block, Findings)]
-    assert [item.text for item in warnings.items] == ["lab/free: too short.", "The noise is large."]
+    shown = findings(replace(found, warnings=("lab/free: too short", "the noise is large")))
+    assert [item.text for item in shown if item.status == "warn"] == ["lab/free: too short.", "The noise is large."]
