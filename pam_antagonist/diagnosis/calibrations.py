@@ -282,7 +282,7 @@ def _with(
     return best_of_starts(experiment, found, 0)
 
 
-def needed(base: Model, model: Model) -> tuple[Model, Model]:
+def without_needless(base: Model, model: Model) -> tuple[Model, Model]:
     """Both models without calibrations at a bound, and without what is not significant beside the others."""
     for name in calibrations_of(model):
         if not all(_is_within(fitted, name) for fitted in (*base.fits, *model.fits)):
@@ -309,7 +309,7 @@ def _lost(smaller: Model, model: Model) -> float:
     return sum(_posterior_gain(*each)[0] for each in pairs if len(each[1].free) < len(each[2].free))
 
 
-def carried_on(model: Model) -> Model:
+def converged(model: Model) -> Model:
     """A model fitted to convergence: calibrations are so certain that the last steps of a fit matter."""
     calibrated = [any(calibration.is_calibration(free.path) for free in fitted.free) for fitted in model.fits]
     return model.map(lambda experiment, fitted, needs: settled(experiment, fitted) if needs else fitted, calibrated)

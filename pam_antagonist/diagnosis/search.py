@@ -60,8 +60,8 @@ def search(
         work.progress(f"{best.effect} added")
     if now.model is base and first is None:
         return now
-    base, model = calibrations.needed(now.base, now.model)
-    known = {each: calibrations.carried_on(each) for each in (base, model)}
+    base, model = calibrations.without_needless(now.base, now.model)
+    known = {each: calibrations.converged(each) for each in (base, model)}
     return replace(now, base=known[base], model=known[model])
 
 

@@ -20,8 +20,17 @@ from pam_antagonist.inference import calibration
 from pam_antagonist.inference.expected import expected_sizes
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
-from pam_antagonist.inference.free_run import Key, Phase, Run, Start, courses, predict_each, start_of
-from pam_antagonist.inference.long_steps import in_steps, stride_blocks
+from pam_antagonist.inference.free_run import (
+    Key,
+    Phase,
+    Run,
+    Start,
+    courses,
+    in_steps,
+    predict_each,
+    start_of,
+    stride_blocks,
+)
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
 from pam_antagonist.model import parameters as par

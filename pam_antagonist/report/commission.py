@@ -9,9 +9,9 @@ import numpy as np
 from typing_extensions import override
 
 from pam_antagonist.recording import Recording
-from pam_antagonist.report import figures as drawn
 from pam_antagonist.report.document import Block, Document, Findings, Links, Text, background, good, warn
 from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel, Reference
+from pam_antagonist.report.replay_figures import seconds
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.style import MEASURED, MODEL, SECOND
 from pam_antagonist.report.table import Table
@@ -82,7 +82,7 @@ class CommissionResult(Result):
 def figure_of(driven: Driven) -> Figure:
     """What a step asked of the joint, and what it did."""
     recording = driven.recording
-    x = drawn.seconds(recording.stamp_ns, int(recording.stamp_ns[0]))
+    x = seconds(recording.stamp_ns, int(recording.stamp_ns[0]))
     pressure = recording.pressure * 1e-3
     bounds = tuple(Reference(value * 1e-3) for value in driven.pressure_limits)
     both = (Line("P1", x, pressure[:, 0], MODEL), Line("P2", x, pressure[:, 1], SECOND))

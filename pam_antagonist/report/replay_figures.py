@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pam_antagonist.estimation import metrics
 from pam_antagonist.replays import Replay
-from pam_antagonist.report import figures
+from pam_antagonist.report import decimate
 from pam_antagonist.report.figure import (
     TIME,
     Axis,
@@ -16,13 +18,14 @@ from pam_antagonist.report.figure import (
     Bars,
     Figure,
     FloatArray,
+    Heatmap,
     Line,
     Panel,
     Reference,
     Region,
     Series,
 )
-from pam_antagonist.report.style import BAND, EDGE, ESTIMATE, FAINT, MEASURED, MODEL, QUIET, SECOND
+from pam_antagonist.report.style import BAND, DEEP, EDGE, ESTIMATE, FAINT, MEASURED, MODEL, PALE, QUIET, SECOND
 
 _LAGS = 40
 """Largest lag that is shown [samples]."""
@@ -37,9 +40,48 @@ SUBSYSTEMS = tuple(
 """Names of the subsystems σ = 1..18, in the model's order."""
 
 
+def seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> FloatArray:
+    """Time of samples (N,) since an origin [s], from stamps [ns]."""
+    return np.asarray((stamp_ns - origin_ns) * 1e-9, dtype=np.float64)
+
+
+def moving_mean(values: FloatArray, window: int) -> FloatArray:
+    """Centred mean of the finite values in `window` samples (N,); NaN without finite values."""
+    known = np.isfinite(values)
+    total = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
+    count = np.concatenate(([0], np.cumsum(known)))
+    low = np.maximum(np.arange(len(values)) - window // 2, 0)
+    high = np.minimum(low + window, len(values))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((total[high] - total[low]) / (count[high] - count[low]))
+
+
+def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: int) -> tuple[Line, Line]:
+    """Single samples as a faint line, and in front their moving mean, which reduces the sensor's noise."""
+    faint = Line(name, x, values, color, width=0.8, quiet=True, opacity=0.3)
+    return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
+
+
+def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, columns: int = 400) -> Panel:
+    """Active category over time: one row for each category, darker where it is active for more of the time.
+
+    `names`: of the categories, with a short name before a colon; a category that never occurs has no row. `category`:
+    (N,) indices into `names`.
+    """
+    middle, share = decimate.shares(category, len(names), columns)
+    seen = [int(number) for number in np.flatnonzero(share.sum(axis=1) > 0.0)]
+    cells = np.where(share[seen] > 0.0, share[seen], np.nan)
+    rows = tuple(names[number] for number in seen)
+    hover = "{row}\n{column} s: {value:.0%} of the time"
+    short = tuple(name.split(":")[0] for name in rows)
+    y = Axis("Subsystem σ [-]", labels=short, bounds=(-0.5, len(seen) - 0.5))
+    part = Heatmap(x[middle], cells, rows, (PALE, DEEP), (0.0, 1.0), hover)
+    return Panel(TIME, y, (part,), max(66, 26 * len(seen) + 36))
+
+
 def time(replay: Replay) -> FloatArray:
     """Time of a replay's samples since the recording's first one, (N,) [s]."""
-    return figures.seconds(replay.run.stamp_ns, int(replay.recording.stamp_ns[0]))
+    return seconds(replay.run.stamp_ns, int(replay.recording.stamp_ns[0]))
 
 
 def _samples(replay: Replay, seconds: float) -> int:
@@ -96,8 +138,8 @@ def _estimate(replay: Replay, before: Replay | None, x: FloatArray, name: str) -
         return Figure(title, about, tuple(panels), replay.name)
     shade = Band("95 % interval", x, -half, half, BAND, quiet=True)
     edges = [Line("95 % interval", x, sign * half, EDGE, "dot", width=1.0, quiet=True) for sign in (-1.0, 1.0)]
-    of_model = figures.with_mean("model alone", x, model - wanted, MODEL, window)
-    of_filter = figures.with_mean("UKF", x, value - wanted, ESTIMATE, window)
+    of_model = with_mean("model alone", x, model - wanted, MODEL, window)
+    of_filter = with_mean("UKF", x, value - wanted, ESTIMATE, window)
     inside = "The error of a right filter lies in the shaded interval 95 % of the time."
     old = None if before is None else measured(before)
     if before is None or old is None:
@@ -111,7 +153,7 @@ def _estimate(replay: Replay, before: Replay | None, x: FloatArray, name: str) -
         ("Model", of_model[1], getattr(before.model, name), ()),
     )
     for what, now, then, behind in compared:
-        mean = figures.moving_mean(then * scale - old, window)
+        mean = moving_mean(then * scale - old, window)
         dotted = Line("as configured", time(before), mean, QUIET, "dot", 1.6, quiet=what != "UKF")
         panels.append(Panel(TIME, Axis(f"{what} error [{unit}]"), (*behind, dotted, now), 170))
     about = f"Below: estimate minus measurement, mean over 0.1 s; dotted: with the rig as configured. {inside}"
@@ -137,12 +179,12 @@ def _pressures(replay: Replay, before: Replay | None, x: FloatArray) -> Figure:
     for muscle in (0, 1):
         model = replay.model.pressure[:, muscle] * 1e-3 - measured[:, muscle]
         ukf = replay.run.rows["pressure"][:, muscle] * 1e-3 - measured[:, muscle]
-        faint_model, mean_model = figures.with_mean("model alone", x, model, MODEL, window)
-        faint_ukf, mean_ukf = figures.with_mean("UKF", x, ukf, ESTIMATE, window)
+        faint_model, mean_model = with_mean("model alone", x, model, MODEL, window)
+        faint_ukf, mean_ukf = with_mean("UKF", x, ukf, ESTIMATE, window)
         shown = [faint_model, faint_ukf, mean_model, mean_ukf]
         if before is not None:
             error = (before.model.pressure - before.measured_pressure)[:, muscle] * 1e-3
-            mean = figures.moving_mean(error, window)
+            mean = moving_mean(error, window)
             shown = [Line("model, as configured", time(before), mean, QUIET, "dot", 1.6), mean_model, mean_ukf]
         lines = (replace(line, quiet=muscle > 0 or line.opacity < 1.0) for line in shown)
         panels.append(Panel(TIME, Axis(f"P{muscle + 1} error [kPa]"), tuple(lines), 150))
@@ -169,7 +211,7 @@ def _nis(replay: Replay, x: FloatArray) -> Figure:
     nis, (low, high) = replay.run.rows["nis"], metrics.chi_square_bounds(2)
     parts = (
         Line("each sample", x, np.maximum(nis, 1e-3), FAINT, width=0.8),
-        Line("mean over 1 s", x, figures.moving_mean(nis, _samples(replay, 1.0)), ESTIMATE, width=2.0),
+        Line("mean over 1 s", x, moving_mean(nis, _samples(replay, 1.0)), ESTIMATE, width=2.0),
         Reference(high, "97.5 %"),
         Reference(2.0, "expected mean: 2", MEASURED),
         Reference(low, "2.5 %"),
@@ -205,5 +247,5 @@ def _subsystems(replay: Replay, x: FloatArray) -> Figure:
         "The model switches between 18 sets of equations. Rows are those that were active, darker where more of the "
         "time was spent; point at one to read which flows are choked and whether the joint slides."
     )
-    panel = figures.strip(SUBSYSTEMS, sigma, x)
+    panel = strip(SUBSYSTEMS, sigma, x)
     return Figure("Active subsystem of the model", about, (panel,), replay.name)

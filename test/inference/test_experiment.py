@@ -7,9 +7,8 @@ import pytest
 
 from pam_antagonist import simulate
 from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
-from pam_antagonist.inference.free_run import SANE
+from pam_antagonist.inference.free_run import SANE, stride_blocks
 from pam_antagonist.inference.gauss_newton import refit
-from pam_antagonist.inference.long_steps import stride_blocks
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import PRESSURE_1, block_noise, blocks, converter_step, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import decimate, figures, plotly_renderer, style
+from pam_antagonist.report import decimate, plotly_renderer, replay_figures, style
 from pam_antagonist.report.document import Columns, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
 from pam_antagonist.report.figure import TIME, Axis, Band, Bars, Figure, Line, Panel, Points, Reference, Region
 from pam_antagonist.report.html import render
@@ -48,7 +48,7 @@ class Reader(HTMLParser):
 
 
 def _time(count: int) -> np.ndarray:
-    return figures.seconds(np.arange(count) * 1_000_000, 0)
+    return replay_figures.seconds(np.arange(count) * 1_000_000, 0)
 
 
 def _figure(values: np.ndarray, title: str = "Angle") -> Figure:
@@ -132,7 +132,7 @@ def test_a_trace_has_few_points_and_keeps_its_spike() -> None:
 
 def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None:
     stamps = np.concatenate((np.arange(50), np.arange(200, 250))) * 1_000_000
-    x, ones = figures.seconds(stamps, 0), np.ones(100)
+    x, ones = replay_figures.seconds(stamps, 0), np.ones(100)
     parts = (Line("a", x, ones, "#000"), Band("b", x, -ones, ones, "#111"))
     line, band = plotly_renderer.plot(Figure("t", "", (Panel(TIME, Axis("x [V]"), parts),)))["data"]
     assert line["y"].count(None) == 1
@@ -141,7 +141,7 @@ def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None
 
 
 def test_a_strip_shows_the_categories_that_occur() -> None:
-    panel = figures.strip(("1: a", "2: b", "3: c"), np.array([0, 0, 2, 2]), _time(4), columns=2)
+    panel = replay_figures.strip(("1: a", "2: b", "3: c"), np.array([0, 0, 2, 2]), _time(4), columns=2)
     plot = plotly_renderer.plot(Figure("t", "", (panel,)))
     assert plot["layout"]["yaxis"]["ticktext"] == ["1", "3"]
     assert plot["data"][0]["z"] == [[1.0, None], [None, 1.0]]
