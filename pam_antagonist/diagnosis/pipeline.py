@@ -10,6 +10,7 @@ from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.description import describe
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.judgement import judge
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Prepared, Settings, Timings, prepare
 from pam_antagonist.diagnosis.result import Diagnosis, Judged
 from pam_antagonist.diagnosis.search import hypotheses, search
@@ -33,6 +34,7 @@ def diagnose(
     profiles: bool = True,
     estimator: bool = True,
     store: Checkpoint | None = None,
+    first: Model | None = None,
 ) -> Diagnosis:
     """Trace what a model lacks to a physical effect, if possible.
 
@@ -49,6 +51,8 @@ def diagnose(
         profiles: whether to work out profile likelihoods.
         estimator: whether to run the estimator before and after.
         store: keeps finished candidates; default: nowhere.
+        first: the model without a law that was learned since; the law then counts as the first effect, and any
+            beside it has to remove enough of what was there before the law.
 
     Returns:
         The verdict and everything behind it.
@@ -62,10 +66,10 @@ def diagnose(
     )
     timings = Timings()
     prepared = prepare(recordings, held_out, rig, settings)
-    return describe(prepared, verdicts(prepared, settings, timings), settings, timings)
+    return describe(prepared, verdicts(prepared, settings, timings, first), settings, timings)
 
 
-def verdicts(prepared: Prepared, settings: Settings, timings: Timings) -> list[Judged]:
+def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Model | None = None) -> list[Judged]:
     """The verdict on each group, the one with the strongest effect first."""
     judged = []
     for group in prepared.groups:
@@ -73,7 +77,7 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings) -> list[J
         base = by_itself_or_in_turn(group)
         check_same_rig(group.held_out, base)
         timings.end("recalibration")
-        ranking = search(base, Work(settings.about(group), settings.checkpoint), hypotheses())
+        ranking = search(base, Work(settings.about(group), settings.checkpoint), hypotheses(), first=first)
         timings.end("selection")
         judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.checkpoint)))
         timings.end("judgement")
