@@ -68,7 +68,12 @@ class Case:
 
     @cached_property
     def along_motion(self) -> Judged | None:
-        """The verdict by friction of a joint that sticks; None if it does not explain what is left."""
+        """The verdict by friction of a joint that sticks; None if it does not explain what is left.
+
+        Beside a learned law it is not asked: it judges other errors than those of which the law removes its share.
+        """
+        if self.ranking.start is not None:
+            return None
         found = sticking.friction_along_motion(self.ranking, self.work)
         if found is None:
             return None

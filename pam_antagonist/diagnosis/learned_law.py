@@ -148,7 +148,9 @@ def with_laws(
         try:
             learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
             corrected, also = learned.corrected(fitted), learned.corrected(others)
-            after = diagnose(corrected, learned.rig, held_out=also) if may_be_better(now, learned) else now
+            after = now
+            if may_be_better(now, learned):
+                after = diagnose(corrected, learned.rig, held_out=also, first=now.recalibrated)
         except BadInput:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             break

@@ -10,6 +10,7 @@ from pam_antagonist.diagnosis.agreement import check_same_rig
 from pam_antagonist.diagnosis.description import describe
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.judgement import judge
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Prepared, Settings, Timings, prepare
 from pam_antagonist.diagnosis.result import Diagnosis, Judged
 from pam_antagonist.diagnosis.search import hypotheses, search
@@ -20,7 +21,12 @@ from pam_antagonist.rig import Rig
 
 @one_blas_thread
 def diagnose(
-    recordings: Sequence[Recording], rig: Rig, *, held_out: Sequence[Recording] = (), **settings: Any
+    recordings: Sequence[Recording],
+    rig: Rig,
+    *,
+    held_out: Sequence[Recording] = (),
+    first: Model | None = None,
+    **settings: Any,
 ) -> Diagnosis:
     """Trace what a model lacks to a physical effect, if possible.
 
@@ -28,6 +34,8 @@ def diagnose(
         recordings: of one rig; a free and a locked one show most. Of a sealed rig, its joint driven to and fro.
         rig: as configured.
         held_out: whole recordings of the same rig that no fit sees; the others are then fitted to their ends.
+        first: the model without a law that was learned since; the law then counts as the first effect, and any
+            beside it has to remove enough of what was there before the law.
         settings: fields of :class:`~pam_antagonist.diagnosis.preparation.Settings`.
 
     Returns:
@@ -38,10 +46,10 @@ def diagnose(
     """
     how, timings = Settings(**settings), Timings()
     prepared = prepare(recordings, held_out, rig, how)
-    return describe(prepared, verdicts(prepared, how, timings), how, timings)
+    return describe(prepared, verdicts(prepared, how, timings, first), how, timings)
 
 
-def verdicts(prepared: Prepared, settings: Settings, timings: Timings) -> list[Judged]:
+def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Model | None = None) -> list[Judged]:
     """The verdict on each group, the one with the strongest effect first."""
     judged = []
     for group in prepared.groups:
@@ -49,7 +57,7 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings) -> list[J
         base = by_itself_or_in_turn(group)
         check_same_rig(group.held_out, base)
         timings.end("recalibration")
-        ranking = search(base, Work(settings.about(group), settings.store), hypotheses())
+        ranking = search(base, Work(settings.about(group), settings.store), hypotheses(), first=first)
         timings.end("selection")
         judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.store)))
         timings.end("judgement")

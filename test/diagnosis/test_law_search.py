@@ -169,6 +169,20 @@ def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
     assert "does not hold on data that no fit used" in found.sentence
 
 
+def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
+    exchange: Course, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learned_law, "learn", lambda *_args: exchange.learned[0])
+    before: list[Any] = []
+
+    def diagnosis(*_args: Any, first: Any = None, **_options: Any) -> Diagnosis:
+        before.append(first)
+        return exchange.diagnoses[len(before) - 1]
+
+    learned_law.with_laws(diagnosis, [recorded()], [], rig(), 1.0 / 3.0, "auto", None, print)
+    assert before == [None, exchange.diagnoses[0].recalibrated]
+
+
 def test_a_second_law_is_found_beside_the_first() -> None:
     law = learn([recorded(EXCHANGE, COGGING, duration=24.0)], with_law(rig(), EXCHANGE), SEEN).law
     assert law is not None

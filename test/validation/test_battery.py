@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
+from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.model import integration
@@ -20,6 +21,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.learned import Law
 from validation.battery import command, outcomes, physics, places, scores
 from validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, cases
 from validation.battery.form import Form
@@ -186,23 +188,27 @@ def test_what_is_right(item: Outcome, right: bool) -> None:
     assert item.right is right
 
 
+def law(place: str, muscle: int | str | None, argument: str) -> Law:
+    return Law(place, (0.0,), (1.0,), muscle, argument)
+
+
 @pytest.mark.parametrize(
     ("effect", "says", "place", "arguments"),
     [
-        (("relief", 2), {"place": "flow_2", "arguments": ["pressure_2"]}, True, True),
-        (("relief", 2), {"place": "leak", "muscle": 2, "arguments": ["pressure"]}, True, True),
-        (("relief", 2), {"place": "flow_1", "arguments": ["pressure_1"]}, False, False),
-        (("relief", 2), {"place": "flow_2", "arguments": ["pressure", "angle"]}, True, False),
-        (("relief", 2), {"place": "flow_2", "arguments": []}, True, False),
-        (("check", None), {"place": "exchange", "arguments": ["pressure_difference"]}, True, True),
+        (("relief", 2), {"law": law("flow", 2, "pressure")}, True, True),
+        (("relief", 2), {"law": law("flow", "both", "pressure")}, True, True),
+        (("relief", 2), {"law": law("flow", 1, "pressure")}, False, False),
+        (("relief", 2), {"law": law("flow", 2, "angle")}, True, False),
+        (("relief", 2), {"law": law("flow", 2, "none")}, True, False),
+        (("check", None), {"law": law("exchange", None, "pressure_difference")}, True, True),
         (("relief", 2), {"name": "leak", "muscle": 2}, True, True),
         (("relief", 2), {"name": "leak", "muscle": 1}, False, False),
         (("relief", 2), {"name": "of a package"}, False, False),
     ],
 )
 def test_the_place_and_the_arguments_of_a_law(effect, says: dict, place: bool, arguments: bool) -> None:
-    one = places.found(SimpleNamespace(**{"name": "learned", "muscle": None, **says}))
     name = says.get("name", "learned")
+    one = places.found(FoundEffect(name, says.get("muscle"), {}, 40.0, 0.9, law=says.get("law")))
     item = outcome("foreign", [effect], "effect", [(name, None)], where=(one,))
     assert (item.places_right, item.arguments_right) == (place, arguments)
     assert item.right is (place and name == "learned")

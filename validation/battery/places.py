@@ -6,9 +6,10 @@ be no law. An effect has several where they are one function: a leak by a pressu
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
+
+from pam_antagonist.rig.learned import Law
 
 LEARNED = "learned"
 """Name of an effect whose law was measured."""
@@ -77,13 +78,13 @@ class Found(NamedTuple):
 
 def found(effect: Any) -> Found:
     """The place of an effect of a diagnosis: as it says, or that of the catalogue's law."""
-    name, muscle = str(effect.name), effect.muscle
+    name = str(effect.name)
     if name != LEARNED:
         known = PLACES.get(name, Place(frozenset(), frozenset()))
-        return Found(tuple(sorted(known.places)), muscle, tuple(sorted(known.arguments)))
-    plain, of = re.sub(r"_[12]$", "", effect.place), re.findall(r"_([12])$", effect.place)
-    arguments = (re.sub(r"^(pressure|length|length_rate|open_rate)_[12]$", r"\1", item) for item in effect.arguments)
-    return Found((plain,), int(of[0]) if of else muscle, tuple(arguments))
+        return Found(tuple(sorted(known.places)), effect.muscle, tuple(sorted(known.arguments)))
+    law: Law = effect.law
+    muscle = law.muscle if isinstance(law.muscle, int) else None
+    return Found((law.place,), muscle, () if law.argument == "none" else (law.argument,))
 
 
 def is_place(one: Found, effect: tuple[str, int | None]) -> bool:
