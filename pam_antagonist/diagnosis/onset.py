@@ -151,8 +151,8 @@ def _is_near(one: Span, other: Span) -> bool:
 def _is_like(one: Span, other: Span) -> bool:
     """Whether two recordings show the same begin and end, within their standard deviations."""
     return all(
-        a == b or abs(a - b) <= _SAME * float(np.hypot(*stds))
-        for a, b, *stds in zip(one.limits, other.limits, one.std_s, other.std_s, strict=True)
+        a == b or abs(a - b) <= _SAME * float(np.hypot(own, their))
+        for a, b, own, their in zip(one.limits, other.limits, one.std_s, other.std_s, strict=True)
     )
 
 
@@ -236,7 +236,7 @@ def _edge(linear: Linear, span: Span, k: int, best: Near) -> tuple[Span, Near, f
 
     last = len(trial) * trial.dt
     low, high = (0.0, min(span.end_s, last)) if k == 0 else (max(span.begin_s, 0.0), last)
-    time, step = span[k], _STEP
+    time, step = span.limits[k], _STEP
     best = at(time, best)
     while step >= _LEAST_STEP:
         around = [other for other in (time - step, time + step) if low < other < high]

@@ -45,7 +45,7 @@ def search(
     """
     # Recordings may have an effect in them already; a model may as well.
     begin = 2 if first is not None and not base.effects else 1
-    now = Ranking(base, base, start=first)
+    now, finished = Ranking(base, base, start=first), False
     while (number := len(now.model.effects) + begin) <= most:
         found = {hypothesis: hypothesis.propose(now, number, work) for hypothesis in asked}
         worth = [(one, by) for by, each in found.items() for one in each if by.is_worth_taking(one)]
@@ -55,10 +55,10 @@ def search(
             break
         # Of an effect, other effects that do as well stand in the ranking.
         others = [one for other, each in found.items() for one in each if not (by.is_effect and other is by)]
-        without, model = by.take(now, best)
+        finished, (without, model) = best.base is not None, by.take(now, best)
         now = replace(now, base=without, model=model, rivals={**now.rivals, best.effect: best.near(others)})
         work.progress(f"{best.effect} added")
-    if now.model is base and first is None:
+    if finished or (now.model is base and first is None):
         return now
     base, model = calibrations.without_needless(now.base, now.model)
     known = {each: calibrations.converged(each) for each in (base, model)}

@@ -11,7 +11,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.closed_trials import ClosedTrials
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
 from pam_antagonist.report.close_loop import effects_frame, sizes_table, title_of
-from pam_antagonist.report.document import Document, Findings, Section, Text, Tile, Tiles, background, note, warn
+from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
 from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import Result
 from pam_antagonist.report.table import Comparison, Table, number, percent
@@ -45,7 +45,7 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         ends = background("close_loop of trials", [("Rig", rig), *(("Recording", text) for text in self.hashes)])
         first = Text(f"Rig {rig}: which effect its model lacks.", "lede"), Text(self.sentence, "verdict"), tiles
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
-        blocks = (*first, Findings(tuple(items)), *tables, *drawn, *ends)
+        blocks: tuple[Block, ...] = (*first, Findings(tuple(items)), *tables, *drawn, *ends)
         return Document("Closing the loop with measured data", title, blocks)
 
     def to_dataframe(self) -> DataFrame:
