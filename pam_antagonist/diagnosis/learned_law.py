@@ -269,7 +269,9 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     namers = {name for one in first for name in one.like} - again
     earlier = [one for one in before.effects if one.law is not None or one.name in namers]
     others = [one for one in before.effects if one not in earlier and one.name not in again]
-    named = [one for one in others if one.name in effect.like and one.muscle in (None, effect.muscle)]
+    # One law has one name: a second effect there only imitates what its form leaves.
+    acting = (one for one in others if one.name in effect.like and one.muscle in (None, effect.muscle))
+    named = sorted(acting, key=lambda one: -one.delta_bic)[:1]
     entries = tuple(
         replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
@@ -312,7 +314,7 @@ def _sentence(
     text += f"With it the model's errors on held-out data {change}."
     others = [name.replace("_", " ") for name in effect.like if name not in {one.name for one in named}]
     text += f" Effects of the catalogue that act there, but explain less: {', '.join(others)}." if others else ""
-    wrong = [one.name.replace("_", " ") for one in before.effects if one not in named and not earlier]
+    wrong = [one.name.replace("_", " ") for one in before.effects if not named and not earlier]
     text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the table." if wrong else ""
     text += f" As good in a simulation: {'; '.join(effect.alternatives)}." if effect.alternatives else ""
     text += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""

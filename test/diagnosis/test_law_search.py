@@ -159,6 +159,16 @@ def test_an_effect_that_acts_where_the_law_does_names_it(exchange: Course, name:
     assert said in found.sentence
 
 
+def test_a_law_has_the_name_of_one_effect(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learned_law, "like", lambda *_args: ("valve_offset", "leak"))
+    (first,) = exchange.like("leak").effects
+    weaker = dataclasses.replace(first, name="valve_offset", delta_bic=first.delta_bic - 5.0)
+    before = dataclasses.replace(exchange.like("leak"), effects=(weaker, first))
+    found = joined(before, exchange.diagnoses[1], exchange.learned[0])
+    assert [effect.name for effect in found.effects] == ["leak", "learned"]
+    assert ": leak, in another form" in found.sentence
+
+
 def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:

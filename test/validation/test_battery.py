@@ -216,6 +216,13 @@ def test_the_place_and_the_arguments_of_a_law(effect, says: dict, place: bool, a
     assert both.places_right is False
 
 
+def test_one_that_was_found_is_not_the_place_of_two_effects() -> None:
+    pushes, friction = (Found((place,), None, ()) for place in ("torque", "friction"))
+    there = [("friction", None), ("external_torque", None)]
+    one, both = (outcome("pair", there, "effect", there, where=where) for where in ((pushes,), (friction, pushes)))
+    assert (one.places_right, both.places_right) == (False, True)
+
+
 def test_scores_and_their_intervals() -> None:
     items = [
         outcome("single", [LEAK], "effect", [("leak", 2)], errors={"recalibrated": 10.0, "extended": 4.0, "true": 2.0}),

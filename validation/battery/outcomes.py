@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -77,9 +78,10 @@ class Outcome:
 
     @property
     def places_right(self) -> bool:
-        """Whether each effect was found in its place, by any name; one that is alone has to come first."""
+        """Whether each effect was found in its place, each by another one; one that is alone has to come first."""
         first = self.where if self.kind == "pair" else self.where[:1]
-        return bool(self.names) and all(any(is_place(one, effect) for one in first) for effect in self.effects)
+        each = (zip(found, self.effects, strict=True) for found in permutations(first, len(self.effects)))
+        return bool(self.names) and any(all(is_place(*pair) for pair in pairs) for pairs in each)
 
     @property
     def arguments_right(self) -> bool:
