@@ -82,7 +82,9 @@ class Group:
         name = f"{self.argument}_{muscle}" if self.argument in _OF_A_MUSCLE else self.argument
         if self.argument == "other_pressure":
             name = f"pressure_{3 - muscle}"
-        return operated(one.arguments[name], self.operator, self.amount, one.step, one.fresh)
+        # What a drive does not have stays: a regulator shows no open rate.
+        values = one.arguments.get(name, np.zeros(len(one.time)))
+        return operated(values, self.operator, self.amount, one.step, one.fresh)
 
     def nodes(self, recordings: Sequence[Equations]) -> Floats:
         """Nodes of its table: between even ones and such with as many values each; one for a constant."""

@@ -135,7 +135,8 @@ def sentence(found: FoundFromPressures) -> str:
         what = "; ".join(_in_words(*item) for item in found.effects)
         out = what[0].upper() + what[1:] + "."
     elif found.unexplained:
-        out = f"No effect of the catalogue explains what is left in {' and in '.join(found.unexplained)}."
+        out = f"No effect of the catalogue explains what is left in {' and in '.join(found.unexplained)}. "
+        out += "No other law was looked for: the base of such a rig is not known well enough."
     else:
         out = "The model explains the recordings; no effect is missing."
     if now is None:

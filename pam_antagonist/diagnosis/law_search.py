@@ -157,24 +157,29 @@ def _chosen(ranked: _Ranked) -> list[Group]:
 
 
 def _simplest(simulation: Simulation, done: list[Simulated], ranked: _Ranked) -> list[Simulated]:
-    """The same, and the best law without its memory where that simulates as well; what fades at once is a rate."""
+    """The same, and the best law without its memory where that simulates as well.
+
+    What fades at once is a rate, and what fades within the recording's length is the argument itself.
+    """
     best = done[0]
     assert best.regression is not None and best.regression.group is not None and best.law is not None
     if best.law.operator == "none" or best.law.argument == "draw":
         return done
-    bare = replace(best.regression.group, operator="none", amount=0.0)
-    if best.law.operator == "high_pass" and bare.argument in _RATES:
-        bare = replace(bare, argument=_RATES[bare.argument])
-    laws = [best.law] if best.law.operator in ("lag", "play") else []
-    laws += [one.law for _, one in ranked if one.group == bare and one.law is not None]
+    bare = [replace(best.regression.group, operator="none", amount=0.0)]
+    if best.law.operator == "high_pass" and best.law.argument in _RATES:
+        bare.append(replace(bare[0], argument=_RATES[best.law.argument]))
+    laws = [(bare[0], best.law)] if best.law.operator in ("lag", "play") else []
+    for group in bare:
+        known = [one.law for _, one in ranked if one.group == group and one.law is not None]
+        laws += [(group, law) for law in known[: 2 // len(bare)]]
     plain = [
         simulation.fitted(
             simulation.evaluated(
-                replace(law, operator="none", time=0.0, width=0.0), best.amounts, replace(best.regression, group=bare)
+                replace(law, operator="none", time=0.0, width=0.0), best.amounts, replace(best.regression, group=group)
             ),
             _ROUNDS,
         )
-        for law in laws[:2]
+        for group, law in laws[:2]
     ]
     first = min(plain, key=lambda one: one.left, default=best)
     return [first, *done[1:]] if first.left <= best.left + _AS_GOOD else done

@@ -19,6 +19,7 @@ from pam_antagonist.diagnosis.arguments import operated
 from pam_antagonist.diagnosis.law_kernels import along_pressures
 from pam_antagonist.diagnosis.law_regression import Regression, roughness
 from pam_antagonist.diagnosis.residual_equations import base_groups, with_base
+from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import command_driven, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
@@ -151,7 +152,8 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = _PARTS, law: Law
         velocity[reach:-reach] = (angle[2 * reach :] - angle[: -2 * reach]) / (2.0 * reach * period)
     anew = np.arange(len(course.time)) % max(round(_ANEW_S / period), 2 * reach) == 0
     for name in (name for name, is_wanted in wanted.items() if is_wanted):
-        q = held.copy()
+        # The measured pressures have what regulators do.
+        q = par.changed(held, NO_REGULATORS)
         q[par.LOCKED] = float(name == "torque")
         along = along_pressures(course.time, behind, angle, velocity, anew, course.command, q, _LONGEST)
         if name == "torque":

@@ -45,7 +45,7 @@ Floats = NDArray[np.float64]
 MOST_LAWS = 2
 _SHORTEST_S, _SHORTEST_PART_S = 10.0, 1.0
 """[s] Least length of a recording in which a law is looked for, and of a stretch without holes."""
-_SLOWEST_S = 5e-3
+_SLOWEST_S = 25e-3
 """[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
 _AIR = {"mass_loss", "open_rate", "open_rate_shift", "voltage_shift", "spool_voltage"}
 _HOOKS: Mapping[str, set[str]] = {
@@ -78,8 +78,11 @@ class Learned:
 
 def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
     """Why no law can be looked for; empty if one can."""
-    if rig.valves.sealed or rig.drive != "valve":
-        return "a law is looked for in joints with moving valves only"
+    if rig.valves.sealed:
+        return (
+            "in a sealed joint the pressures place an effect in the air and the torque places it in joint and muscles, "
+            "but angle and both pressures move together, so nothing tells what it depends on"
+        )
     if any(one.sample_period_s > _SLOWEST_S for one in recordings):
         return f"a law is looked for in recordings with {1.0 / _SLOWEST_S:g} samples a second at least"
     if rig.units.pressure != "pascal":
@@ -151,20 +154,21 @@ def with_laws(
             after = now
             if may_be_better(now, learned):
                 after = diagnose(corrected, learned.rig, held_out=also, first=now.recalibrated)
-        except BadInput:
+        except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
-            break
+            return _saying(now, f"No law was looked for: {reason}.")
         if learned.law is None:
-            if now.verdict == "unexplained":
-                now = replace(now, sentence=f"{now.sentence} {place_in_words(learned.search)}".strip())
-            break
+            return _saying(now, place_in_words(learned.search))
         if after is now or not is_better(now, after.extended):
-            if now.verdict == "unexplained":
-                words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
-                now = replace(now, sentence=f"{now.sentence} {words}")
-            break
+            words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
+            return _saying(now, words)
         now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
     return now
+
+
+def _saying(found: Diagnosis, why: str) -> Diagnosis:
+    """A diagnosis that also says why it has no further law, where it explains nothing."""
+    return replace(found, sentence=f"{found.sentence} {why}".strip()) if found.verdict == "unexplained" else found
 
 
 def leaves_excess(found: Diagnosis) -> bool:

@@ -27,6 +27,7 @@ EXCHANGE = Law(
     "exchange", (-3e5, -1e5, 0.0, 1e5, 3e5), (-1.8e-6, -1.2e-6, 0.0, 1.2e-6, 1.8e-6), None, "pressure_difference"
 )
 COGGING = Law("torque", (-0.2, -0.1, 0.0, 0.1, 0.2), (0.05, -0.05, 0.05, -0.05, 0.05), None, "angle")
+ENGAGING = Law("torque", (-0.3, 0.05, 0.3), (0.0, 0.0, -0.25), None, "angle")
 SEEN = 2.0 / 3.0
 
 
@@ -200,6 +201,23 @@ def test_a_second_law_is_found_beside_the_first() -> None:
     assert law.value(0.0) - law.value(0.1) == pytest.approx(0.1, rel=0.2)
 
 
+@pytest.mark.slow(40)
+@pytest.mark.parametrize(
+    ("name", "period", "law", "ends"),
+    [("shin2022", 0.02, COGGING, (0.0, 0.1)), ("shin2022_regulators", 0.004, ENGAGING, (0.05, 0.25))],
+)
+def test_a_law_is_found_with_50_samples_a_second_or_regulators_and_without_a_torque_meter(
+    name: str, period: float, law: Law, ends: tuple[float, float]
+) -> None:
+    known = load_rig(name, regulators=True).replaced(sample_period=period)
+    true = simulate(with_law(known, law), duration=24.0, mismatch=0.01, seed=8)
+    found = learn([dataclasses.replace(true, torque=None)], known, SEEN).law
+    assert found is not None
+    assert (found.place, found.argument) == ("torque", "angle")
+    difference = law.value(ends[0]) - law.value(ends[1])
+    assert found.value(ends[0]) - found.value(ends[1]) == pytest.approx(difference, rel=0.3)
+
+
 def test_recordings_are_corrected_by_the_error_of_an_encoder() -> None:
     true = recorded(duration=24.0)
     assert true.angle is not None
@@ -222,4 +240,4 @@ def test_a_joint_without_a_measured_angle_or_air_that_flows_is_refused_in_a_sent
     recording = simulate(rig(), profile("steps", 2.0, 0.004, seed=1), seed=1)
     assert refusal([recording], rig()) == ""
     assert "the angle was measured" in refusal([dataclasses.replace(recording, angle=None)], rig())
-    assert "moving valves" in refusal([recording], load_rig("sealed_joint"))
+    assert "nothing tells what it depends on" in refusal([recording], load_rig("sealed_joint"))
