@@ -114,15 +114,8 @@ class Blocks:
         """Every hypothesis at its best onset, the one with most evidence first."""
         if not self.count:
             return []
-        order = np.arange(max(0, self.count - WINDOW), self.count) % WINDOW
-        info, known = self._information[order], self._known
-        own = np.maximum(np.diagonal(info, axis1=1, axis2=2), 1e-300)
-        left = self._scores[order] - info[:, :, known] @ np.linalg.solve(self._certainty, self._sums)
-        inflation = _inflation(self._standard if len(self._standard) >= WINDOW // 2 else left / np.sqrt(own))
-        whole, total, crossed = (np.cumsum(values[::-1], axis=0)[::-1] for values in (left, own, info[:, known]))
-        weights = np.linalg.solve(crossed[:, :, known] + self._certainty, crossed)
-        information = np.maximum(total - np.einsum("bnh,bnh->bh", crossed, weights), 1e-9 * total)
-        projected = whole - np.einsum("bnh,bn->bh", weights, whole[:, known])
+        known, order = self._known, self._order()
+        info, left, weights, projected, information, inflation = self._projected(order)
         size = np.clip(projected / information, *self._bounds)
         full = size * (projected - 0.5 * size * information) / inflation
         begins, found = self._begins[order], []
@@ -142,6 +135,27 @@ class Blocks:
             )  # fmt: skip
         return sorted(found, key=lambda one: -one.full)
 
+    def stds(self) -> Floats:
+        """Standard deviation of each hypothesis's size over the whole window."""
+        _, _, _, _, information, inflation = self._projected(self._order())
+        steps = np.array([item.step for item in self.watched])
+        return steps * np.sqrt(inflation / information[0])[: len(steps)]
+
+    def _order(self) -> NDArray[np.int64]:
+        return np.arange(max(0, self.count - WINDOW), self.count) % WINDOW
+
+    def _projected(self, order: NDArray[np.int64]) -> tuple[Floats, ...]:
+        """Of the blocks I, s − I μ, and since each of them the weights of the uncertain parameters, s̃, Ĩ; and λ."""
+        info, known = self._information[order], self._known
+        own = np.maximum(np.diagonal(info, axis1=1, axis2=2), 1e-300)
+        left = self._scores[order] - info[:, :, known] @ np.linalg.solve(self._certainty, self._sums)
+        inflation = _inflation(self._standard if len(self._standard) >= WINDOW // 2 else left / np.sqrt(own))
+        whole, total, crossed = (np.cumsum(values[::-1], axis=0)[::-1] for values in (left, own, info[:, known]))
+        weights = np.linalg.solve(crossed[:, :, known] + self._certainty, crossed)
+        information = np.maximum(total - np.einsum("bnh,bnh->bh", crossed, weights), 1e-9 * total)
+        projected = whole - np.einsum("bnh,bn->bh", weights, whole[:, known])
+        return info, left, weights, projected, information, inflation
+
     def _limited(self, left: Floats, info: Floats, k: int, weights: Floats, size: float, limit: float) -> float:
         """Evidence of hypothesis k, times λ, of which no block gives more than a limit."""
         known = self._known
@@ -149,7 +163,7 @@ class Blocks:
         own = info[:, k, k] - 2.0 * info[:, k, known] @ weights
         own = own + np.einsum("n,bnm,m->b", weights, info[:, known][:, :, known], weights)
         prior = 0.5 * size**2 * float(weights @ self._certainty @ weights)
-        return float(np.minimum(size * score - 0.5 * size**2 * own, limit).sum()) - prior
+        return float(np.minimum(size * score - 0.5 * size**2 * own - prior / len(own), limit).sum())
 
 
 def _inflation(standard: Floats) -> Floats:

@@ -115,7 +115,7 @@ def respond(before, after, covariance, u, y, variance, used, p, dt, steps, work)
                 work.information[k, j] += shown[j, a] * work.weighed[k, a]
             work.information[j, k] = work.information[k, j]
 
-_SHARE = 0.1
+SHARE = 0.1
 """Size of a hypothesis, in typical sizes: small enough for a first-order response."""
 _ZERO = 5e-4
 """[rad] Likewise of the encoder's zero."""
@@ -139,6 +139,12 @@ class Watched:
     high: float
     paths: tuple[str, ...] = ()  # dotted, of the parameters that have this size
 
+    @property
+    def label(self) -> str:
+        """Effect, parameter and muscle, in words."""
+        where = f" {self.muscle}" if self.muscle else ""
+        return f"{self.name.replace('_', ' ')}{where}, {self.parameter.replace('_', ' ')}"
+
 
 def hypotheses(rig: Rig, encoder: bool) -> list[Watched]:
     """What a joint may come to have beside its rig file."""
@@ -158,7 +164,7 @@ def hypotheses(rig: Rig, encoder: bool) -> list[Watched]:
             present = rig.value(paths[0])
             found.append(
                 Watched(
-                    effect.name, None if tied else item.muscle, item.family, item.unit, _SHARE * item.scale,
+                    effect.name, None if tied else item.muscle, item.family, item.unit, SHARE * item.scale,
                     item.low - present, item.high - present, paths,
                 )
             )  # fmt: skip
