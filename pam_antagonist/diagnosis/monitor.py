@@ -97,8 +97,6 @@ class Monitor:
         apart = np.diff(stamps)
         for part in np.split(np.arange(len(stamps)), np.flatnonzero((apart <= 0) | (apart > BLOCK_NS)) + 1):
             self._average(stamps[part], rows[part])
-        if self.blocks.count > done:
-            self.findings = self.blocks.findings()
         return self.blocks.count - done
 
     def _average(self, stamps: NDArray[np.int64], rows: Floats) -> None:
@@ -168,6 +166,7 @@ class Monitor:
         self._whiten()
         if stamp >= self._quiet_until and self._whitened >= _WHITENING:
             self.blocks.add(stamp - BLOCK_NS, work.score, work.information)
+            self.findings = self.blocks.findings()
         work.score[:], work.information[:] = 0.0, 0.0
         self._end = stamp + BLOCK_NS
 

@@ -35,6 +35,8 @@ _KEPT = 1.0 - 1.0 / 1800.0
 """Share of what is known of the uncertain parameters that is kept from block to block."""
 _LEAST_INFLATION, _FIRST_INFLATION, _TOGETHER, _FEWEST = 0.05, 2.0, (1, 4, 10), 8
 """Bounds of λ at any time and before twenty blocks; blocks that are summed up for it; fewest such sums."""
+_INEXACT = 0.01
+"""Square of the relative error of a first-order response: what uncertain parameters explain but for it is no sign."""
 _ROBUST = 1.0 / (0.6745 * math.sqrt(2.0))
 _WITHIN = 2.0
 """An onset is possible while its evidence is within this of the largest."""
@@ -90,7 +92,7 @@ class Blocks:
         self.count += 1
 
     def accept(self, finding: Finding) -> None:
-        """Take a hypothesis for known from now on, with a size of any value."""
+        """Take a hypothesis for known from now on, with a size of any value; the window begins anew."""
         k = next(k for k, item in enumerate(self.watched) if item == finding.watched)
         if k not in self._known:
             size = len(self._known)
@@ -99,6 +101,7 @@ class Blocks:
             wider[:size, :size] = self._certainty
             wider[size, size] = 1e-9 * float(self._information[:, k, k].sum()) + 1e-12
             self._certainty, self._sums = wider, np.append(self._sums, 0.0)
+        self.count = 0
 
     def _to_history(self, k: int) -> None:
         info, known = self._information[k], self._known
@@ -152,7 +155,7 @@ class Blocks:
         inflation = _inflation(self._standard if len(self._standard) >= WINDOW // 2 else left / np.sqrt(own))
         whole, total, crossed = (np.cumsum(values[::-1], axis=0)[::-1] for values in (left, own, info[:, known]))
         weights = np.linalg.solve(crossed[:, :, known] + self._certainty, crossed)
-        information = np.maximum(total - np.einsum("bnh,bnh->bh", crossed, weights), 1e-9 * total)
+        information = np.maximum(total - np.einsum("bnh,bnh->bh", crossed, weights), 0.0) + _INEXACT * total
         projected = whole - np.einsum("bnh,bn->bh", weights, whole[:, known])
         return info, left, weights, projected, information, inflation
 
