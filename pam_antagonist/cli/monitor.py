@@ -29,7 +29,7 @@ _LARGE = 20.0
 
 
 def smallest(rig: Rig, moving: bool, encoder: bool) -> dict[tuple[str, str], float]:
-    """Size of each hypothesis that has the evidence of an alarm after a minute, by name and unit; infinite where none has."""
+    """Size of each hypothesis that has the evidence of an alarm after a minute, by name and unit; else infinite."""
     if encoder and rig.encoder is None:
         rig = rig.replaced(encoder=_ENCODER)
     seconds = _SETTLING + _SECONDS + 1

@@ -19,8 +19,9 @@ from pam_antagonist.rig import load_rig
 def search(order: dict[str, object]) -> dict[str, object]:
     """Carry out an order.
 
-    Its keys: ``buffer`` (a file of numpy with ``stamps`` and ``rows``, as of a feed), ``rig``, ``begin_ns`` from which on
-    the joint is searched, ``folder`` for bag and report (empty: none), ``namespace``, ``joint``, ``lock_angle``, ``log``.
+    Its keys: ``buffer`` (a file of numpy with ``stamps`` and ``rows``, as of a feed), ``rig``, ``begin_ns`` from which
+    on the joint is searched, ``folder`` for bag and report (empty: none), ``namespace``, ``joint``, ``lock_angle``,
+    ``log``.
     """
     from pam_antagonist.api.diagnose import diagnose
     from pam_antagonist.api.history import log

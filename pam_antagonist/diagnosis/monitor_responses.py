@@ -6,7 +6,8 @@ show differently,
 
     g = H (f_h(x + δ) − f_0(x)) + z,    δ⁺ = f_h(x + δ) − f_0(x) − K g,
 
-and g is the mean of the filter's innovation if h is true. A state of h that is a muscle's pressure is corrected as that is. The filter's posterior gives all that is needed: K = P Hᵀ R⁻¹,
+and g is the mean of the filter's innovation if h is true. A state of h that is a muscle's pressure is corrected as
+that is. The filter's posterior gives all that is needed: K = P Hᵀ R⁻¹,
 S⁻¹ ν = R⁻¹ (y − H x⁺) and S⁻¹ = R⁻¹ − R⁻¹ H P Hᵀ R⁻¹, for pressures and a measured angle alike.
 """
 
@@ -59,13 +60,15 @@ def _advance(x, u, p, h, steps, stages):
 
 
 @in_place
-def respond(before, after, covariance, u, y, variance, used, p, dt, steps, work):
+def respond(  # noqa: C901
+    before, after, covariance, u, y, variance, used, p, dt, steps, work
+):
     """One sample: what each hypothesis predicts for it, added to the block's score and information.
 
     `before`, `after`: the filter's estimates after the last sample and after this one (n,). `covariance`: after this
     one (n, n). `u`: voltages since the last (2,). `y`, `variance`, `used`: readings, their variances R, and whether the
-    filter used them (READINGS,). `p`: the filter's parameters. `dt`, `steps`: time since the last sample [s], and in how
-    many steps of the model.
+    filter used them (READINGS,). `p`: the filter's parameters. `dt`: time since the last sample [s], in `steps` steps
+    of the model.
     """
     n, hypotheses = before.shape[0], work.sets.shape[0]
     h = dt / steps
@@ -83,7 +86,9 @@ def respond(before, after, covariance, u, y, variance, used, p, dt, steps, work)
             moved[k, i] = states[work.common[k, i]] - plain[i]
         shown[k, 2] = moved[k, ANGLE] + work.zero[k]
         for i in range(2):
-            shown[k, i] = moved[k, PRESSURE_1 + i] + _reading(i, plain[PRESSURE_1 + i], q) - _reading(i, plain[PRESSURE_1 + i], p)
+            shown[k, i] = (
+                moved[k, PRESSURE_1 + i] + _reading(i, plain[PRESSURE_1 + i], q) - _reading(i, plain[PRESSURE_1 + i], p)
+            )
         for a in range(READINGS):
             if not used[a]:
                 shown[k, a] = 0.0
@@ -115,6 +120,7 @@ def respond(before, after, covariance, u, y, variance, used, p, dt, steps, work)
                 work.information[k, j] += shown[j, a] * work.weighed[k, a]
             work.information[j, k] = work.information[k, j]
 
+
 SHARE = 0.1
 """Size of a hypothesis, in typical sizes: small enough for a first-order response."""
 _ZERO = 5e-4
@@ -122,7 +128,9 @@ _ZERO = 5e-4
 _LARGEST_ZERO = 0.35
 _KNOWN_TO = 0.01
 """Relative standard deviation of a parameter for which the rig file gives none."""
-_CHAMBERS = {state.name for effect in CATALOGUE.values() if "chamber_pressure" in effect.hooks for state in effect.states}
+_CHAMBERS = {
+    state.name for effect in CATALOGUE.values() if "chamber_pressure" in effect.hooks for state in effect.states
+}
 """States that are the pressure in a muscle."""
 
 

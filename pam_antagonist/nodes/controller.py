@@ -43,7 +43,8 @@ subscribes:  joint_estimate (pam_antagonist_msgs/JointEstimate), reference (pam_
              valve_state (pam_antagonist_msgs/ValveCommand, to start from what is on the valves), rig (std_msgs/String:
              which rig file the other nodes were given; that of another joint stops the valves). A rig with
              drive: regulator has pressure_state and pressure_command (pam_antagonist_msgs/PressureCommand) in the place
-             of valve_state and valve_command, and the law model alone. health (pam_antagonist_msgs/Health) with stop_on.
+             of valve_state and valve_command, and the law model alone.
+             health (pam_antagonist_msgs/Health), with stop_on
 publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig; reference, where references come from another topic
 services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """

@@ -58,7 +58,7 @@ PARAMETERS = (
 
 _POLL = 0.2  # [s] between two reads of the samples
 _SINCE = 30.0  # [s] that a joint has to be another one before it is searched
-_REST = (120.0, 3600.0)  # [s] without an alarm after a search: at first, and at most; doubled by each that finds nothing
+_REST = (120.0, 3600.0)  # [s] without an alarm after a search, at first and at most; doubled where it finds nothing
 
 
 class Search:
@@ -67,9 +67,13 @@ class Search:
     def __init__(self, order: Mapping[str, Any], stamps: Any, rows: Any, limit: float) -> None:
         self._files = tempfile.TemporaryDirectory(prefix="pam_monitor_")
         folder = Path(self._files.name)
-        np.savez(folder / "buffer.npz", stamps=stamps, rows=rows)
-        text = json.dumps({**order, "buffer": str(folder / "buffer.npz")})
-        (folder / "order.json").write_text(text, encoding="utf-8")
+        try:
+            np.savez(folder / "buffer.npz", stamps=stamps, rows=rows)
+            text = json.dumps({**order, "buffer": str(folder / "buffer.npz")})
+            (folder / "order.json").write_text(text, encoding="utf-8")
+        except OSError:
+            self._files.cleanup()
+            raise
         command = [sys.executable, "-m", "pam_antagonist.cli.monitor_search", str(folder / "order.json")]
         with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
             self._process = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
