@@ -80,6 +80,10 @@ def parser() -> common.Parser:
 def main(argv: Sequence[str] | None = None) -> int:
     """The node, or ``--explain RIG``."""
     words = list(sys.argv[1:] if argv is None else argv)
+    if words[:1] == ["--search"]:
+        from pam_antagonist.cli import monitor_search
+
+        return monitor_search.main(words[1:])
     if any(word.partition("=")[0] == "--explain" for word in words):
         return int(common.command(parser, _explain)(words))
     try:

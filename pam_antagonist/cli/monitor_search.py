@@ -1,6 +1,6 @@
 """The search of ``close_loop`` in what a monitor has kept, in a process of its own; ``monitor`` starts it.
 
-``python -m pam_antagonist.cli.monitor_search ORDER.json``: writes the buffer as a bag and the report beside it, adds an
+``monitor --search ORDER.json`` writes the buffer as a bag and the report beside it, adds an
 entry to the rig's log book, and prints ``{"verdict", "effects", "calibration", "ambiguous_with"}`` as one line.
 """
 
@@ -74,7 +74,3 @@ def main(argv: list[str]) -> int:
         return 2
     print(json.dumps(found))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

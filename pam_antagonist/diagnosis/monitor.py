@@ -118,7 +118,8 @@ class Monitor:
             halves = np.repeat(grid[: count * every, 2:4], 2, axis=0)
             first = every + 1
             voltage = _means(halves[first : first + 2 * every * (count - 1)].reshape(count - 1, 2 * every, 2))
-        middles = stamps[0] + np.rint((np.arange(count) + 0.5) * every * self._period_ns - 0.5 * self._period_ns)
+        since = np.rint((np.arange(count) + 0.5) * every * self._period_ns - 0.5 * self._period_ns)
+        middles = stamps[0] + since.astype(np.int64)  # as a float a stamp is off by 128 ns
         for k in range(1, count):
             self._sample(int(middles[k]), means[k, :2], voltage[k - 1], float(means[k, 4]))
         left = at >= (count - 1) * every

@@ -74,7 +74,7 @@ class Search:
         except OSError:
             self._files.cleanup()
             raise
-        command = [sys.executable, "-m", "pam_antagonist.cli.monitor_search", str(folder / "order.json")]
+        command = [sys.executable, "-m", "pam_antagonist", "monitor", "--search", str(folder / "order.json")]
         with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
             self._process = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
         # Neither the estimator's time nor the controller's: this process gets what is left over.
