@@ -39,6 +39,7 @@ NAVIGATION = {
         "how-to/safety",
         "how-to/watch",
         "how-to/history",
+        "how-to/monitor",
         "how-to/tools",
         "how-to/security",
     ],

@@ -102,6 +102,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         ),
         node("estimator"),
         node("controller"),
+        node("monitor", condition=IfCondition(LaunchConfiguration("monitor"))),
     ]
 
 
@@ -156,6 +157,13 @@ def arguments() -> list[DeclareLaunchArgument]:
             choices=["true", "false"],
             description="true: a node that has ended is started again after 2 s; it forgets latched stops and the "
             "reference (docs/how-to/safety.md)",
+        ),
+        DeclareLaunchArgument(
+            "monitor",
+            default_value="false",
+            choices=["true", "false"],
+            description="true: monitor tests all the time whether the joint still is its rig file "
+            "(docs/how-to/monitor.md)",
         ),
         DeclareLaunchArgument("namespace", default_value="pam", description="namespace of nodes and topics"),
         DeclareLaunchArgument(

@@ -77,6 +77,11 @@ def nodes(context: LaunchContext) -> list[Node]:
             **common,
         )
     ]
+    if LaunchConfiguration("monitor").perform(context) == "true":
+        started += [
+            Node(executable="monitor", namespace=namespace, parameters=[path], ros_arguments=[*level, *given], **common)
+            for namespace in found
+        ]
     bag = LaunchConfiguration("record").perform(context)
     if bag:
         chosen = [word for namespace in found for word in ("--namespace", namespace)]
@@ -114,6 +119,12 @@ def arguments() -> list[DeclareLaunchArgument]:
         ),
         DeclareLaunchArgument(
             "record", default_value="", description="folder of a new bag with all joints; empty: none"
+        ),
+        DeclareLaunchArgument(
+            "monitor",
+            default_value="false",
+            choices=["true", "false"],
+            description="true: a monitor of each joint, which tests whether it still is its rig file",
         ),
         DeclareLaunchArgument(
             "log_level",

@@ -19,6 +19,7 @@ class Command(NamedTuple):
 _COMMANDS = {
     "demo": "control a simulated joint live, record, replay and report it",
     "watch": "show a running joint in the browser, 30 times a second",
+    "monitor": "tell when a running joint is no longer its rig file, and why (a node)",
     "new_rig": "write the rig file of a new joint, from ruler, scale and data sheets",
     "excite": "design an experiment, drive the joint with it and record it",
     "commission": "lead from a rig file to a controlled joint, step by step",

@@ -82,18 +82,21 @@ def test_launch_file_starts_what_exists(launch_file: dict[str, Any]) -> None:
     nodes = [options for _, options in functions[-1](defaults(launch_file))]
 
     plant, bridge, *always = nodes
-    assert [node["executable"] for node in (plant, *always)] == ["plant", "estimator", "controller"]
+    assert [node["executable"] for node in (plant, *always)] == ["plant", "estimator", "controller", "monitor"]
     assert all(node["package"] == "pam_antagonist" and node["executable"] in COMMANDS for node in (plant, *always))
     assert (bridge["package"], bridge["executable"]) == ("bridge_package", "bridge_executable")
     assert arguments["bridge_package"]["default_value"] == "pam_antagonist"
     assert arguments["bridge_executable"]["default_value"] in COMMANDS
     assert all(node["namespace"] == "namespace" and node["parameters"] == ["parameters"] for node in nodes)
-    assert [node.get("condition") for node in nodes] == [("source", "plant"), ("source", "bridge"), None, None]
+    assert [node.get("condition") for node in nodes] == [
+        *(("source", name) for name in ("plant", "bridge")), None, None, "monitor",
+    ]  # fmt: skip
     assert all(node["ros_arguments"] == ["--log-level", "info"] and node["respawn"] == "respawn" for node in nodes)
     assert set(arguments) == {
         *("source", "parameters", "namespace", "enclave", "bridge_package", "bridge_executable"),
-        *("rig", "joint_name", "use_sim_time", "autostart", "log_level", "respawn"),
+        *("rig", "joint_name", "use_sim_time", "autostart", "log_level", "respawn", "monitor"),
     }
+    assert arguments["monitor"]["default_value"] == "false"
     assert arguments["respawn"]["default_value"] == "false"
     assert arguments["enclave"]["default_value"] == ""
     assert arguments["namespace"]["default_value"] == "pam"
@@ -107,7 +110,7 @@ def test_launch_file_gives_each_node_its_own_enclave(launch_file: dict[str, Any]
     folder = enclave.rstrip("/")
     assert [node["ros_arguments"] for node in nodes] == [
         ["--log-level", "info", "--enclave", f"{folder}/{name}"]
-        for name in ("plant", "bridge", "estimator", "controller")
+        for name in ("plant", "bridge", "estimator", "controller", "monitor")
     ]
     if folder == "/pam":  # what the documentation makes, by the policy
         enclaves = ET.parse(config_dir() / "security" / "policy.xml").getroot().iter("enclave")

@@ -57,7 +57,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "diagnosis": (*_OFFLINE, "replays", "inference", "identification"),
     "design": (*_OFFLINE, "simulation", "inference", "identification", "diagnosis"),
     "report": (*_RESULTS, "control"),
-    "nodes": (*_OFFLINE, "simulation", "control", "safety", "hardware"),
+    "nodes": (*_OFFLINE, "diagnosis", "simulation", "control", "safety", "hardware"),
     "api": (*_RESULTS, "simulation", "checks", "design", "report"),
     "__init__": (BASE, "rig", "estimation", "recording", "api"),  # the names of the Python API
     "cli": (*_RESULTS, *_ONLINE, "design", "checks", "report", "api"),

@@ -343,6 +343,21 @@ class Estimator:
         return Counts(*(int(value) for value in self._memory.counts))
 
     @property
+    def state(self) -> np.ndarray:
+        """The present estimate of the whole state (n,), and its :attr:`covariance` (n, n): views, for fast loops."""
+        return self._memory.x
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of :attr:`state` (n, n)."""
+        return self._memory.covariance
+
+    @property
+    def process_noise(self) -> np.ndarray:
+        """Variances Q of the states a sample (n,), which may be changed in place."""
+        return self._settings.process_noise
+
+    @property
     def started_ns(self) -> int | None:
         """Stamp [ns] of the sample that started the running filter, None before that."""
         return stamps.started_ns(self._memory.clock)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
@@ -14,6 +14,7 @@ from pam_antagonist.control.command import Command, Status
 from pam_antagonist.control.model_law import Seen
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.laws import PARAMETERS, described, make_laws, retune
@@ -25,6 +26,7 @@ from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import drive_of
 from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
 from pam_antagonist.safety import EstimateSupervision, Following
+from pam_antagonist_msgs.msg import Health as HealthMessage
 from pam_antagonist_msgs.msg import JointEstimate
 
 DESCRIPTION = """
@@ -42,6 +44,7 @@ subscribes:  joint_estimate (pam_antagonist_msgs/JointEstimate), reference (pam_
              which rig file the other nodes were given; that of another joint stops the valves). A rig with
              drive: regulator has pressure_state and pressure_command (pam_antagonist_msgs/PressureCommand) in the place
              of valve_state and valve_command, and the law model alone.
+             health (pam_antagonist_msgs/Health), with stop_on
 publishes:   valve_command (pam_antagonist_msgs/ValveCommand), rig; reference, where references come from another topic
 services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
@@ -96,6 +99,7 @@ class ControllerNode(PamNode):
         self._latency, self._rate, self._rises = Window(), Rate(), Rises()
         self._output = wire.Outgoing(self, COMMAND_TOPICS[rig.drive], wire.FRAMES[rig.drive], wire.VALVES)
         self._decode, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
+        self._stops_on = stops_on(values["stop_on"])
         self.serve(SetBool, "~/enable", self._enable)
         self.serve(Trigger, "~/clear_stop", self._clear)
         self._rigs = RigWatch(self, announce(self, rig), self.stop)
@@ -115,6 +119,8 @@ class ControllerNode(PamNode):
             name = TOPICS["joint_estimate"].relative
             self.create_subscription(JointEstimate, name, self.take_message, qos.STREAM, raw=True)
         self.input.listen()
+        if self._stops_on:
+            self.create_subscription(HealthMessage, TOPICS["health"].relative, self._heard_of, qos.LATCHED)
         state = STATE_TOPICS[self._rig.drive]
         self._valve_state = self.collect(wire.message_class(state), TOPICS[state].relative, qos.GLANCE)
         self.steady_timer(self.values["max_age"] / _CHECKS, self._watch)
@@ -166,6 +172,11 @@ class ControllerNode(PamNode):
         if not self.stopped:
             self.stopped = reason
             self.get_logger().error(f"stopped: {reason}")
+
+    def _heard_of(self, message: HealthMessage) -> None:
+        """Stop on a finding of the monitor, if the parameter ``stop_on`` names it."""
+        if message.name in self._stops_on:
+            self.stop(f"the monitor found {message.name}: {message.sentence}")
 
     def _look(self) -> None:
         """Read the voltages on the valves; only while active."""
@@ -299,6 +310,14 @@ class ControllerNode(PamNode):
             (safe, Level.WARN, self._last.value if self._last.safe else f"{safe} commands at safe voltages"),
         )
         return {"rig": self._rigs.health(), "reference": self.input.health(), "commands": commands}
+
+
+def stops_on(names: Sequence[str]) -> frozenset[str]:
+    """Names of the parameter ``stop_on`` that the monitor may publish."""
+    given, known = frozenset(names) - {""}, (*CATALOGUE, "encoder_zero")
+    if unknown := sorted(given - set(known)):
+        raise BadInput(f"stop_on: no effect is called {unknown[0]!r}; expected some of {', '.join(known)}")
+    return given
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -125,6 +125,10 @@ PARAMETERS = (
     Parameter("blind_time", 0.1, 0.001, 10.0).about(
         "time for which estimates may lack one of the pressures before the controller stops [s]"
     ),
+    Parameter("stop_on", [""]).about(
+        "names of effects, as monitor publishes them on health, that stop the controller until clear_stop: [leak]; an "
+        "empty text counts for nothing"
+    ),
     Parameter("blend_time", 0.5, 0.001, 60.0).about(
         "time constant with which the offset of a bumpless start fades [s]"
     ),

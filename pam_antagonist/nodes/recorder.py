@@ -95,7 +95,7 @@ def _check(name: str, value: float | None, above: float, unit: str) -> None:
         raise BadInput(f"{name} {value}: expected a number of {unit} above {above:g}")
 
 
-_KEPT = ("rig", "filter_checkpoint")  # topics whose last messages are kept for late subscribers
+_KEPT = ("rig", "filter_checkpoint", "health")  # topics whose last messages are kept for late subscribers
 _PERIOD = 0.02  # [s] time between two reads of the queues, which hold 250 times as much at 1 kHz
 _PROGRESS = 1.0  # [s] time between two updates of the progress line
 _BACKLOG = 256 << 20  # [bytes] that may wait for a slow disk: five minutes of a pipeline at 1 kHz

@@ -105,6 +105,12 @@ _TABLE = (
         "pam_antagonist_msgs/msg/FilterCheckpoint",
         "all that the estimator's filter remembers, once a second; a replay goes on from it; kept for late subscribers",
     ),
+    Topic(
+        "health",
+        "health",
+        "pam_antagonist_msgs/msg/Health",
+        "what the monitor found: the joint is no longer its rig file; kept for late subscribers",
+    ),
     Topic("diagnostics", "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "health of the nodes"),
 )
 

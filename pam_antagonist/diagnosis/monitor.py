@@ -1,0 +1,199 @@
+"""Whether a running joint still is its rig file: the filter, the hypotheses beside it, and their evidence.
+
+Samples are averaged to 100 Hz. The estimator's filter runs on them with the rig's noise for that rate, without consider
+parameters. Its process noise Q is moved until the innovations are white within a block: a response depends on the
+estimate, and so on earlier innovations, and only then is it uncorrelated with the present one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis.monitor_blocks import Blocks, Finding
+from pam_antagonist.diagnosis.monitor_responses import READINGS, hypotheses, make_responses, respond
+from pam_antagonist.estimation import Estimator
+from pam_antagonist.estimation.memory import GAP
+from pam_antagonist.model import equilibrium
+from pam_antagonist.model import parameters as par
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
+from pam_antagonist.rig import Rig
+
+Floats = NDArray[np.float64]
+
+RATE = 100.0
+"""[Hz] of the averaged samples."""
+BLOCK_NS = 1_000_000_000
+THRESHOLD = 25.0
+"""Evidence of an alarm."""
+_LONGEST_STEP = 5.5e-3
+"""[s] Longest step of the model for a response: an error of the integration is the same with and without its cause."""
+_GATE = 1e3
+"""Of the filter: what a fault does to the pressures must not be left out."""
+_SETTLED_NS, _WHITENING = 3 * BLOCK_NS, 30
+"""What does not count: time after a start of the filter, and blocks in which Q is found."""
+_EVERY, _PULL, _LEAST_Q, _LARGEST_Q = 2, 6.0, 1e-6, 1e2
+"""Blocks between two changes of Q, their gain, and bounds of Q by the rig's."""
+_CALM = 8.0
+"""Evidence above which Q is not moved."""
+_MOTION, _PRESSURES = slice(ANGLE, VELOCITY + 1), slice(PRESSURE_1, PRESSURE_1 + 2)
+
+
+class Monitor:
+    """Tests a stream of samples. Feed it by :meth:`add`; :attr:`findings` are those after the last whole block.
+
+    `rig`: as the joint is believed to be. `joint`: ``free`` or ``locked``, at `lock_angle` [rad]. `encoder`: whether
+    samples have a measured angle, as the rig's encoder reads it.
+    """
+
+    def __init__(self, rig: Rig, joint: str = "free", lock_angle: float = 0.0, encoder: bool = False) -> None:
+        self._every = max(1, round(1.0 / (RATE * rig.sample_period)))
+        self._dt, self._period_ns = self._every * rig.sample_period, rig.sample_period * 1e9
+        tuning = rig.tuning("default")
+        slower = tuning.replaced(
+            process=tuple(value * self._every for value in tuning.process),
+            states={name: (a, b * self._every) for name, (a, b) in tuning.states.items()},
+            measurement=tuple(value / self._every for value in tuning.measurement),
+            consider=False, gate=_GATE,
+        )  # fmt: skip
+        slow = rig.unchecked(sample_period=self._dt, tunings={**rig.tunings, "default": slower})
+        self._filter = Estimator(slow, "default", joint, lock_angle, "encoder" if encoder else "none")
+        self._encoder = rig.encoder if encoder else None
+        angle_variance = 1.0 if self._encoder is None else self._encoder.variance
+        self._variance = np.array([*slower.measurement, angle_variance])
+        self._noise = self._filter.process_noise.copy()
+        self._steps = max(1, math.ceil(self._dt / _LONGEST_STEP))
+        self._p = slow.parameters(joint, lock_angle)
+        self._p[par.FRICTION_STEP] = self._dt / self._steps
+        self.watched = hypotheses(rig, encoder)
+        self._work = make_responses(rig, self._p, self.watched, self._dt / self._steps)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all."""
+        self._filter.reset()
+        self._filter.process_noise[:] = self._noise
+        self.blocks = Blocks(self.watched, len(self._work.sets))
+        self.findings: list[Finding] = []
+        self._stamps, self._rows = np.zeros(0, dtype=np.int64), np.zeros((0, 5))
+        self._innovations: list[tuple[float, float]] = []
+        self._products = np.zeros((2, 2))
+        self._whitened = self._end = self._quiet_until = 0
+        self._used, self._y = np.zeros(READINGS, dtype=np.bool_), np.zeros(READINGS)
+        self._started: int | None = None
+
+    def add(self, stamp_ns: NDArray[np.int64], pressure: Floats, voltage: Floats, angle: Floats | None = None) -> int:
+        """Add samples in the order of their stamps; returns how many blocks were finished.
+
+        `stamp_ns`: (N,) [ns]. `pressure`: (N, 2) [Pa], `voltage`: (N, 2) [V], `angle`: (N,) [rad]; NaN where missing.
+        """
+        done = self.blocks.count
+        rows = np.column_stack([pressure, voltage, np.full(len(stamp_ns), np.nan) if angle is None else angle])
+        # The grid of averages begins anew where stamps jump.
+        stamps = np.append(self._stamps, stamp_ns)
+        rows = np.concatenate([self._rows, rows])
+        apart = np.diff(stamps)
+        for part in np.split(np.arange(len(stamps)), np.flatnonzero((apart <= 0) | (apart > BLOCK_NS)) + 1):
+            self._average(stamps[part], rows[part])
+        return self.blocks.count - done
+
+    def _average(self, stamps: NDArray[np.int64], rows: Floats) -> None:
+        """Pressures are means over a bin; voltages over the time between the middles of two bins."""
+        if not len(stamps):
+            return
+        every = self._every
+        at = np.rint((stamps - stamps[0]) / self._period_ns).astype(np.int64)
+        grid = np.full((int(at[-1]) + 1, 5), np.nan)
+        grid[at] = rows
+        count = (len(grid) - every // 2 - 1) // every
+        if count < 2:
+            self._stamps, self._rows = stamps, rows
+            return
+        means = _means(grid[: count * every].reshape(count, every, 5))
+        voltage = means[1:, 2:4]
+        if every > 1:
+            # The interval that ends at a sample is two halves; the middle of a bin lies between two of them.
+            halves = np.repeat(grid[: count * every, 2:4], 2, axis=0)
+            first = every + 1
+            voltage = _means(halves[first : first + 2 * every * (count - 1)].reshape(count - 1, 2 * every, 2))
+        since = np.rint((np.arange(count) + 0.5) * every * self._period_ns - 0.5 * self._period_ns)
+        middles = stamps[0] + since.astype(np.int64)  # as a float a stamp is off by 128 ns
+        for k in range(1, count):
+            self._sample(int(middles[k]), means[k, :2], voltage[k - 1], float(means[k, 4]))
+        left = at >= (count - 1) * every
+        self._stamps, self._rows = stamps[left], rows[left]
+
+    def _sample(self, stamp: int, pressure: Floats, voltage: Floats, angle: float) -> None:
+        estimator, encoder = self._filter, self._encoder
+        before, angles = estimator.state.copy(), estimator.counts.angles_used if encoder else 0
+        row = estimator.step_in_place(stamp, pressure[0], pressure[1], voltage[0], voltage[1], angle)
+        if row is None:
+            return
+        if estimator.started_ns != self._started or int(row["flags"]) & GAP or math.isnan(voltage[0] + voltage[1]):
+            self._started = estimator.started_ns
+            self._restart(stamp, voltage)
+            return
+        innovation, used, y = row["innovation"], self._used, self._y
+        used[0], used[1] = innovation[0] == innovation[0], innovation[1] == innovation[1]
+        used[2] = encoder is not None and estimator.counts.angles_used > angles
+        y[0], y[1], y[2] = pressure[0], pressure[1], angle - (encoder.offset if encoder else 0.0)
+        respond(
+            before, estimator.state, estimator.covariance, voltage, y, self._variance, used, self._p, self._dt,
+            self._steps, self._work,
+        )  # fmt: skip
+        self._innovations.append((float(innovation[0]), float(innovation[1])))
+        if stamp >= self._end:
+            self._close(stamp)
+
+    def _restart(self, stamp: int, voltage: Floats) -> None:
+        """The filter has started, or what happened since the last sample is not known."""
+        work, x = self._work, self._filter.state
+        work.apart[:], work.score[:], work.information[:] = 0.0, 0.0, 0.0
+        u = np.where(np.isfinite(voltage), voltage, 0.0)
+        for k, q in enumerate(work.sets):
+            state = equilibrium.initial_state(x[0], x[2], x[3], u, q)
+            work.states[k, : len(state)] = state
+        self._innovations = []
+        self._quiet_until, self._end = stamp + _SETTLED_NS, stamp + BLOCK_NS
+
+    def _close(self, stamp: int) -> None:
+        """End a block."""
+        work = self._work
+        if not (np.isfinite(work.score).all() and np.isfinite(work.information).all()):
+            self._restart(stamp, np.zeros(2))
+            return
+        self._whiten()
+        if stamp >= self._quiet_until and self._whitened >= _WHITENING:
+            self.blocks.add(stamp - BLOCK_NS, work.score, work.information)
+            self.findings = self.blocks.findings()
+        work.score[:], work.information[:] = 0.0, 0.0
+        self._end = stamp + BLOCK_NS
+
+    def _whiten(self) -> None:
+        values = np.array(self._innovations)
+        self._innovations = []
+        known = np.isfinite(values)
+        values = np.where(known, values, 0.0)
+        values = np.where(known, values - values.sum(axis=0) / np.maximum(known.sum(axis=0), 1), 0.0)
+        self._products += [(values[1:] * values[:-1]).sum(axis=0), (values**2).sum(axis=0)]
+        self._whitened += 1
+        calm = all(one.evidence < _CALM for one in self.findings)
+        if self._whitened % _EVERY or not calm:
+            return
+        share = np.clip(self._products[0] / np.maximum(self._products[1], 1e-300), -0.5, 0.5)
+        noise, given = self._filter.process_noise, self._noise
+        moved = noise[_PRESSURES] * np.exp(_PULL * share)
+        noise[_PRESSURES] = np.clip(moved, _LEAST_Q * given[_PRESSURES], _LARGEST_Q * given[_PRESSURES])
+        factor = math.sqrt(float(np.prod(noise[_PRESSURES] / given[_PRESSURES])))
+        noise[_MOTION] = given[_MOTION] * min(factor, 1.0)
+        self._products[:] = 0.0
+
+
+def _means(values: Floats) -> Floats:
+    """Means over the second axis (K, w, C), NaN where less than half of the values are there."""
+    there = np.isfinite(values)
+    count = there.sum(axis=1)
+    total = np.where(there, values, 0.0).sum(axis=1)
+    return np.where(2 * count >= values.shape[1], total / np.maximum(count, 1), np.nan)

@@ -1,0 +1,292 @@
+"""The monitor node: whether a running joint still is its rig file."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from typing_extensions import override
+
+from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
+from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding, alike
+from pam_antagonist.errors import BadInput
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes.health import Health, Level, Rate, judged
+from pam_antagonist.nodes.monitor_feed import Feed
+from pam_antagonist.nodes.node import PamNode
+from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES
+from pam_antagonist.nodes.parameters import ANGLE_SENSORS, SIMULATED_JOINT, Parameter
+from pam_antagonist.nodes.rigs import announce
+from pam_antagonist.nodes.spin import run_node
+from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
+from pam_antagonist_msgs.msg import Health as HealthMessage
+
+DESCRIPTION = """
+Whether a running joint still is its rig file: tests all the time whether an effect of the catalogue, or a wrong zero of
+the encoder, explains the pressures better, and since when. What it finds, the search of close_loop has to find in the
+last two minutes too, in a process of its own at low priority. It commands nothing (controller: stop_on).
+--explain RIG prints what can be found, and needs no ROS.
+
+subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand) or
+             pressure_state (pam_antagonist_msgs/PressureCommand); angle_sensor (sensor_msgs/JointState, with
+             angle_sensor: encoder)
+publishes:   health (pam_antagonist_msgs/Health), rig (std_msgs/String)
+services:    those of a lifecycle node
+"""
+
+PARAMETERS = (
+    *SIMULATED_JOINT,
+    Parameter("angle_sensor", "none", choices=ANGLE_SENSORS).about("encoder: topic angle_sensor is read as well"),
+    Parameter("folder", "monitor").about(
+        "where the last two minutes before a finding go as a bag, and the report; each in a folder of its own"
+    ),
+    Parameter("log_book", True).about("whether a search writes into the rig's log book"),
+    Parameter("search_time", 900.0, 1.0, 36000.0).about("longest time of a search; then it is given up [s]"),
+)
+
+_POLL = 0.2  # [s] between two reads of the samples
+_SINCE = 30.0  # [s] that a joint has to be another one before it is searched
+_REST = (120.0, 3600.0)  # [s] without an alarm after a search, at first and at most; doubled where it finds nothing
+
+
+class Search:
+    """A search in a process of its own, one at a time."""
+
+    def __init__(self, order: Mapping[str, Any], stamps: Any, rows: Any, limit: float) -> None:
+        self._files = tempfile.TemporaryDirectory(prefix="pam_monitor_")
+        folder = Path(self._files.name)
+        try:
+            np.savez(folder / "buffer.npz", stamps=stamps, rows=rows)
+            text = json.dumps({**order, "buffer": str(folder / "buffer.npz")})
+            (folder / "order.json").write_text(text, encoding="utf-8")
+        except OSError:
+            self._files.cleanup()
+            raise
+        command = [sys.executable, "-m", "pam_antagonist", "monitor", "--search", str(folder / "order.json")]
+        with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
+            self._process = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
+        # Neither the estimator's time nor the controller's: this process gets what is left over.
+        os.sched_setscheduler(self._process.pid, os.SCHED_IDLE, os.sched_param(0))
+        os.setpriority(os.PRIO_PROCESS, self._process.pid, 19)
+        self._until = time.monotonic() + limit
+
+    def poll(self) -> tuple[dict[str, Any] | None, str] | None:
+        """None while it runs; then what it found (None: nothing could be searched), and what it complained about."""
+        code = self._process.poll()
+        if code is None and time.monotonic() < self._until:
+            return None
+        text = "it took too long"
+        found = None
+        if code is not None:
+            folder = Path(self._files.name)
+            text = (folder / "err").read_text(errors="replace").strip()
+            lines = (folder / "out").read_text(errors="replace").splitlines()
+            found = json.loads(lines[-1]) if code == 0 and lines else None
+        self.end()
+        return found, text
+
+    def end(self) -> None:
+        """Stop it."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+        self._files.cleanup()
+
+
+class MonitorNode(PamNode):
+    """Feeds a :class:`Monitor`, starts searches, and publishes what they find."""
+
+    _search: Search | None = None
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("monitor", PARAMETERS, **options)
+
+    @override
+    def configure(self) -> None:
+        self._rig = rig = self.load_rig()
+        values = self.values
+        encoder = values["angle_sensor"] == "encoder"
+        if rig.valves.sealed:
+            raise BadInput(f"rig {rig.name} is sealed: expected a joint that valves or regulators drive")
+        self._monitor = Monitor(rig, values["joint"], values["lock_angle"], encoder)
+        self._inputs = {
+            PRESSURE_1: "pressure_1", PRESSURE_2: "pressure_2", VALVES: STATE_TOPICS[rig.drive],
+            **({ANGLE: "angle_sensor"} if encoder else {}),
+        }  # fmt: skip
+        pressure, angle = wire.Incoming(wire.PRESSURE_ALONE), partial(wire.position_in, joint=values["joint_name"])
+        self._decode = {PRESSURE_1: pressure, PRESSURE_2: pressure, VALVES: wire.Incoming(wire.VALVES), ANGLE: angle}
+        self._feed = Feed(tuple(self._inputs), float(WINDOW))
+        self._samples, self._rate, self._rest, self._quiet_until = 0, Rate(), _REST[0], -math.inf
+        self._last, self._suspect, self._complaint = HealthMessage(), list[Finding](), ""
+        self._health = self.create_publisher(HealthMessage, TOPICS["health"].relative, qos.LATCHED)
+        announce(self, rig)
+
+    @override
+    def activate(self) -> None:
+        self._feed.reset()
+        self._monitor.reset()
+        self._topics = {
+            place: self.collect(wire.message_class(name), TOPICS[name].relative, qos.RECORD)
+            for place, name in self._inputs.items()
+        }
+        self.steady_timer(_POLL, self._poll)
+
+    @override
+    def deactivate(self) -> None:
+        if self._search is not None:
+            self._search.end()
+            self._search = None
+
+    @override
+    def close(self) -> None:
+        self.deactivate()
+
+    def _poll(self) -> None:
+        batches = {
+            place: [self._decode[place](data) for data, _ in wire.take(subscription)]
+            for place, subscription in self._topics.items()
+        }
+        stamps, rows, back = self._feed.add(batches)
+        if back:
+            self.get_logger().warning("the stamps jumped backwards: all before is forgotten")
+            self._monitor.reset()
+            self._suspect = []
+        if len(stamps):
+            self._samples += len(stamps)
+            self._monitor.add(stamps, rows[:, :2], rows[:, 2:4], rows[:, 4] if ANGLE in self._inputs else None)
+        if self._search is None:
+            self._look()
+        elif (done := self._search.poll()) is not None:
+            self._search = None
+            self._conclude(*done)
+
+    def _look(self) -> None:
+        """Start a search where the evidence is strong, and the joint has been another one for long enough."""
+        findings = self._monitor.findings
+        now = time.monotonic()
+        if not findings or findings[0].evidence < THRESHOLD or now < self._quiet_until:
+            return
+        first, newest = findings[0], int(self._feed.stamps[-1])
+        if newest - first.onset_ns < _SINCE * 1e9:
+            return
+        self._suspect = findings
+        values = self.values
+        began = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+        folder = Path(values["folder"]).expanduser().absolute() / self.get_namespace().strip("/") / began
+        order = {
+            "rig": values["rig"], "begin_ns": first.onset_ns, "folder": str(folder) if values["folder"] else "",
+            "namespace": self.get_namespace(), "joint": values["joint"], "lock_angle": values["lock_angle"],
+            "log": values["log_book"],
+        }  # fmt: skip
+        try:
+            self._search = Search(order, self._feed.stamps, self._feed.rows, values["search_time"])
+        except OSError as error:  # no space for the buffer, or no process
+            self._conclude(None, f"no search: {error}")
+
+    def _conclude(self, found: Mapping[str, Any] | None, complaint: str) -> None:
+        """Publish what a search found, or what it could not search for."""
+        self._complaint = complaint
+        if complaint:
+            self.get_logger().warning(f"search: {complaint.splitlines()[-1]}")
+        said = concluded(self._suspect, found)
+        confirmed = said is not None
+        self._rest = _REST[0] if confirmed else min(2.0 * self._rest, _REST[1])
+        self._quiet_until = time.monotonic() + self._rest
+        if said is None:
+            self.get_logger().debug(f"not confirmed: {sentence(self._suspect[0])}")
+            return
+        first, message = said
+        self._monitor.blocks.accept(first)
+        wire.set_stamp(message.header.stamp, int(self._feed.stamps[-1]) if len(self._feed.stamps) else first.onset_ns)
+        message.header.frame_id = self.values["frame_id"]
+        self._last = message
+        self._health.publish(message)
+        self.get_logger().warning(message.sentence)
+
+    @override
+    def health(self, steady_ns: int) -> Mapping[str, Health]:
+        findings, rate = self._monitor.findings, self._rate.take(self._samples, steady_ns)
+        values: dict[str, object] = {
+            "rate [Hz]": f"{rate:.1f}", "blocks": self._monitor.blocks.count, "jumps backwards": self._feed.jumps,
+            "searching": self._search is not None, "last search": self._complaint or "no complaint",
+        }  # fmt: skip
+        if findings:
+            values |= {"nearest": findings[0].watched.name, "its evidence": f"{findings[0].evidence:.1f}"}
+        found = self._last.sentence
+        joint = judged(
+            values,
+            "as its rig file" if self._monitor.blocks.count else "not known yet",
+            (found, Level.WARN, found),
+            (rate == 0.0 or not self._samples, Level.WARN, "no samples"),
+        )
+        return {"joint": joint}
+
+
+def concluded(suspect: Sequence[Finding], found: Mapping[str, Any] | None) -> tuple[Finding, HealthMessage] | None:
+    """What is said after a search: the hypothesis and the message; None where the search found nothing.
+
+    `suspect`: the hypotheses when it began. `found`: its result; None: it could not be searched for.
+    """
+    first, others, confirmed = suspect[0], alike(suspect), False
+    size, std = first.size, first.std
+    if found is not None:
+        effects = [one for one in found["effects"] or () if one["name"] in CATALOGUE]
+        zeros = [one for one in found["calibration"] or () if one["name"] == first.watched.name]
+        if zeros and not effects:
+            size, std, confirmed = zeros[0]["value"], zeros[0]["std"] or std, True
+        elif effects:
+            effect = effects[0]
+            of_it = [one for one in suspect if one.watched.name == effect["name"]]
+            same = [one for one in of_it if effect["muscle"] in (None, one.watched.muscle)] or of_it
+            if not same:
+                return None
+            first, others, confirmed = same[0], list(found["ambiguous_with"] or ()), True
+            size, std = first.size, first.std
+            for name, value in effect["parameters"].items():
+                if name in (first.watched.parameter, f"{first.watched.parameter}_{first.watched.muscle}"):
+                    size, std = value["value"], value["std"] or std
+        elif found["verdict"] == "none":
+            return None
+    message = HealthMessage(
+        name=first.watched.name, muscle=first.watched.muscle or 0, onset_std=first.onset_std,
+        parameter=first.watched.parameter, unit=first.watched.unit, size=float(size), std=float(std),
+        evidence=first.full, confirmed=confirmed, ambiguous_with=others,
+    )  # fmt: skip
+    wire.set_stamp(message.since, first.onset_ns)
+    message.sentence = sentence(first, float(size), float(std), others, confirmed)
+    return first, message
+
+
+def sentence(
+    finding: Finding, size: float | None = None, std: float | None = None, others: Sequence[str] = (),
+    confirmed: bool = True,
+) -> str:  # fmt: skip
+    """A finding in words."""
+    item = finding.watched
+    since = datetime.datetime.fromtimestamp(finding.onset_ns * 1e-9).strftime("%H:%M:%S")
+    what = "the encoder's zero is wrong"
+    if item.name in CATALOGUE:
+        what = CATALOGUE[item.name].in_words(item.muscle, {item.parameter: finding.size})
+    size, std, unit = finding.size if size is None else size, finding.std if std is None else std, item.unit
+    if unit == "m2":
+        size, std, unit = size * 1e6, std * 1e6, "mm2"
+    text = f"{what} since {since} ± {finding.onset_std:.0f} s, {size:.2g} ± {std:.1g} {unit}"
+    text += f"; it cannot be told from {', '.join(others)}" if others else ""
+    return text if confirmed else f"{text}; no search was possible"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the node; see ``monitor --help``."""
+    return run_node(MonitorNode, argv, name="monitor", description=DESCRIPTION, table=PARAMETERS)

@@ -1,0 +1,149 @@
+"""The monitor node: what it publishes after a search, what a disk without space changes, and how it starts again."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sent import MS, estimate, refer
+
+pytestmark = pytest.mark.ros
+
+ONSET_NS = 1_000_000_000_000_000_000
+
+
+def leak(evidence: float = 60.0) -> list[Any]:
+    """Findings of a monitor whose muscle 1 leaks."""
+    from pam_antagonist.diagnosis.monitor_blocks import Finding
+    from pam_antagonist.diagnosis.monitor_responses import hypotheses
+    from pam_antagonist.rig import load_rig
+
+    by_path = {item.paths: item for item in hypotheses(load_rig("shin2022"), False)}
+    first, other = (by_path[path,] for path in ("effects.leak.area_1", "effects.valve_offset.voltage_1"))
+    return [
+        Finding(first, evidence, 900.0, ONSET_NS, 2.0, 3.1e-9, 2e-10),
+        Finding(other, evidence, 880.0, ONSET_NS, 2.0, 0.05, 0.01),
+    ]
+
+
+@pytest.fixture
+def node(new_node: Callable[..., Any], tmp_path: Path) -> Any:
+    from pam_antagonist.nodes.monitor import MonitorNode
+
+    node = new_node(MonitorNode, folder=str(tmp_path / "found"), log_book=False)
+    node.trigger_activate()
+    node.heard = []
+    node._health.publish = node.heard.append
+    node._feed.stamps = ONSET_NS + np.arange(60_000) * MS
+    node._feed.rows = np.full((60_000, 5), 4e5)
+    return node
+
+
+def searched(node: Any) -> None:
+    """Wait for the search."""
+    node._look()
+    assert node._search is not None
+    while (done := node._search.poll()) is None:
+        time.sleep(0.1)
+    node._search = None
+    node._conclude(*done)
+
+
+def test_what_cannot_be_searched_for_is_said_with_what_it_cannot_be_told_from(
+    node: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Beside other work a search at the lowest priority takes minutes to start.
+    given: list[int] = []
+    monkeypatch.setattr("os.sched_setscheduler", lambda pid, policy, parameters: given.append(policy))
+    monkeypatch.setattr("os.setpriority", lambda *_: None)
+    node._monitor.findings = leak()
+    searched(node)  # valves that never move allow no search
+    assert given == [os.SCHED_IDLE]
+    (message,) = node.heard
+    assert (message.name, message.muscle, message.confirmed) == ("leak", 1, False)
+    assert message.ambiguous_with == ["valve_offset 1"]
+    assert message.since.sec == ONSET_NS // 10**9 and message.onset_std == 2.0
+    assert "air leaks from muscle 1 since" in message.sentence and "3.1e-09" not in message.sentence
+    assert "0.0031 ± 0.0002 mm2" in message.sentence
+    assert node.health(1)["joint"].message == message.sentence
+    # no storm: known from now on, and quiet for a while
+    node._monitor.findings = leak()
+    node._look()
+    assert node._search is None
+    # the same node started anew knows nothing and has no search
+    node.trigger_deactivate()
+    node.trigger_activate()
+    assert node._monitor.blocks.count == 0 and not node._monitor.findings
+
+
+def test_a_search_that_finds_nothing_is_silent_and_the_next_one_comes_later(node: Any) -> None:
+    node._suspect = leak()
+    rest = node._rest
+    node._conclude({"verdict": "none", "effects": [], "calibration": [], "ambiguous_with": []}, "")
+    assert node.heard == [] and node._rest == 2.0 * rest
+    size = {"area_2": {"value": 2e-9, "std": 1e-10, "unit": "m2"}}
+    effects = [{"name": "leak", "muscle": 1, "parameters": {"area_1": {**size["area_2"], "value": 2.5e-9}}}]
+    node._conclude({"verdict": "effect", "effects": effects, "calibration": [], "ambiguous_with": ["thermal"]}, "")
+    assert node.heard[0].confirmed and node.heard[0].size == 2.5e-9 and node.heard[0].ambiguous_with == ["thermal"]
+
+
+def test_no_space_for_the_buffer_is_a_warning(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    node._monitor.findings = leak()
+    node._look()
+    assert "No space left" in node._complaint
+    assert len(node.heard) == 1 and not node.heard[0].confirmed
+
+
+def test_search_keeps_the_buffer_as_a_bag_and_a_folder_that_cannot_be_written_is_no_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from pam_antagonist.cli import monitor_search
+    from pam_antagonist.recording import read_bag
+
+    stamps = ONSET_NS + np.arange(3000) * MS
+    np.savez(tmp_path / "buffer.npz", stamps=stamps, rows=np.tile([4e5, 4e5, 5.0, 5.0, np.nan], (3000, 1)))
+    order = {
+        "buffer": str(tmp_path / "buffer.npz"), "rig": "shin2022", "begin_ns": int(stamps[500]), "namespace": "/left",
+        "joint": "free", "lock_angle": 0.0, "log": False,
+    }  # fmt: skip
+    (tmp_path / "file").touch()
+    for folder, kept in (("found", True), ("file/found", False)):
+        (tmp_path / "order.json").write_text(json.dumps({**order, "folder": str(tmp_path / folder)}))
+        assert monitor_search.main([str(tmp_path / "order.json")]) == 2  # three seconds are too short
+        assert ("the buffer is not kept" in capsys.readouterr().err) is not kept
+    assert len(read_bag(tmp_path / "found" / "buffer", namespace="/left")) == 3000
+
+
+def test_a_finding_stops_the_controller_if_stop_on_names_it(new_node: Callable[..., Any]) -> None:
+    from pam_antagonist.errors import BadInput
+    from pam_antagonist.nodes.controller import ControllerNode, stops_on
+    from pam_antagonist_msgs.msg import Health
+
+    node = new_node(ControllerNode, stop_on=["leak", "slack"])
+    node.trigger_activate()
+    node.keep(commands=node._output)
+    begin = node.now_ns()
+    refer(node, 0, 0.1)
+    for k in range(20):
+        node.now_ns = lambda k=k: begin + k * MS  # a machine that stalls makes no estimate late
+        estimate(node, begin + k * MS, angle=0.002 * k)
+    assert tuple(node.sent["commands"][-1].voltage) != (5.5, 5.5)
+    node._heard_of(Health(name="thermal"))
+    assert not node.stopped
+    node._heard_of(Health(name="leak", muscle=1, sentence="air leaks from muscle 1"))
+    estimate(node, begin + 20 * MS)
+    assert tuple(node.sent["commands"][-1].voltage) == (5.5, 5.5)
+    assert "air leaks from muscle 1" in node.stopped and node.health(1)["commands"].level == 2
+    with pytest.raises(BadInput, match="no effect is called 'leek'"):
+        stops_on(["leek"])
+    assert stops_on([""]) == frozenset()
