@@ -52,13 +52,13 @@ class TriedCandidate:
     # has no excess.
     shares: tuple[float, float] | None = None
     model: Model | None = None
-    # the model without effects of the recordings as the candidate sees them, where it is finished; None: as they were.
-    base: Model | None = None
     # the score with muscle 1 alone, and with muscle 2 alone; None where the effect belongs to no muscle.
     muscles: tuple[float, float] | None = None
     # of the excess without effects, fitted and held out together, that it removes; None likewise.
     share: float | None = None
     taken: bool = False
+    # the model without effects of the recordings as the candidate sees them, where it is finished; None: as they were.
+    base: Model | None = None
 
     @property
     def standing(self) -> float:

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -126,7 +126,9 @@ class MonitorNode(PamNode):
             **({ANGLE: "angle_sensor"} if encoder else {}),
         }  # fmt: skip
         pressure, angle = wire.Incoming(wire.PRESSURE_ALONE), partial(wire.position_in, joint=values["joint_name"])
-        self._decode = {PRESSURE_1: pressure, PRESSURE_2: pressure, VALVES: wire.Incoming(wire.VALVES), ANGLE: angle}
+        self._decode: Mapping[int, Callable[[bytes], Sequence[Any]]] = {
+            PRESSURE_1: pressure, PRESSURE_2: pressure, VALVES: wire.Incoming(wire.VALVES), ANGLE: angle,
+        }  # fmt: skip
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
         self._samples, self._rate, self._rest, self._quiet_until = 0, Rate(), _REST[0], -math.inf
         self._last, self._suspect, self._complaint = HealthMessage(), list[Finding](), ""

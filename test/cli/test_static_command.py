@@ -236,7 +236,7 @@ def test_a_volume_that_grows_with_length_is_doubted(tables, tmp_path, capsys):
     length = np.linspace(148.0, 182.0, 7)
     written(tables[0], "length_mm,volume_cm3", length, 20.0 + 0.3 * length)
     assert main(arguments(tables, tmp_path / "out", "--no-figures")) == 0
-    assert "the volume grows with length at 100% of the joint's lengths" in " ".join(capsys.readouterr().out.split())
+    assert "The volume grows with length at 100% of the joint's lengths" in " ".join(capsys.readouterr().out.split())
 
 
 def test_tables_that_determine_no_fit_say_which_they_determine(tables, tmp_path, refused):

@@ -13,10 +13,10 @@ import pytest
 
 from pam_antagonist.nodes.processes import Processes, free_domain
 from pam_antagonist.paths import config_dir
-from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.recording.topics import SAMPLE_TOPICS, TOPICS
 
 POLICY = config_dir() / "security" / "policy.xml"
-NODES = ("plant", "bridge", "estimator", "controller", "recorder")
+NODES = ("plant", "bridge", "estimator", "monitor", "controller", "recorder")
 SOURCES = {"plant", "bridge"}
 PUBLISHERS = {
     "pressure_1": SOURCES,
@@ -33,13 +33,15 @@ PUBLISHERS = {
     "external_torque": {"estimator"},
     "filter_checkpoint": {"estimator"},
     "reference": {"operator"},
-    "rig": {*SOURCES, "estimator", "controller"},
+    "rig": {*SOURCES, "estimator", "monitor", "controller"},
+    "health": {"monitor"},
     "diagnostics": set(NODES),
 }
 SERVICES = {
     "plant": {"stop", "clear_stop"},
     "bridge": {"stop", "clear_stop", "measure_rest"},
     "estimator": {"reset", "set_state"},
+    "monitor": set(),
     "controller": {"clear_stop", "enable"},
     "recorder": set(),
 }
@@ -91,8 +93,8 @@ def test_who_may_hear() -> None:
     found = rules()
     for node, topics in (
         *((source, {"valve_command", "pressure_command"}) for source in SOURCES),
-        ("estimator", {"pressure_1", "pressure_2", "valve_state", "pressure_state", "angle_sensor"}),
-        ("controller", {"joint_estimate", "reference", "valve_state", "pressure_state", "rig"}),
+        *((node, {*SAMPLE_TOPICS, "pressure_state", "angle_sensor"}) for node in ("estimator", "monitor")),
+        ("controller", {"joint_estimate", "reference", "valve_state", "pressure_state", "rig", "health"}),
     ):
         heard = found[node]["topic", "subscribe"] - {"/clock", "/parameter_events"}
         assert heard == {TOPICS[name].resolve("/pam") for name in topics}
