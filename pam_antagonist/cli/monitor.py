@@ -15,14 +15,14 @@ from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
 from pam_antagonist.diagnosis.monitor_responses import SHARE
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
-from pam_antagonist.report.document import Table
+from pam_antagonist.report.table import Table
 from pam_antagonist.report.terminal import render
-from pam_antagonist.rig import Encoder, Rig, load_rig
+from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import rest_pressure, rest_voltage
 
 _SETTLING, _SECONDS = 35, 60
 """[s] Before the minute that counts, and that minute."""
-_ENCODER = Encoder(std=5e-4)
+_ENCODER = {"std": 5e-4}
 """Where the rig file has none."""
 _LARGE = 20.0
 """Sizes above this many typical ones count as not seen."""
@@ -31,7 +31,7 @@ _LARGE = 20.0
 def smallest(rig: Rig, moving: bool, encoder: bool) -> dict[tuple[str, str], float]:
     """Size of each hypothesis that has the evidence of an alarm after a minute, by name and unit; else infinite."""
     if encoder and rig.encoder is None:
-        rig = rig.replaced(encoder=_ENCODER)
+        rig = rig.with_value("encoder", _ENCODER)
     seconds = _SETTLING + _SECONDS + 1
     voltage = None
     if not moving:
