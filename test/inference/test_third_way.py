@@ -109,9 +109,8 @@ def test_an_effect_is_found_with_its_profile(rig) -> None:
     found = relinearised(task, refit(task, begun, (torque,)))
     assert found.point.effects[torque.path] == pytest.approx(0.05, abs=2e-3)
     profile = effect_profile(task, found, torque)
-    assert not profile.flat and profile.low is not None and profile.high is not None
+    assert not profile.flat
     assert abs(profile.best - 0.05) < 4.0 * profile.std
-    assert 0.5 * (profile.high - profile.low) == pytest.approx(1.96 * profile.std, rel=0.1)
 
 
 def test_what_it_leaves_is_described_like_that_of_any_other(rig) -> None:
