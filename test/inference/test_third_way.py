@@ -111,6 +111,12 @@ def test_an_effect_is_found_with_its_profile(rig) -> None:
     profile = effect_profile(task, found, torque)
     assert not profile.flat
     assert abs(profile.best - 0.05) < 4.0 * profile.std
+    # The 95 % interval ends where the loss is half of the chi-square's 3.84, on either side of the best value.
+    best = int(np.argmin(profile.loss))
+    left, right = profile.loss[best::-1], profile.loss[best:]
+    assert left.max() > 1.92 and right.max() > 1.92
+    low, high = np.interp(1.92, left, profile.value[best::-1]), np.interp(1.92, right, profile.value[best:])
+    assert 0.5 * (high - low) == pytest.approx(1.96 * profile.std, rel=0.1)
 
 
 def test_what_it_leaves_is_described_like_that_of_any_other(rig) -> None:
