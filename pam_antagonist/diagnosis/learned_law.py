@@ -318,7 +318,7 @@ def _sentence(
     text += f"With it the model's errors on held-out data {change}."
     others = [name.replace("_", " ") for name in effect.like if name not in {one.name for one in named}]
     text += f" Effects of the catalogue that act there, but explain less: {', '.join(others)}." if others else ""
-    wrong = [one.name.replace("_", " ") for one in before.effects if not named and not earlier]
+    wrong = [] if named or earlier else [one.name.replace("_", " ") for one in before.effects]
     text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the table." if wrong else ""
     text += f" As good in a simulation: {'; '.join(effect.alternatives)}." if effect.alternatives else ""
     text += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
