@@ -96,7 +96,7 @@ def shown(law: Law | None, joint: str) -> Floats:
     return np.column_stack([values / std for values, std in (columns[name] for name in RECORDINGS[joint])])
 
 
-def moved(law: Law, joint: str) -> Floats:
+def changed_by(law: Law, joint: str) -> Floats:
     """By how much a law moves each channel (N, C), in noises."""
     return shown(law, joint) - shown(None, joint)
 
@@ -104,8 +104,8 @@ def moved(law: Law, joint: str) -> Floats:
 def _every(law: Law, pressures: bool) -> Floats:
     """What a law moves of all channels, or of the pressures of the locked joint alone."""
     if pressures:
-        return moved(law, "locked")[:, 1:].ravel()
-    return np.concatenate([moved(law, joint).ravel() for joint in RECORDINGS])
+        return changed_by(law, "locked")[:, 1:].ravel()
+    return np.concatenate([changed_by(law, joint).ravel() for joint in RECORDINGS])
 
 
 def left(there: Law, other: Law, pressures: bool) -> tuple[float, float]:
@@ -136,7 +136,7 @@ def _main(arguments: argparse.Namespace) -> int:
             pairs.append((there.words, other.words, *cells, decides))
             advance(1)
         for law in SHOWN:
-            each = np.concatenate([np.sqrt(np.mean(moved(law, joint) ** 2, axis=0)) for joint in RECORDINGS])
+            each = np.concatenate([np.sqrt(np.mean(changed_by(law, joint) ** 2, axis=0)) for joint in RECORDINGS])
             seen.append((law.words, *("–" if value < 0.05 else number(float(value), 2) for value in each)))
             advance(1)
     first = ("there", "imitated by", "left", "left of pressures alone", "what tells them apart")

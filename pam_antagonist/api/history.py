@@ -78,7 +78,7 @@ def log(
     rig_file: str | Path,
     recordings: Sequence[Recording],
     rig: Rig,
-    found: object,
+    result: object,
     written: Path | None = None,
 ) -> Path | None:
     """Write what a command found into the log book of its rig.
@@ -91,7 +91,7 @@ def log(
         rig_file: that was given.
         recordings: that were used.
         rig: that was given.
-        found: the result.
+        result: the result.
         written: the rig file that came out of it.
 
     Returns:
@@ -101,37 +101,37 @@ def log(
         BadInput: it cannot be written.
     """
     books = [book for book in (book_of(rig_file), None if written is None else book_of(written)) if book is not None]
-    append(books, entry(command, recordings, rig, found), book_of(rig_file))
+    append(books, entry(command, recordings, rig, result), book_of(rig_file))
     return books[0] if books else None
 
 
-def entry(command: str, recordings: Sequence[Recording], rig: Rig, found: object) -> Entry:
+def entry(command: str, recordings: Sequence[Recording], rig: Rig, result: object) -> Entry:
     """What a command found, as an entry."""
     spans = tuple(
         Span.of(bag_name(one.path), int(one.stamp_ns[0]), one.duration_s, recording_hash(one)) for one in recordings
     )
     return Entry(
         at=datetime.datetime.now(datetime.timezone.utc).replace(microsecond=0), command=command, rig=identity(rig),
-        recordings=spans, **_content(found),
+        recordings=spans, **_content(result),
     )  # fmt: skip
 
 
-def _content(found: object) -> dict[str, Any]:
-    if isinstance(found, IdentifyResult):
-        return _identified(found)
-    if isinstance(found, CheckResult):
-        worst = found.findings[0]
+def _content(result: object) -> dict[str, Any]:
+    if isinstance(result, IdentifyResult):
+        return _identified(result)
+    if isinstance(result, CheckResult):
+        worst = result.findings[0]
         return {"verdict": worst.status, "said": worst.text}
-    return _diagnosed(found.report) if isinstance(found, Result) else {}
+    return _diagnosed(result.report) if isinstance(result, Result) else {}
 
 
-def _identified(found: IdentifyResult) -> dict[str, Any]:
-    said = f"rejected: {found.rejected}" if found.rejected else ""
-    if not said and "identified" in found.errors_deg:
-        said = f"the filter's angle errs by {found.errors_deg['identified']:.2g}° on held-out data"
-    out: dict[str, Any] = {"verdict": "rejected" if found.rejected else "identified", "said": said}
-    fitted = found.found
-    if found.rejected or not isinstance(fitted, FromPressures):  # a sealed joint has no covariance
+def _identified(result: IdentifyResult) -> dict[str, Any]:
+    said = f"rejected: {result.rejected}" if result.rejected else ""
+    if not said and "identified" in result.errors_deg:
+        said = f"the filter's angle errs by {result.errors_deg['identified']:.2g}° on held-out data"
+    out: dict[str, Any] = {"verdict": "rejected" if result.rejected else "identified", "said": said}
+    fitted = result.found
+    if result.rejected or not isinstance(fitted, FromPressures):  # a sealed joint has no covariance
         return out
     values, blocks = dict[str, tuple[float, float, str]](), []
     for fit in fitted.fits:
@@ -145,7 +145,7 @@ def _identified(found: IdentifyResult) -> dict[str, Any]:
         blocks.append((names, tuple(tuple(float(f"{x:.4g}") for x in row) for row in matrix)))
         values |= _forces(fitted.rig, fit)
     # What the data do not determine follows the prior, which says nothing of a change.
-    values |= {item.name: (item.value, item.std, item.unit) for item in found.parameters if item.determined}
+    values |= {item.name: (item.value, item.std, item.unit) for item in result.parameters if item.determined}
     return out | {"values": measured(values), "covariance": tuple(blocks)}
 
 

@@ -110,12 +110,12 @@ def check_recording(
     recording = _unwrapped(recording, typed)
     now, of_values = _by_values(recording, typed)
 
-    def checked(found: list[Finding], corrections: Corrections, joint: str) -> Checked:
+    def checked(judged: list[Finding], corrections: Corrections, joint: str) -> Checked:
         order = ("wrong", "doubtful", "untested", "good")
         if rig.drive == "regulator":
-            found = [replace(item, text=item.text.replace("voltages", "commands").replace("valve", "regulator"))
-                     for item in found]  # fmt: skip
-        every = sorted([*about_samples, *found], key=lambda finding: order.index(finding.status))
+            judged = [replace(item, text=item.text.replace("voltages", "commands").replace("valve", "regulator"))
+                     for item in judged]  # fmt: skip
+        every = sorted([*about_samples, *judged], key=lambda finding: order.index(finding.status))
         return Checked(tuple(every), numbers.without_calibration(corrections, rig), joint)
 
     jumped = resets(recording)

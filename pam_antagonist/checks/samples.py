@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.plausible import MIN_PRESSURE
-from pam_antagonist.recording.rows import said, slow
+from pam_antagonist.recording.rows import slow, slow_sentence
 from pam_antagonist.recording.stamps import CLOCKS_APART, shortest_hole
 from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import Rig
@@ -41,7 +41,7 @@ def findings(recording: Recording, rig: Rig) -> list[Finding]:
         # Holes and missing samples are counted below, and a field without values is reported as not tested.
         if issue.kind not in ("hole", "missing") and " holds no " not in issue:
             out.append(Finding("untested" if issue.kind in ("remark", "resampled") else "doubtful", str(issue)))
-    slower = [Finding("untested", said(name, again)) for name, again in slow(recording).items()]
+    slower = [Finding("untested", slow_sentence(name, again)) for name, again in slow(recording).items()]
     return [*out, *missing, *_held(recording), *slower, *_clocks(recording, drive), *_rate(recording, rig)]
 
 

@@ -167,9 +167,9 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
     return common.DONE
 
 
-def _note_down(arguments: argparse.Namespace, recordings: Sequence[Recording], rig: Rig, found: Any) -> None:
-    written = None if found.next_rig is None else arguments.out / found.next_rig
-    given.note_down(arguments, "close_loop", recordings, rig, found, written)
+def _note_down(arguments: argparse.Namespace, recordings: Sequence[Recording], rig: Rig, result: Any) -> None:
+    written = None if result.next_rig is None else arguments.out / result.next_rig
+    given.note_down(arguments, "close_loop", recordings, rig, result, written)
 
 
 def _diagnosed(

@@ -169,13 +169,13 @@ class GuessedCommission(Commission):
         }
 
     @override
-    def found(self) -> Rig:
-        return self._taken(self._out / "identified" / "rig.yaml")
+    def found_rig(self) -> Rig:
+        return self._use_rig(self._out / "identified" / "rig.yaml")
 
     @override
     def _gains(self) -> dict[str, Any]:
         self._at("gains", "trying gains on simulated joints")
-        gains, held = tried_gains(self.found())
+        gains, held = tried_gains(self.found_rig())
         given = {
             "law": "model", "pressure_bandwidth": gains.bandwidth, "model_integral": gains.integral,
             "approach": gains.approach,

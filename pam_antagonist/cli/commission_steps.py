@@ -238,11 +238,11 @@ class Commission:
         left = f"{len(result.rig.directions)} uncertain directions are left"
         return {"said": left, "warnings": warnings, "folder": "identified"}
 
-    def _note_down(self, found: IdentifyResult) -> None:
+    def _note_down(self, result: IdentifyResult) -> None:
         """Write what was identified into the rig's log book; a simulated joint is not in it."""
         if self._arguments.source not in SIMULATED:
-            recordings = [recording for recording, _, _ in found.recordings]
-            note_down(self._arguments, "commission", recordings, self._rig, found, self._out / "rig.yaml")
+            recordings = [recording for recording, _, _ in result.recordings]
+            note_down(self._arguments, "commission", recordings, self._rig, result, self._out / "rig.yaml")
 
     def _diagnosed(self, name: str) -> dict[str, Any]:
         from pam_antagonist.api.diagnose import EpisodesDiagnoseResult, diagnose
@@ -295,7 +295,7 @@ class Commission:
         missing = [k for k, values in ((ANGLE, recording.angle), (TORQUE, recording.torque)) if values is None]
         return [k for k in range(len(CHANNELS)) if k not in missing]
 
-    def found(self) -> Rig:
+    def found_rig(self) -> Rig:
         """The rig that the steps found: with its effects, or identified where there are none."""
         steps = self.steps
         last = steps["apart"] if "folder" in steps["apart"] else steps["close_loop"]
@@ -308,9 +308,9 @@ class Commission:
                 f"gains: no model fits the joint. {steps['identify']['said']}. {last['said']} "
                 f"Read {self._out / last['folder'] / 'report.html'}, and repair what it names"
             )
-        return self._taken(chosen)
+        return self._use_rig(chosen)
 
-    def _taken(self, chosen: Path) -> Rig:
+    def _use_rig(self, chosen: Path) -> Rig:
         """The rig file of a step, as the one of the commissioning."""
         return load_rig(shutil.copyfile(chosen, self._out / "rig.yaml"), regulators=True)
 
@@ -322,7 +322,7 @@ class Commission:
         (self._out / "parameters.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
     def _gains(self) -> dict[str, Any]:
-        rig = self.found()
+        rig = self.found_rig()
         gains = {mode: loop_gains(rig, mode) for mode in ("angle", "torque")}
         bias = sum(steady_voltage(rig, 0.5 * (rig.atmosphere.pressure + rig.supply.pressure))) / 2.0
         given = {"bias": _rounded(bias)}

@@ -114,7 +114,7 @@ def damage(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> li
 
 
 def note_down(
-    arguments: argparse.Namespace, command: str, recordings: Sequence[Recording], rig: Rig, found: object,
+    arguments: argparse.Namespace, command: str, recordings: Sequence[Recording], rig: Rig, result: object,
     written: Path | None = None,
 ) -> None:  # fmt: skip
     """Write a result into the rig's log book; where that fails a line says so, and the result is not lost."""
@@ -123,7 +123,7 @@ def note_down(
     from pam_antagonist.api.history import log
 
     try:
-        log(command, arguments.rig, recordings, rig, found, written)
+        log(command, arguments.rig, recordings, rig, result, written)
     except BadInput as error:
         print(f"warning: {error}", file=sys.stderr)
 
@@ -135,16 +135,16 @@ def check_page(arguments: argparse.Namespace) -> None:
         common.only_available_figures(arguments)
 
 
-def announce(arguments: argparse.Namespace, found: Result, rig: str | None, apart: bool = False) -> None:
+def announce(arguments: argparse.Namespace, result: Result, rig: str | None, apart: bool = False) -> None:
     """Save a result, and say what it is and where rig and report are; without a rig, `apart` is an empty line.
 
     Without ``--out`` it is only said.
     """
     if arguments.out is None:
-        print(found.summary())
+        print(result.summary())
         return
-    found.save(arguments.out, figures=not arguments.no_figures)
-    print(found.summary())
+    result.save(arguments.out, figures=not arguments.no_figures)
+    print(result.summary())
     if rig is not None or apart:
         print("" if rig is None else f"\nrig: {arguments.out / rig}")
     common.announce_report(arguments, arguments.out)

@@ -109,20 +109,20 @@ def _locate(name: str) -> Path:
     return config_dir() / "hardware" / f"{name}.yaml"
 
 
-def _complaints(found: Calibration) -> Iterator[str]:
+def _complaints(calibration: Calibration) -> Iterator[str]:
     """Contradictions between entries, which the schema cannot check."""
-    sensors = {"pressure_1": found.pressure_1, "pressure_2": found.pressure_2}
-    for name, channel in {**sensors, "torque": found.torque}.items():
+    sensors = {"pressure_1": calibration.pressure_1, "pressure_2": calibration.pressure_2}
+    for name, channel in {**sensors, "torque": calibration.torque}.items():
         if channel is None:
             continue
         if channel.gain == 0.0:
             yield f"{name}.gain is 0: expected the sensor's gain"
         if not channel.lowest < channel.highest:
             yield f"{name}: lowest is {channel.lowest:g} and highest {channel.highest:g}: expected lowest < highest"
-    if (found.regulator_1 is None) != (found.regulator_2 is None):
+    if (calibration.regulator_1 is None) != (calibration.regulator_2 is None):
         yield "regulator_1 and regulator_2: expected both, or neither"
-    measured = found.pressure_sensors == "measured"
-    if not measured and found.regulator_1 is None:
+    measured = calibration.pressure_sensors == "measured"
+    if not measured and calibration.regulator_1 is None:
         yield (
             "pressure_sensors is none: expected regulator_1 and regulator_2 as well, since valve voltages do not "
             "determine the pressures"
@@ -133,7 +133,7 @@ def _complaints(found: Calibration) -> Iterator[str]:
         if not measured and channel is not None:
             yield f"{name} is given, but pressure_sensors is none: expected only one of them"
         if channel is not None:
-            yield from _pressure_complaints(name, channel, found.atmosphere)
+            yield from _pressure_complaints(name, channel, calibration.atmosphere)
 
 
 def _pressure_complaints(name: str, channel: PressureChannel, atmosphere: float) -> Iterator[str]:

@@ -196,12 +196,12 @@ def _cost_of_units(runs: Sequence[Run]) -> float:
 
 
 def with_air_errors(
-    found: Fit, rig: Rig, runs: Sequence[Run], jobs: int, elsewhere: Sequence[tuple[Rig, Sequence[Run]]] = ()
+    fit: Fit, rig: Rig, runs: Sequence[Run], jobs: int, elsewhere: Sequence[tuple[Rig, Sequence[Run]]] = ()
 ) -> Fit:
     """A fit over the longest horizon, with the standard errors of its values.
 
     `elsewhere`: rig and runs, each with one independent change of the joint by its standard error.
     """
-    one, *others = (residual_of(this, usable(parts), 0.0, HORIZONS[-1], found.unknowns)
+    one, *others = (residual_of(this, usable(parts), 0.0, HORIZONS[-1], fit.unknowns)
                     for this, parts in ((rig, runs), *elsewhere))  # fmt: skip
-    return with_errors(found, one, jobs, others)
+    return with_errors(fit, one, jobs, others)

@@ -31,7 +31,6 @@ from pam_antagonist.identification.filter_stage import (
 )
 from pam_antagonist.identification.joint_stage import DELAY, fit_joint, model_values
 from pam_antagonist.identification.parts import (
-    beside,
     calibration_of,
     checked,
     fitted_until,
@@ -39,6 +38,7 @@ from pam_antagonist.identification.parts import (
     is_free,
     is_guessed,
     moving_parts,
+    near_joints,
     parts_of,
     with_joint,
 )
@@ -52,7 +52,7 @@ from pam_antagonist.identification.result import (
     held_of,
     linear_map,
 )
-from pam_antagonist.identification.runs import Run, said
+from pam_antagonist.identification.runs import Run, notes_of
 from pam_antagonist.identification.unknowns import FAR, Fit, Unknown, fitted, parameters
 from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved
@@ -130,7 +130,7 @@ def identify(
         steps.append(curve)
     air = fit_air(own, moving, 0.0, jobs=jobs, progress=progress, free=unknown_air, refine=refine)
     if air is not None and not refine:
-        air = air_stage.with_air_errors(air, own, moving, jobs, beside(model, joint, recordings, ends))
+        air = air_stage.with_air_errors(air, own, moving, jobs, near_joints(model, joint, recordings, ends))
         air = replace(air, lost=joint.lost)
     if air is not None:
         steps.append(_air_step(own, moving, air))
@@ -181,7 +181,7 @@ def concluded(
     model: Rig | None = None,
     options: Options = AS_USUAL,
     steps: Sequence[Step] = (),
-    said_before: Sequence[str] = (),
+    earlier: Sequence[str] = (),
 ) -> FromPressures:
     """Noise and covariance of the filter for values that were found, and its errors on held-out data.
 
@@ -213,7 +213,7 @@ def concluded(
     if final[0] is not joint and refusal(result):  # no possible rig
         final = (joint, air)
         result = _delivered(covered.rig, rig, *final)
-    notes = (*said_before, *said(runs), *_notes(*final))
+    notes = (*earlier, *notes_of(runs), *_notes(*final))
     own_rigs = tuple(deviating.get(name, covered.rig) for _, _, name in recordings if deviating)
     return FromPressures(
         rig,
@@ -253,7 +253,7 @@ def _from_all(
     if air is None:
         return last, None
     own, corrected = with_joint(model, last, recordings)
-    runs, near = moving_parts(own, corrected, everything), beside(model, last, recordings, everything)
+    runs, near = moving_parts(own, corrected, everything), near_joints(model, last, recordings, everything)
     residual = air_stage.residual_of(own, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns)
     found = fitted(air.unknowns, residual, air.amounts, jobs=jobs)
     return last, replace(air_stage.with_air_errors(found, own, runs, jobs, near), lost=last.lost)

@@ -165,8 +165,8 @@ class Identified(Shown):
         about = {"assumption": assumption(found.start, identified=True), "rejected": self.rejected}
         return {"held_out": [entry(held) for held in self.held], **own, "software": versions(), **about}
 
-    def _full_json(self, found: FromPressures) -> dict[str, Any]:
-        now, before = found.rig.tuning("default"), found.start.tuning("default")
+    def _full_json(self, fit: FromPressures) -> dict[str, Any]:
+        now, before = fit.rig.tuning("default"), fit.start.tuning("default")
         coverage, own = self.coverage95
         return {
             "coverage95": coverage,
@@ -177,23 +177,23 @@ class Identified(Shown):
                 picked(step, "name", "source")
                 | {"values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()}}
                 | picked(step, "before", "after", "note")
-                for step in found.steps
+                for step in fit.steps
             ],
             "correlations": [{"first": a, "second": b, "correlation": value} for a, b, value in self.correlations],
             "between": {"differences": [item._asdict() for item in self.between]} if self.between else None,
-            "noise": {"declared": _noise(found.start), "found": _noise(found.rig)},
+            "noise": {"declared": _noise(fit.start), "found": _noise(fit.rig)},
             "tuning": {
                 "process": now.process,
                 "process_before": before.process,
                 "measurement": now.measurement,
                 "measurement_before": before.measurement,
-                "unknown_torque_nm": found.covered.torque,
-                "directions": found.rig.directions,
+                "unknown_torque_nm": fit.covered.torque,
+                "directions": fit.rig.directions,
             },
             "recordings": self._recordings(),
-            "warnings": found.notes,
+            "warnings": fit.notes,
             "settings": {
-                "rig": found.start.name, **picked(found.options, "free", "frozen", "holdout", "starts", "seed")
+                "rig": fit.start.name, **picked(fit.options, "free", "frozen", "holdout", "starts", "seed")
             },
         }  # fmt: skip
 
@@ -207,7 +207,7 @@ class Identified(Shown):
                 out.append(about | {"fitted_until_s": min(held.from_s, recording.duration_s)})
         return out
 
-    def _sealed_json(self, found: SealedIdentified) -> dict[str, Any]:
+    def _sealed_json(self, fit: SealedIdentified) -> dict[str, Any]:
         known = {item.name: item for item in self.parameters}
         keys = ("name", "sha256", "duration_s", "fitted_until_s")
         return {
@@ -220,9 +220,9 @@ class Identified(Shown):
                     },
                     **picked(stage, "residual", "unit", "note"),
                 }
-                for stage in found.stages
+                for stage in fit.stages
             ],
-            "tuning": found.tuning,
+            "tuning": fit.tuning,
             "assumed": ASSUMED,
             "recordings": [{key: one[key] for key in keys} for one in self._recordings()],
         }

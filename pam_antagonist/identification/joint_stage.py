@@ -278,19 +278,19 @@ def residual_of(
     return residual
 
 
-def with_joint_errors(found: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit:
+def with_joint_errors(fit: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit:
     """A fit over whole runs with the standard errors of its values, those of integration and encoder included.
 
     A joint that rests, such as at its stop, shows the same error of the encoder all the time.
     """
-    residual, zero = residual_of(rig, runs, found.unknowns, math.inf), rig.sensors.error("angle")
-    finer = residual_of(rig, runs, found.unknowns, math.inf, finer=True)
+    residual, zero = residual_of(rig, runs, fit.unknowns, math.inf), rig.sensors.error("angle")
+    finer = residual_of(rig, runs, fit.unknowns, math.inf, finer=True)
 
     def shifted(values: Mapping[str, float]) -> Floats:
         return np.asarray(residual({**values, ZERO: values.get(ZERO, 0.0) + zero}))
 
-    lost = found.cost > _LOST * _cost_of_units(runs)
-    return replace(with_errors(found, residual, jobs, [finer, shifted]), lost=lost)
+    lost = fit.cost > _LOST * _cost_of_units(runs)
+    return replace(with_errors(fit, residual, jobs, [finer, shifted]), lost=lost)
 
 
 def _cost_of_units(runs: Sequence[Run]) -> float:

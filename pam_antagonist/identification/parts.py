@@ -135,10 +135,10 @@ def with_joint(rig: Rig, joint: Fit, recordings: Sequence[Given]) -> tuple[Rig, 
     ]
 
 
-def _read_with(found: Corrections, recording: Recording, state: JointCondition) -> JointCondition:
+def _read_with(corrections: Corrections, recording: Recording, state: JointCondition) -> JointCondition:
     """The condition of a joint whose lock angle was read from its encoder, without the encoder's zero."""
     measured = recording.angle is not None and np.isfinite(recording.angle).any()
-    return replace(state, lock_angle=state.lock_angle - found.encoder_zero) if measured else state
+    return replace(state, lock_angle=state.lock_angle - corrections.encoder_zero) if measured else state
 
 
 def calibration_of(joint: Fit) -> Corrections:
@@ -156,7 +156,9 @@ def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -
     return [run if np.isfinite(run.angle).any() else joint_stage.by_the_model(run, p) for run in runs]
 
 
-def beside(rig: Rig, joint: Fit, recordings: Sequence[Given], ends: Sequence[float]) -> list[tuple[Rig, list[Run]]]:
+def near_joints(
+    rig: Rig, joint: Fit, recordings: Sequence[Given], ends: Sequence[float]
+) -> list[tuple[Rig, list[Run]]]:
     """Rig and runs for the joint that was found, changed by each independent error of what the air depends on."""
     names = [item.name for item in joint.unknowns]
     low, high = np.array([item.bounds for item in joint.unknowns]).reshape(-1, 2).T

@@ -96,9 +96,9 @@ def _all_of_them(fitted: Episodes, model: EpisodeModel, offered: Mapping[str, Se
     return [Begun(name, None, CommandDriven.like(fitted).starts(model, forms[0])) for name, forms in offered.items()]
 
 
-def pressures_of(found: RegulatorsFound, joint: Episodes) -> Floats:
+def pressures_of(regulators: RegulatorsFound, joint: Episodes) -> Floats:
     """Pressures that the regulators make of the commands (N, 2) [Pa]."""
-    driven = replace(CommandDriven.like(joint), rig=found.on(joint.rig))
+    driven = replace(CommandDriven.like(joint), rig=regulators.on(joint.rig))
     return driven.simulated(driven.as_configured)
 
 

@@ -153,7 +153,7 @@ def _slope(time: Floats, angle: Floats) -> Floats:
     return np.nan_to_num(out)
 
 
-def said(runs: Sequence[Run]) -> tuple[str, ...]:
+def notes_of(runs: Sequence[Run]) -> tuple[str, ...]:
     """What a user should know of the runs, in sentences."""
     names = {sensor: dict.fromkeys(run.name for run in runs if sensor in run.slow) for sensor in SLOW}
     return tuple(

@@ -229,10 +229,10 @@ def _coverage(table: StaticTable, rig: Rig, own_length: float) -> list[str]:
     return out
 
 
-def _doubts_about_volume(found: StaticFit, rig: Rig) -> list[str]:
+def _doubts_about_volume(fit: StaticFit, rig: Rig) -> list[str]:
     """A sentence on a volume that grows with the length somewhere in the joint's range."""
     lengths = np.linspace(reach(rig).shortest, reach(rig).longest, 41)
-    grows = found.value(lengths + _NEAR) >= found.value(lengths - _NEAR)
+    grows = fit.value(lengths + _NEAR) >= fit.value(lengths - _NEAR)
     if not np.any(grows):
         return []
     return [
@@ -241,10 +241,10 @@ def _doubts_about_volume(found: StaticFit, rig: Rig) -> list[str]:
     ]
 
 
-def _doubts_about_force(found: StaticFit, rig: Rig) -> list[str]:
+def _doubts_about_force(fit: StaticFit, rig: Rig) -> list[str]:
     """A sentence on a force map that errs by more than the filter of a rig allows for."""
     # Means over a length: the sensor's noise is no error of the map.
-    means = [float(np.mean(item.errors)) for item in found.left_out if item.measured]
+    means = [float(np.mean(item.errors)) for item in fit.left_out if item.measured]
     missed = rms([mean for mean in means if math.isfinite(mean)])
     offset = f".force.{_OFFSET[rig.model.force]}"
     carried, name = min(((std, name) for name, std in rig.uncertainty.items() if name.endswith(offset)),

@@ -40,18 +40,18 @@ class Solution(NamedTuple):
     cost: float  # negative logarithm of the likelihood, but for a constant
 
 
-def solve(design: Floats, value: Floats, censored: Bools, spread: Floats, declared: bool, taken: int) -> Solution:
+def solve(design: Floats, value: Floats, censored: Bools, spread: Floats, declared: bool, parameters: int) -> Solution:
     """Most likely coefficients of value = design · coefficients + error.
 
     `design`: (N, K). `value`: measured values (N,); where censored, the limit below which the true value lies.
     `censored`: which are known only to lie below (N,). `spread`: standard deviation of each, or its ratio to the
     others' (N,). `declared`: whether ``spread`` is known in the unit of the values; else its scale is estimated.
-    `taken`: degrees of freedom that were taken, by the coefficients and by others that were fitted outside.
+    `parameters`: degrees of freedom that were taken, by the coefficients and by others that were fitted outside.
     """
     measured, rows, values = ~censored, design / spread[:, None], value / spread
     count = int(measured.sum())
-    if count < taken:
-        raise Undetermined(f"{count} measured values, expected at least {taken}")
+    if count < parameters:
+        raise Undetermined(f"{count} measured values, expected at least {parameters}")
     norm = np.linalg.norm(rows[measured], axis=0)
     triangle = np.linalg.qr(rows[measured] / np.where(norm > 0.0, norm, 1.0), mode="r")
     if np.min(np.abs(np.diag(triangle))) < _SINGULAR:
@@ -84,7 +84,7 @@ def solve(design: Floats, value: Floats, censored: Bools, spread: Floats, declar
     x = np.append(-(near[:, :-1].T @ near[:, -1]), 1.0)
     x /= np.sqrt(np.mean((near @ x) ** 2) + _ROUNDING**2)
     x = minimize(cost, x, method="trust-exact", jac=True, hess=information, options=_SEARCH).x
-    coefficients, freedom = to_plain @ (x[:-1] / x[-1]) * unit, count - taken
+    coefficients, freedom = to_plain @ (x[:-1] / x[-1]) * unit, count - parameters
     if freedom == 0 and not declared:
         return Solution(coefficients, np.full((design.shape[1],) * 2, np.nan), 0, np.nan, np.inf)
     # The scale by the likelihood leaves out that the coefficients were fitted to the same values: this is that of

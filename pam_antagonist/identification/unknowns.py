@@ -188,7 +188,7 @@ def deviations(
 
 
 def refined(
-    found: Fit,
+    fit: Fit,
     extra: Sequence[Unknown],
     errors: Callable[[Mapping[str, float]], Mapping[str, Floats]],
     least: Mapping[str, float],
@@ -199,7 +199,7 @@ def refined(
 
     `extra`: further unknowns, that begin at the middle of their priors. `errors`: that values leave, of each kind (N,).
     """
-    unknowns, amounts = [*found.unknowns, *extra], np.concatenate([found.amounts, np.zeros(len(extra))])
+    unknowns, amounts = [*fit.unknowns, *extra], np.concatenate([fit.amounts, np.zeros(len(extra))])
     scale: dict[str, float] = {}
     for _ in range(_ROUNDS):
         left = errors({item.name: item.value(float(a)) for item, a in zip(unknowns, amounts, strict=True)})
@@ -209,9 +209,9 @@ def refined(
             now = errors(values)
             return np.concatenate([np.zeros(0), *(factor * now[kind] for kind, factor in scale.items())])
 
-        found = _carried_on(fitted(unknowns, residual, amounts, evaluations, jobs), residual, jobs)
-        amounts = found.amounts
-    return replace(found, scale=scale)
+        fit = _with_wide_step(fitted(unknowns, residual, amounts, evaluations, jobs), residual, jobs)
+        amounts = fit.amounts
+    return replace(fit, scale=scale)
 
 
 def fitted(
@@ -247,41 +247,39 @@ def fitted(
     return Fit(tuple(unknowns), found.x, np.linalg.inv(information), float(found.cost))
 
 
-def _carried_on(found: Fit, residual: Callable[[Mapping[str, float]], Floats], jobs: int) -> Fit:
+def _with_wide_step(fit: Fit, residual: Callable[[Mapping[str, float]], Floats], jobs: int) -> Fit:
     """A fit after a further step, by derivatives over the width of the uncertainty, if that lowers its cost.
 
     Where a joint sticks, small steps end before the priors have shared out what the data leave open, such as between a
     common value and its deviations.
     """
-    if len(found.at_bounds) == len(found.unknowns):
-        return found
-    of_data, (low, high) = _robust(found.unknowns, residual), _bounds(found.unknowns)
-    base, free, slopes, within = _seen(found, of_data, jobs)
-    step = np.zeros(len(found.amounts))
-    step[free] = -within @ (slopes.T @ base + found.amounts[free])
+    if len(fit.at_bounds) == len(fit.unknowns):
+        return fit
+    of_data, (low, high) = _robust(fit.unknowns, residual), _bounds(fit.unknowns)
+    base, free, slopes, within = _seen(fit, of_data, jobs)
+    step = np.zeros(len(fit.amounts))
+    step[free] = -within @ (slopes.T @ base + fit.amounts[free])
     for share in _SHARES:
-        there = np.clip(found.amounts + share * step, low, high)
+        there = np.clip(fit.amounts + share * step, low, high)
         cost = 0.5 * float(np.sum(of_data(there) ** 2) + there @ there)
-        if cost < found.cost:
-            return replace(found, amounts=there, cost=cost)
-    return found
+        if cost < fit.cost:
+            return replace(fit, amounts=there, cost=cost)
+    return fit
 
 
-def _seen(
-    found: Fit, of_data: Callable[[Floats], Floats], jobs: int
-) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
+def _seen(fit: Fit, of_data: Callable[[Floats], Floats], jobs: int) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
     """What the data say at a fit: residual (N,), free amounts (F,), derivatives by them (N, F), inverse curvature."""
-    bounds, base = _bounds(found.unknowns), of_data(found.amounts)
-    free = np.flatnonzero([item.name not in found.at_bounds for item in found.unknowns])
-    within = found.covariance[np.ix_(free, free)]
+    bounds, base = _bounds(fit.unknowns), of_data(fit.amounts)
+    free = np.flatnonzero([item.name not in fit.at_bounds for item in fit.unknowns])
+    within = fit.covariance[np.ix_(free, free)]
     for least in (_WIDE_STEP, _STEP):
-        slopes = _slopes(of_data, found.amounts, within, free, bounds, least, jobs)
+        slopes = _slopes(of_data, fit.amounts, within, free, bounds, least, jobs)
         within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(free))))
     return base, free, slopes, within
 
 
 def with_errors(
-    found: Fit,
+    fit: Fit,
     residual: Callable[[Mapping[str, float]], Floats],
     jobs: int = 1,
     elsewhere: Sequence[Callable[[Mapping[str, float]], Floats]] = (),
@@ -299,17 +297,17 @@ def with_errors(
 
     `elsewhere`: the residual with those values changed by one standard error, for each independent change.
     """
-    if len(found.at_bounds) == len(found.unknowns):
-        return found
-    amounts = found.amounts
-    base, free, slopes, within = _seen(found, _robust(found.unknowns, residual), jobs)
+    if len(fit.at_bounds) == len(fit.unknowns):
+        return fit
+    amounts = fit.amounts
+    base, free, slopes, within = _seen(fit, _robust(fit.unknowns, residual), jobs)
     moves = [within @ (slopes.T @ base + amounts[free])]
-    moves += [within @ (slopes.T @ (_robust(found.unknowns, other)(amounts) - base)) for other in elsewhere]
+    moves += [within @ (slopes.T @ (_robust(fit.unknowns, other)(amounts) - base)) for other in elsewhere]
     covariance = np.eye(len(amounts))
     covariance[np.ix_(free, free)] = (
         within @ within + _jackknife(slopes, base, within) + sum(np.outer(one, one) for one in moves)
     )
-    return replace(found, covariance=covariance)
+    return replace(fit, covariance=covariance)
 
 
 def _slopes(

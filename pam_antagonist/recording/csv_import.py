@@ -67,7 +67,7 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     if moved:
         grid = stamp_ns[own] if rate is None else even_grid(stamp_ns, rate)
         columns = {
-            name: _moved(mapping, name, grid, stamp_ns, values) if name in moved else values[own]
+            name: _on_grid(mapping, name, grid, stamp_ns, values) if name in moved else values[own]
             for name, values in columns.items()
         }
         stamp_ns = grid
@@ -165,7 +165,7 @@ def _judge(where: str, mapping: CsvMap, signals: dict[str, Signal], issues: list
             plausible.judge(where, signals[name], issues)
 
 
-def _moved(mapping: CsvMap, name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Floats:
+def _on_grid(mapping: CsvMap, name: str, grid: Stamps, stamp_ns: Stamps, values: Floats) -> Floats:
     """Values on the grid: measured ones linear between rows with a value; voltages and commands held."""
     if name not in _COMMANDS:
         return interpolate(grid, stamp_ns, values)

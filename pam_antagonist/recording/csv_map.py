@@ -245,34 +245,34 @@ def _locate(name: str) -> Path:
     return config_dir() / "maps" / f"{name}.yaml"
 
 
-def _contradictions(found: CsvMap) -> Iterator[str]:
+def _contradictions(mapping: CsvMap) -> Iterator[str]:
     """Contradictions between entries, which the schema cannot check."""
-    regulated = found.drive == "regulator"
-    yield from _time_contradictions(found.time, found.episode is not None)
-    for name, valve in (("valve_1", found.valve_1), ("valve_2", found.valve_2)):
+    regulated = mapping.drive == "regulator"
+    yield from _time_contradictions(mapping.time, mapping.episode is not None)
+    for name, valve in (("valve_1", mapping.valve_1), ("valve_2", mapping.valve_2)):
         if regulated and valve is not None:
             yield f"{name} is given, but the joint has pressure regulators (drive: regulator): expected no valves"
         elif valve is not None:
             yield from _valve_contradictions(name, valve)
         elif not regulated:
             yield f"{name} is missing; for a joint with pressure regulators in place of valves, give drive: regulator"
-    yield from _further_contradictions(found.also)
-    entries = found.entries()
+    yield from _further_contradictions(mapping.also)
+    entries = mapping.entries()
     for name, one in entries.items():
         if one.scale == 0.0:
             yield f"{name.replace('/', '.')}.scale is 0: expected the factor between cells and values"
-    if (found.command_1 is None) != (found.command_2 is None):
+    if (mapping.command_1 is None) != (mapping.command_2 is None):
         yield "command_1 and command_2: expected both, or neither"
-    if found.command_1 is not None and not regulated:
+    if mapping.command_1 is not None and not regulated:
         yield "command_1 is given, but the joint has valves; for pressure regulators give drive: regulator"
     gauges = [name.replace("/", ".") for name, one in entries.items() if getattr(one, "reference", None) == "gauge"]
-    if gauges and found.atmosphere is None:
+    if gauges and mapping.atmosphere is None:
         yield (
             f"atmosphere is missing: {gauges[0]} is gauge pressure, and bags hold absolute pressure; write "
             "atmosphere: {pressure: 101.325, unit: kPa}, or what a barometer shows"
         )
-    yield from _columns_twice(found)
-    yield from _file_contradictions(found)
+    yield from _columns_twice(mapping)
+    yield from _file_contradictions(mapping)
 
 
 def _time_contradictions(time: Time, has_episodes: bool) -> Iterator[str]:
@@ -304,23 +304,24 @@ def _valve_contradictions(name: str, valve: Valve) -> Iterator[str]:
         yield f"{name} is constant: expected no scale, offset or holds"
 
 
-def _file_contradictions(found: CsvMap) -> Iterator[str]:
-    if not found.file.header:
-        if found.file.skip_after_header:
+def _file_contradictions(mapping: CsvMap) -> Iterator[str]:
+    if not mapping.file.header:
+        if mapping.file.skip_after_header:
             yield "file.skip_after_header is given, but the file has no header: expected file.skip_lines"
-        for name, column in found.columns().items():
+        for name, column in mapping.columns().items():
             if isinstance(column, str):
                 yield f"{name}.column is {column!r}, but the file has no header: expected the column's number, from 1"
     try:
-        codecs.lookup(found.file.encoding)
+        codecs.lookup(mapping.file.encoding)
     except (LookupError, ValueError):  # ValueError: a name with a zero byte
-        yield f"file.encoding: unknown encoding {found.file.encoding[:40]!r}, expected such as utf-8, cp1252 or utf-16"
+        given = mapping.file.encoding[:40]
+        yield f"file.encoding: unknown encoding {given!r}, expected such as utf-8, cp1252 or utf-16"
 
 
-def _columns_twice(found: CsvMap) -> Iterator[str]:
+def _columns_twice(mapping: CsvMap) -> Iterator[str]:
     """Columns that two quantities name. One signal may drive both valves; anything else is a mistake."""
     seen: dict[Name, str] = {}
-    for name, column in found.columns().items():
+    for name, column in mapping.columns().items():
         if isinstance(column, int) and column < 1:
             yield f"{name}.column is {column}: columns are counted from 1"
         if column in seen and {name, seen[column]} != {"valve_1", "valve_2"}:
@@ -328,15 +329,15 @@ def _columns_twice(found: CsvMap) -> Iterator[str]:
         seen[column] = name
 
 
-def _in_known_units(path: str, found: CsvMap) -> CsvMap:
+def _in_known_units(path: str, mapping: CsvMap) -> CsvMap:
     """The same map with every unit spelt as in ``UNITS``."""
     changed = {}
     for name, quantity in QUANTITIES.items():
-        entry = getattr(found, name)
+        entry = getattr(mapping, name)
         if entry is not None and entry.unit is not None:
             changed[name] = entry.replaced(unit=canonical(f"{path}: {name}.unit", quantity, entry.unit))
     further = {}
-    for name, entry in found.also.items():
+    for name, entry in mapping.also.items():
         spelt = {}
         for quantity in ("pressure", "angle", "temperature"):
             with contextlib.suppress(BadInput):
@@ -346,7 +347,7 @@ def _in_known_units(path: str, found: CsvMap) -> CsvMap:
                 f"{path}: also.{name}.unit: unknown unit {entry.unit[:40]!r}, expected one of a pressure, angle or degC"
             )
         further[name] = entry.replaced(**spelt)
-    return found.replaced(**changed, also=further)
+    return mapping.replaced(**changed, also=further)
 
 
 def _check_atmosphere(path: str, atmosphere: Atmosphere) -> None:

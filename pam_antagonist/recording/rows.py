@@ -144,7 +144,7 @@ def own_readings(recording: Recording) -> tuple[Floats, Floats | None, Floats | 
     return pressure, of("angle", recording.angle), of("torque", recording.torque)
 
 
-def said(name: str, again: NDArray[np.bool_]) -> str:
+def slow_sentence(name: str, again: NDArray[np.bool_]) -> str:
     """What a user should know of a slow sensor, one of ``SLOW``; ``again``: rows that repeat its last reading (N,)."""
     subject, verb = ("both pressures", "repeat") if name == "pressures" else (f"the measured {name}", "repeats")
     return (

@@ -108,7 +108,7 @@ class Apart(NamedTuple):
 def compare_with_live(live: RecordedEstimate, run: EstimateRun, apart: Sequence[Apart] = ()) -> LiveComparison:
     """Compare recorded estimates with replayed ones, sample by sample."""
     own_live, own_run = _within(live.stamp_ns, apart), _within(run.stamp_ns, apart)
-    compared = _compare(live.take(~own_live), taken(run, ~own_run))
+    compared = _compare(live.take(~own_live), subset(run, ~own_run))
     if not own_live.any():
         return compared
     _, at_live, at_run = np.intersect1d(live.stamp_ns[own_live], run.stamp_ns[own_run], return_indices=True)
@@ -148,7 +148,7 @@ def _within(stamp_ns: NDArray[np.int64], apart: Sequence[Apart]) -> NDArray[np.b
     return inside
 
 
-def taken(run: EstimateRun, keep: NDArray[np.bool_]) -> EstimateRun:
+def subset(run: EstimateRun, keep: NDArray[np.bool_]) -> EstimateRun:
     """Some of the estimates of a run. `keep`: whether to keep each estimate (M,)."""
     arrays = {name: getattr(run, name)[keep] for name in ("rows", "stamp_ns", "index", "started_ns")}
     return dataclasses.replace(run, added={name: values[keep] for name, values in run.added.items()}, **arrays)

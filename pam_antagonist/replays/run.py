@@ -24,7 +24,7 @@ from pam_antagonist.model import sensor
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import Issue, sealed_muscles
-from pam_antagonist.recording.rows import own_readings, said, slow
+from pam_antagonist.recording.rows import own_readings, slow, slow_sentence
 from pam_antagonist.replays.live import (
     Apart,
     LiveComparison,
@@ -34,7 +34,7 @@ from pam_antagonist.replays.live import (
     compare_with_live,
     ended,
     plan,
-    taken,
+    subset,
 )
 from pam_antagonist.replays.result import (
     FilterFacts,
@@ -106,7 +106,7 @@ def replay(
             pressure=np.where(impossible[:, :2], np.nan, recording.pressure),
             voltage=np.where(impossible[:, 2:], np.nan, recording.voltage),
         )
-    told = tuple(Issue(said(name, again)) for name, again in slow(recording).items())
+    told = tuple(Issue(slow_sentence(name, again)) for name, again in slow(recording).items())
     if told and told[0] not in recording.issues:
         recording = dataclasses.replace(recording, issues=(*recording.issues, *told))
     planned = plan(recording, estimator, begin_ns)
@@ -187,7 +187,7 @@ def _from(recording: Recording, run: EstimateRun, model: ModelTrack, begin_ns: i
     if not kept.any():
         seconds = (begin_ns - int(recording.stamp_ns[0])) * 1e-9
         raise BadInput(f"{recording.path}: no estimate from {seconds:g} s on")
-    return taken(run, kept), ModelTrack(model.angle[kept], model.torque[kept], model.pressure[kept])
+    return subset(run, kept), ModelTrack(model.angle[kept], model.torque[kept], model.pressure[kept])
 
 
 def _estimate(

@@ -89,47 +89,47 @@ def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
     return frame_of(rows, ("effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"))
 
 
-def document(found: ClosedLoop, with_figures: bool) -> Document:
+def document(result: ClosedLoop, with_figures: bool) -> Document:
     """The page."""
     lede = (
         "This report compares the model of the joint with measurements. It traces what the model lacks to a physical "
         "effect, if one explains it on data that no fit used."
     )
-    title = title_of(found.verdict, [effect.in_short for effect in found.effects])
-    if found.calibrations and found.verdict == "none":
-        title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in found.calibrations)
-    first, *others = drawn.residuals(found) if with_figures else (None,)
-    unseen = tuple(map(note, found.unseen))
-    few = unseen if sum(map(len, found.unseen)) <= _FEW_WORDS else ()
+    title = title_of(result.verdict, [effect.in_short for effect in result.effects])
+    if result.calibrations and result.verdict == "none":
+        title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in result.calibrations)
+    first, *others = drawn.residuals(result) if with_figures else (None,)
+    unseen = tuple(map(note, result.unseen))
+    few = unseen if sum(map(len, result.unseen)) <= _FEW_WORDS else ()
     parts: list[Block] = [
         Text(lede, "lede"),
-        Text(found.sentence, "verdict"),
-        Tiles(_tiles(found)),
-        Findings((*calibration_findings(found), *findings(found), *few, *map(note, found.next_steps))),
+        Text(result.sentence, "verdict"),
+        Tiles(_tiles(result)),
+        Findings((*calibration_findings(result), *findings(result), *few, *map(note, result.next_steps))),
         *(() if first is None else (first,)),
-        *in_first_lines(assumption(found.start)),
-        errors_table(found),
+        *in_first_lines(assumption(result.start)),
+        errors_table(result),
     ]
     if others:
         parts.append(Section("More residuals before and after", tuple(others), 2, "residual"))
-    if found.calibrations:
-        parts.append(Section("Calibration", (calibration_table(found),), 2, "calibration", brief=True))
-    if found.effects:
-        figures = (*drawn.laws(found.effects), *drawn.profiles(found.profiles)) if with_figures else ()
-        sizes = (sizes_table(found.effects), *_laws(found), *figures)
+    if result.calibrations:
+        parts.append(Section("Calibration", (calibration_table(result),), 2, "calibration", brief=True))
+    if result.effects:
+        figures = (*drawn.laws(result.effects), *drawn.profiles(result.profiles)) if with_figures else ()
+        sizes = (sizes_table(result.effects), *_laws(result), *figures)
         parts.append(Section("Size of the effect", sizes, 2, "parameters", brief=True))
-    parts.append(Section("All candidates", (ranking_table(found),), 2, "candidates", brief=True))
-    if found.remaining:
-        parts.append(Section("What is left", drawn.left(found.remaining, with_figures), 2, "left"))
-    about = Text(_STATISTICS_DRIVEN if found.driven else _STATISTICS)
-    models = ("recalibrated", "extended") if found.effects else ("recalibrated",)
-    tables = (_statistics(one.recording, one.residuals, models) for one in found.recordings if one.residuals)
+    parts.append(Section("All candidates", (ranking_table(result),), 2, "candidates", brief=True))
+    if result.remaining:
+        parts.append(Section("What is left", drawn.left(result.remaining, with_figures), 2, "left"))
+    about = Text(_STATISTICS_DRIVEN if result.driven else _STATISTICS)
+    models = ("recalibrated", "extended") if result.effects else ("recalibrated",)
+    tables = (_statistics(one.recording, one.residuals, models) for one in result.recordings if one.residuals)
     parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
     if unseen and not few:
         parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
-    parts.append(Section("What was assumed", (Definitions(assumed(found)),), folded=True))
-    meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if found.driven else {})
-    parts += background(tuple(meanings.items()), _provenance(found))
+    parts.append(Section("What was assumed", (Definitions(assumed(result)),), folded=True))
+    meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if result.driven else {})
+    parts += background(tuple(meanings.items()), _provenance(result))
     return Document("Closing the loop with measured data", title, tuple(parts))
 
 
@@ -142,10 +142,10 @@ def title_of(verdict: str, effects: Sequence[str]) -> str:
 # ------------------------------------------------------------------ tables and tiles
 
 
-def errors_table(found: ClosedLoop) -> Table:
+def errors_table(result: ClosedLoop) -> Table:
     """Errors of the three models on held-out data: the model alone, then the estimator."""
-    out, errors = Comparison("", "as configured", "recalibrated", "extended"), found.errors
-    if found.driven:
+    out, errors = Comparison("", "as configured", "recalibrated", "extended"), result.errors
+    if result.driven:
         out.heading("Model driven by the measured angle")
         _channel_rows(out, errors, (TORQUE,), largest=True)
         for key, name in (("rmse_sliding_nm", "while it slides"), ("rmse_sticking_nm", "while it sticks")):
@@ -158,10 +158,10 @@ def errors_table(found: ClosedLoop) -> Table:
         _channel_rows(out, errors, CHANNELS, largest=True)
     for muscle in (0, 1):
         out.pressures(f"  pressure {muscle + 1} RMSE", [model.rmse_pa[muscle] for model in errors.all])
-    if found.driven and errors.extended.angle is not None:
+    if result.driven and errors.extended.angle is not None:
         out.heading("Model alone, driven by the external torque")
         _channel_rows(out, errors, CHANNELS[:1])
-    for part in found.recordings:
+    for part in result.recordings:
         if part.ukf is not None:
             out.heading(f"Estimator from pressures alone, {part.recording}")
             _channel_rows(out, part.ukf, CHANNELS)
@@ -180,7 +180,7 @@ def _channel_rows(out: Comparison, errors: ModelErrors, channels: Sequence[Chann
             out.text(f"  {channel.name}", "not measured", MISSING, MISSING)
 
 
-def ranking_table(found: ClosedLoop) -> Table:
+def ranking_table(result: ClosedLoop) -> Table:
     """All candidates of all rounds."""
     rows = tuple(
         (
@@ -191,7 +191,7 @@ def ranking_table(found: ClosedLoop) -> Table:
             MISSING if item.delta_bic is None else f"{item.delta_bic:.1f}",
             percent(None if item.delta_bic is None else item.shares[0] if item.shares else None),
         )
-        for item in found.ranking
+        for item in result.ranking
         if item.round == 1 or item.delta_bic is not None
     )
     header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "ΔBIC", "held-out share")
@@ -217,32 +217,32 @@ def sizes_table(effects: Sequence[FoundEffect]) -> Table:
     return Table(("Parameter", "value", "std. error"), rows, "What was found")
 
 
-def calibration_table(found: ClosedLoop) -> Table:
+def calibration_table(result: ClosedLoop) -> Table:
     """Zeros, scales and late stamps of the recordings."""
     rows = tuple(
         (
             f"{item.name} [{item.unit}]", number(item.value), number(item.std, 2), number(item.delta_bic, 2),
             " · ".join(f"{name}: {number(value)}" for name, (value, _) in item.by_recording.items()),
         )
-        for item in found.calibrations
+        for item in result.calibrations
     )  # fmt: skip
     caption = "How much too high a sensor reads, or how much too early it is stamped. The joint itself is right."
     return Table(("Calibration", "value", "std. error", "ΔBIC", "by recording"), rows, caption)
 
 
-def _tiles(found: ClosedLoop) -> tuple[Tile, ...]:
-    out, errors, ukf = [], found.errors, found.recordings[0].ukf
-    if found.effects:
-        evidence = {effect.in_short: effect.delta_bic for effect in found.effects}
-        if found.share is not None:
-            out.append(Tile("Explained", percent(found.share), "of the excess over noise on held-out data"))
+def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
+    out, errors, ukf = [], result.errors, result.recordings[0].ukf
+    if result.effects:
+        evidence = {effect.in_short: effect.delta_bic for effect in result.effects}
+        if result.share is not None:
+            out.append(Tile("Explained", percent(result.share), "of the excess over noise on held-out data"))
         values = " and ".join(f"{value:.0f}" for value in evidence.values())
         out.append(Tile(f"Evidence for {', '.join(evidence)}".replace("_", " "), values, "ΔBIC; above 6 is strong"))
-    if (splits := found.splits) is not None:
+    if (splits := result.splits) is not None:
         sure = f"{splits.agree} of {splits.of}"
         out.append(Tile("How sure", sure, "splits into fitted and held-out parts agree"))
-    if found.driven:
-        reference = (found.reference or {}).get("angle_and_pressures")
+    if result.driven:
+        reference = (result.reference or {}).get("angle_and_pressures")
         line = "" if reference is None else f"; a straight-line map: {number(reference, 2)}"
         out += _change("Torque error, measured angle", TORQUE, errors, line)
         for channel in CHANNELS if ukf is not None else ():
@@ -252,7 +252,7 @@ def _tiles(found: ClosedLoop) -> tuple[Tile, ...]:
         for channel in CHANNELS:
             out += _change(f"{channel.title} error (RMS)", channel, errors)
     both = (errors.as_configured, errors.extended)
-    means = [model.mean_rmse_pa for model in both if found.driven and model.mean_rmse_pa is not None]
+    means = [model.mean_rmse_pa for model in both if result.driven and model.mean_rmse_pa is not None]
     label = "Error of the mean pressure" if len(means) == len(both) else "Larger pressure error"
     was, now = means if len(means) == len(both) else [max(model.rmse_pa) for model in both]
     unit = readable("Pa", min(now, was))
@@ -268,8 +268,8 @@ def _change(label: str, channel: Channel, errors: ModelErrors, more: str = "") -
     return [Tile(label, channel.write(after.rmse), f"as configured {channel.write(before.rmse)}{more}")]
 
 
-def _laws(found: ClosedLoop) -> tuple[Block, ...]:
-    named = [CATALOGUE[name] for name in dict.fromkeys(e.name for e in found.effects) if name in CATALOGUE]
+def _laws(result: ClosedLoop) -> tuple[Block, ...]:
+    named = [CATALOGUE[name] for name in dict.fromkeys(e.name for e in result.effects) if name in CATALOGUE]
     rows = tuple((item.name, f"{item.law} ({item.source}). {item.signature}") for item in named)
     return (Definitions(rows),) if rows else ()
 
@@ -313,16 +313,16 @@ def _strongest(relations: Mapping[str, Relation]) -> str:
     return "; ".join([text, *(name for _, name in found[1:])])
 
 
-def _provenance(found: ClosedLoop) -> list[tuple[str, str]]:
-    kept = found.kept
+def _provenance(result: ClosedLoop) -> list[tuple[str, str]]:
+    kept = result.kept
     held = f"{percent(kept)} at the end of each recording" if isinstance(kept, float) else f"{', '.join(kept)}: whole"
     rows = [
-        ("Rig", found.start.name),
-        ("Source of its values", " ".join(found.start.source.split())),
-        ("Seed", str(found.seed)),
+        ("Rig", result.start.name),
+        ("Source of its values", " ".join(result.start.source.split())),
+        ("Seed", str(result.seed)),
         ("Held out", held),
     ]
-    for part in found.recordings:
+    for part in result.recordings:
         role = "; held out" if part.role == "held out" else ""
         rows.append((f"Recording {part.recording}", f"{part.joint}{role}; SHA-256 {part.sha256}"))
-    return [*rows, ("Time [s]", ", ".join(f"{name} {value:.1f}" for name, value in found.seconds.items()))]
+    return [*rows, ("Time [s]", ", ".join(f"{name} {value:.1f}" for name, value in result.seconds.items()))]

@@ -31,10 +31,10 @@ _DRAWN = 3
 """Number of residuals of each recording that are drawn over the signals that they depend on."""
 
 
-def residuals(found: ClosedLoop) -> tuple[Figure, ...]:
+def residuals(result: ClosedLoop) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
-    shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if found.extended.effects else [])]
-    return tuple(_residual(part, shown) for part in found.compared)
+    shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if result.extended.effects else [])]
+    return tuple(_residual(part, shown) for part in result.compared)
 
 
 def _residual(part: HeldOutComparison, shown: Sequence[tuple[str, str]]) -> Figure:
@@ -117,28 +117,28 @@ def laws(effects: Sequence[FoundEffect]) -> tuple[Figure, ...]:
     return tuple(out)
 
 
-def left(found: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
+def left(remaining: Sequence[RemainingResidual], with_figures: bool) -> tuple[Block, ...]:
     """The remaining residual: in words, as shares, and drawn over the signals that it depends on."""
-    out: list[Block] = [Findings(tuple(note(item.line()) for item in found))]
+    out: list[Block] = [Findings(tuple(note(item.line()) for item in remaining))]
     for about, shares in (
         (
             "Share of each residual's variance that one kind of dependence explains alone, minus what chance gives",
-            [item.depends_on for item in found],
+            [item.depends_on for item in remaining],
         ),
         (
             "Share of each residual's power in each band of frequency. Equations are known up to 2.5 Hz",
-            [item.bands for item in found],
+            [item.bands for item in remaining],
         ),
     ):
         if max((share for each in shares for share in each.values()), default=0.0) >= _LEAST_SHARE:
             keys = tuple(dict.fromkeys(key for each in shares for key in each))
             rows = tuple(
                 (f"{item.recording}: {item.channel}", *(percent(each.get(key)) for key in keys))
-                for item, each in zip(found, shares, strict=True)
+                for item, each in zip(remaining, shares, strict=True)
             )
             out.append(Table(("Residual", *keys), rows, about))
-    for name in dict.fromkeys(item.recording for item in found if with_figures):
-        mine = [item for item in found if item.recording == name]
+    for name in dict.fromkeys(item.recording for item in remaining if with_figures):
+        mine = [item for item in remaining if item.recording == name]
         out += map(_drawn, sorted(mine, key=lambda item: -item.times_noise * max(item.depends_on.values()))[:_DRAWN])
     return tuple(out)
 
@@ -170,4 +170,4 @@ def _drawn(item: RemainingResidual) -> Figure:
     form = f" A sparse regression suggests {item.form}." if item.form.terms else ""
     about = f"The residual over the two signals on which it depends most, and means over equal numbers of values.{form}"
     title = f"What the model lacks in {item.channel}, {item.recording}"
-    return Figure(title, about, tuple(panels), beside=True)
+    return Figure(title, about, tuple(panels), side_by_side=True)

@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 
 
-def findings(found: ClosedLoop) -> tuple[Finding, ...]:
+def findings(result: ClosedLoop) -> tuple[Finding, ...]:
     """Findings in addition to the verdict."""
-    out = [warn(sentence(text)) for text in found.warnings]
-    rivals = {item.other: item for item in found.ambiguities if item.ambiguous}
-    for name in found.ambiguous_with:
+    out = [warn(sentence(text)) for text in result.warnings]
+    rivals = {item.other: item for item in result.ambiguities if item.ambiguous}
+    for name in result.ambiguous_with:
         text = f"{_title(name)} would explain the data as well{_compared(rivals.get(name))}."
-        out.append(warn(f"{text} To distinguish them: {found.experiment[name]}."))
-    for item in found.ambiguities:
+        out.append(warn(f"{text} To distinguish them: {result.experiment[name]}."))
+    for item in result.ambiguities:
         if not item.ambiguous:
             out.append(good(f"{_title(item.other)} explains the data less well{_compared(item)}."))
-    if found.effects and not found.ambiguous_with and not any(effect.alternatives for effect in found.effects):
+    if result.effects and not result.ambiguous_with and not any(effect.alternatives for effect in result.effects):
         out.append(good("No other candidate explains the data nearly as well as what was found."))
-    slides = [model.sliding for model in (found.errors.as_configured, found.errors.extended)]
+    slides = [model.sliding for model in (result.errors.as_configured, result.errors.extended)]
     before, after = (None if item is None else item.rmse_sliding_nm for item in slides)
-    if found.effects and before is not None and after is not None and before < after:
+    if result.effects and before is not None and after is not None and before < after:
         out.append(note(
             f"While the joint slides, the rig as configured has the smaller error ({number(before, 2)} N m, extended "
             f"{number(after, 2)} N m). The reason: identify fits only the samples in which the joint slides. Here all "
@@ -36,10 +36,10 @@ def findings(found: ClosedLoop) -> tuple[Finding, ...]:
         ))  # fmt: skip
     out += [
         warn(f"The residual of the {part.name} is above noise, and no effect explains it.")
-        for part in found.parts
-        if found.effects and part.verdict == "unexplained"
+        for part in result.parts
+        if result.effects and part.verdict == "unexplained"
     ]
-    if found.base_friction_removed and any(part.name == "torque" for part in found.parts):
+    if result.base_friction_removed and any(part.name == "torque" for part in result.parts):
         out.append(note(
             "The rig file has Coulomb friction. It was removed before the test, so that every cause of a hysteresis "
             "loop was tested. The extended rig has friction as an effect instead."
@@ -47,14 +47,14 @@ def findings(found: ClosedLoop) -> tuple[Finding, ...]:
     return tuple(out)
 
 
-def calibration_findings(found: ClosedLoop) -> tuple[Finding, ...]:
+def calibration_findings(result: ClosedLoop) -> tuple[Finding, ...]:
     """The calibrations that the recordings need, with command line options."""
-    if not found.calibrations:
+    if not result.calibrations:
         return ()
-    what = sentence("; ".join(map(found_calibrations.in_words, found.calibrations)))
-    if not found.corrections:
+    what = sentence("; ".join(map(found_calibrations.in_words, result.calibrations)))
+    if not result.corrections:
         return (warn(f"{what} Together with the options given, that is too much."),)
-    text = f"{what} To correct that, add `{' '.join(found.corrections)}` to every command that reads these recordings."
+    text = f"{what} To correct that, add `{' '.join(result.corrections)}` to every command that reads these recordings."
     return (warn(f"{text} An extended rig file has it already: then the options are not needed."),)
 
 
@@ -83,7 +83,7 @@ def sentence(text: str) -> str:
     return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def assumed(found: ClosedLoop) -> tuple[tuple[str, str], ...]:
+def assumed(result: ClosedLoop) -> tuple[tuple[str, str], ...]:
     """Assumptions of the diagnosis."""
     needed = (
         f"An effect needs a ΔBIC of {thresholds.STRONG:g}. The first effect has to explain "
@@ -92,8 +92,8 @@ def assumed(found: ClosedLoop) -> tuple[tuple[str, str], ...]:
         f"{100 * thresholds.EXPLAINED:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
         "simulated joints."
     )
-    page = "close_loop of a driven joint, assumed" if found.driven else "close_loop, assumed"
-    tried = {item.effect for item in found.ranking}
+    page = "close_loop of a driven joint, assumed" if result.driven else "close_loop, assumed"
+    tried = {item.effect for item in result.ranking}
     tested = ", ".join(name for name in CATALOGUE if name in tried)
     catalogue = ("Catalogue", f"{tested}. Anything else is a law that is measured, or unexplained.")
-    return *words(page), ("Thresholds", needed), *(() if found.driven else (catalogue,))
+    return *words(page), ("Thresholds", needed), *(() if result.driven else (catalogue,))

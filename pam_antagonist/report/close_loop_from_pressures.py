@@ -53,11 +53,11 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         return effects_frame(self.effects)
 
 
-def _errors(found: FoundFromPressures) -> Table:
-    results = [found.recalibrated, *([] if found.extended is None else [found.extended])]
+def _errors(diagnosis: FoundFromPressures) -> Table:
+    results = [diagnosis.recalibrated, *([] if diagnosis.extended is None else [diagnosis.extended])]
     titles = ["recalibrated", "with the effect"][: len(results)]
     out = Comparison("Error of the angle on held-out data, RMS [°]", "as configured", *titles)
-    configured = found.recalibrated.pooled("as_configured")
+    configured = diagnosis.recalibrated.pooled("as_configured")
     out.values("UKF", [configured, *(item.pooled("identified") for item in results)])
     for key, title in (("model_alone", "model alone, from the commands"), ("pressures_alone", "driven by pressures")):
         out.values(title, [None, *(item.pooled(key) for item in results)])
@@ -65,8 +65,8 @@ def _errors(found: FoundFromPressures) -> Table:
     return out.table()
 
 
-def _effects(found: FoundFromPressures) -> Table:
-    taken = {effect.name for _, effect in found.effects}
+def _effects(diagnosis: FoundFromPressures) -> Table:
+    taken = {effect.name for _, effect in diagnosis.effects}
     rows = tuple(
         (
             item.effect,
@@ -76,7 +76,7 @@ def _effects(found: FoundFromPressures) -> Table:
             number(item.held_out_evidence),
             "taken" if item.effect in taken else "",
         )
-        for place, item in found.tried[:_SHOWN]
+        for place, item in diagnosis.tried[:_SHOWN]
     )
     caption = (
         f"An effect is taken if its held-out evidence is {number(thresholds.STRONG)} or more, both together "

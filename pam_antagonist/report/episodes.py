@@ -123,86 +123,86 @@ def removes(value: Interval) -> str:
     return f"removes {percent(value.value)} of the squared error of unseen episodes ({low} to {high})"
 
 
-def verdict(found: EpisodeDiagnosis) -> str:
+def verdict(diagnosis: EpisodeDiagnosis) -> str:
     """The result in one or two sentences."""
-    given, before, *_, after = (number(row.forecast.value) for row in found.rows)
-    if not found.effects:
+    given, before, *_, after = (number(row.forecast.value) for row in diagnosis.rows)
+    if not diagnosis.effects:
         return (
             f"No effect that was offered is needed: the error on later episodes is {after}°, with the rig as "
             f"configured {given}°."
         )
-    words = [in_words(effect) for effect in found.effects if not effect.startswith(LEARNED)]
-    if count := len(found.effects) - len(words):
-        words.append(in_words(found.effects[-1]) if count == 1 else f"what {count} learned laws add")
+    words = [in_words(effect) for effect in diagnosis.effects if not effect.startswith(LEARNED)]
+    if count := len(diagnosis.effects) - len(words):
+        words.append(in_words(diagnosis.effects[-1]) if count == 1 else f"what {count} learned laws add")
     listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-    change = "falls" if found.rows[-1].forecast.value < found.rows[0].forecast.value else "changes"
+    change = "falls" if diagnosis.rows[-1].forecast.value < diagnosis.rows[0].forecast.value else "changes"
     return (
         f"What the model lacks is {listed}. The error on later episodes {change} from {given}° as configured to "
         f"{after}°; of a model without that, fitted to the same episodes, it is {before}°."
     )
 
 
-def next_step(found: EpisodeDiagnosis, joint: PressureDriven) -> str:
+def next_step(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
     """Which rig file to use, in a sentence."""
-    if found.is_better:
+    if diagnosis.is_better:
         return "Next: use rig_extended.yaml, which every command and node takes."
     return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
 
 
-def findings(found: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
+def findings(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
     """Findings, from the numbers."""
-    out = [_not_told_apart(found, name, instead_of, row) for name, instead_of, row in found.others]
-    base = next(row for row in found.rows if row.model.startswith("mechanics"))
-    if found.effects and found.rows[-1].forecast.value >= base.forecast.value:
+    out = [_not_told_apart(diagnosis, name, instead_of, row) for name, instead_of, row in diagnosis.others]
+    base = next(row for row in diagnosis.rows if row.model.startswith("mechanics"))
+    if diagnosis.effects and diagnosis.rows[-1].forecast.value >= base.forecast.value:
         out.append(warn("On later episodes the model's error is no smaller with these effects, so they may be chance: "
                         "record more episodes."))  # fmt: skip
-    if found.left is not None and found.left.low <= ABOVE_NOISE:
+    if diagnosis.left is not None and diagnosis.left.low <= ABOVE_NOISE:
         out.append(note(
-            f"The remaining error is hardly more than noise: the model's squared error is {interval(found.left)} "
+            f"The remaining error is hardly more than noise: the model's squared error is {interval(diagnosis.left)} "
             "times what the noise of the readings alone would leave. No further effect is named."
         ))  # fmt: skip
-    last = max((item.round for item in found.tried if not item.name.startswith(LEARNED)), default=0)
-    for item in found.tried:
+    last = max((item.round for item in diagnosis.tried if not item.name.startswith(LEARNED)), default=0)
+    for item in diagnosis.tried:
         if item.round == last and not item.taken and not item.name.startswith(LEARNED):
             how = "was not fitted, since its score is lower than those of the others"
             if item.removed is not None:
                 how = removes(item.removed)
             name = in_words(item.name)
             out.append(note(f"{name[:1].upper()}{name[1:]} is not needed beside these: it {how}."))
-    whole, recent = found.rows[-1].later, found.rows[-1].recent
-    if found.window < 1.0 and recent is not None:
+    whole, recent = diagnosis.rows[-1].later, diagnosis.rows[-1].recent
+    if diagnosis.window < 1.0 and recent is not None:
         kind = warn if recent.value < _DRIFT * whole.value else note
         out.append(kind(
             f"The rig drifts: on later episodes the model's error is {number(recent.value)}° if only the last "
-            f"{percent(found.window)} of the fitted episodes are used, and {number(whole.value)}° if all are used. "
+            f"{percent(diagnosis.window)} of the fitted episodes are used, and {number(whole.value)}° if all are used. "
             "The share was chosen by forecasts within the fitted episodes."
         ))  # fmt: skip
-    out += _about_laws(found)
-    lines = found.lines
+    out += _about_laws(diagnosis)
+    lines = diagnosis.lines
     assert lines.interleaved is not None
     out.append(note(
-        f"A model whose numbers change along lines through {found.points} points over the fitted episodes, and then "
-        f"stay at their last values, has an error of {number(lines.later.value)}° on later episodes and of "
+        f"A model whose numbers change along lines through {diagnosis.points} points over the fitted episodes, and "
+        f"then stay at their last values, has an error of {number(lines.later.value)}° on later episodes and of "
         f"{number(lines.interleaved.value)}° on interleaved ones."
     ))  # fmt: skip
     out.append(note(
-        f"The 95 % interval of a free run holds {percent(found.coverage[0])} of the angles of later episodes and "
-        f"{percent(found.coverage[1])} of interleaved ones. Its variance is that of the numbers, plus that of what the "
-        "model leaves of fitted episodes at the same time since the start."
+        f"The 95 % interval of a free run holds {percent(diagnosis.coverage[0])} of the angles of later episodes and "
+        f"{percent(diagnosis.coverage[1])} of interleaved ones. Its variance is that of the numbers, plus that of what "
+        "the model leaves of fitted episodes at the same time since the start."
     ))  # fmt: skip
-    if moved_values := _moved(found, joint.rig):
-        changes = "; ".join(moved_values)
+    if drifting := _drifting(diagnosis, joint.rig):
+        changes = "; ".join(drifting)
         out.append(warn("These numbers change over the recording (straight-line fit, corrected 95 % intervals): "
                         f"{changes}."))  # fmt: skip
-    if found.ratio is not None and found.effects:
-        out.append(note(f"On interleaved episodes the extended model leaves {interval(found.ratio)} of the squared "
+    if diagnosis.ratio is not None and diagnosis.effects:
+        out.append(note(f"On interleaved episodes the extended model leaves {interval(diagnosis.ratio)} of the squared "
                         "error of the model with Coulomb friction alone."))  # fmt: skip
-    return (*out, *units_findings(joint), note(next_step(found, joint)))
+    return (*out, *units_findings(joint), note(next_step(diagnosis, joint)))
 
 
-def _about_laws(found: EpisodeDiagnosis) -> list[Finding]:
+def _about_laws(diagnosis: EpisodeDiagnosis) -> list[Finding]:
     """The learned laws one by one, and what a dependence on the time since the start means."""
-    taken = [item for item in found.tried if item.taken and item.name.startswith(LEARNED)]
+    taken = [item for item in diagnosis.tried if item.taken and item.name.startswith(LEARNED)]
     out = []
     for item in taken:
         place, _, argument = item.name.removeprefix(LEARNED).partition(" by ")
@@ -232,41 +232,41 @@ def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
     return tuple(out)
 
 
-def _not_told_apart(found: EpisodeDiagnosis, name: str, instead_of: str, row: Row) -> Finding:
-    taken = next(item for item in found.tried if item.taken and item.name == instead_of)
-    other = next(item for item in found.tried if item.round == taken.round and item.name == name)
+def _not_told_apart(diagnosis: EpisodeDiagnosis, name: str, instead_of: str, row: Row) -> Finding:
+    taken = next(item for item in diagnosis.tried if item.taken and item.name == instead_of)
+    other = next(item for item in diagnosis.tried if item.round == taken.round and item.name == name)
     assert taken.removed is not None and other.removed is not None
-    after = [item.score for item in found.tried if item.name == name and item.round > taken.round]
+    after = [item.score for item in diagnosis.tried if item.name == name and item.round > taken.round]
     left = f" With the first in the model, the second scores {percent(after[0])}." if after else ""
     return warn(
         f"The episodes do not decide between two effects: {in_words(instead_of)} removes "
         f"{percent(taken.removed.value)} of the remaining error, {in_words(name)} "
         f"{percent(other.removed.value)}.{left} With the second in place of the first, the error on later episodes is "
-        f"{number(row.forecast.value)}° instead of {number(found.rows[-1].forecast.value)}°."
+        f"{number(row.forecast.value)}° instead of {number(diagnosis.rows[-1].forecast.value)}°."
     )
 
 
-def _moved(found: EpisodeDiagnosis, rig: Rig) -> list[str]:
+def _drifting(diagnosis: EpisodeDiagnosis, rig: Rig) -> list[str]:
     """Numbers with a significant drift, and their changes."""
     out = []
-    for name, change in without_laws(found.drift.changes).items():
+    for name, change in without_laws(diagnosis.drift.changes).items():
         if change.low > 0.0 or change.high < 0.0:
             title, text, written = shown(rig, name, change, 2)
             out.append(f"{title} by {text} {written}")
     return out
 
 
-def errors_table(found: EpisodeDiagnosis) -> Table:
+def errors_table(diagnosis: EpisodeDiagnosis) -> Table:
     """Errors of all models on episodes that were used for no fit and no choice."""
     rows = tuple(
         (row.model, interval(row.later), interval(row.recent), interval(row.interleaved))
-        for row in (*found.rows, found.lines, *(other for *_, other in found.others))
+        for row in (*diagnosis.rows, diagnosis.lines, *(other for *_, other in diagnosis.others))
     )
     head = (
         "RMSE of the angle [°], 95 % interval by episode", "later, all before fitted",
-        f"later, last {percent(found.window)} before", "interleaved",
+        f"later, last {percent(diagnosis.window)} before", "interleaved",
     )  # fmt: skip
-    return Table(head, rows, about_episodes(*found.counts))
+    return Table(head, rows, about_episodes(*diagnosis.counts))
 
 
 def about_episodes(fitted: int, later: int, between: int) -> str:
@@ -277,38 +277,38 @@ def about_episodes(fitted: int, later: int, between: int) -> str:
     )
 
 
-def values_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
+def values_table(diagnosis: EpisodeDiagnosis, rig: Rig) -> Table:
     """Numbers of the extended model, and their changes over the recording."""
     rows = []
-    for name, value in without_laws(found.values).items():
-        rows.append((*shown(rig, name, value), shown(rig, name, found.drift.changes[name], 2)[1]))
+    for name, value in without_laws(diagnosis.values).items():
+        rows.append((*shown(rig, name, value), shown(rig, name, diagnosis.drift.changes[name], 2)[1]))
     return Table(
         ("Value", "95 % interval by episode", "Unit", "Change over the recording, corrected 95 % interval"),
         tuple(rows),
-        f"The extended model, fitted to the last {percent(found.window)} of the fitted episodes. The change is that of "
-        f"a straight line from the first to the last of {PARTS} parts",
+        f"The extended model, fitted to the last {percent(diagnosis.window)} of the fitted episodes. The change is "
+        f"that of a straight line from the first to the last of {PARTS} parts",
     )  # fmt: skip
 
 
-def drift_table(found: EpisodeDiagnosis, rig: Rig) -> Table:
+def drift_table(diagnosis: EpisodeDiagnosis, rig: Rig) -> Table:
     """Numbers of the extended model in each part of the recording, and its errors there."""
     rows = []
-    for name, parts in without_laws(found.drift.values).items():
+    for name, parts in without_laws(diagnosis.drift.values).items():
         texts = [shown(rig, name, part, 2) for part in parts]
         title, _, written = texts[0]
         rows.append((f"{title} [{written}]", *(text for _, text, _ in texts)))
     for k, fit in enumerate(("fitted to all that may be fitted", "fitted to the part")):
-        rows.append((f"RMSE [°], {fit}", *(number(pair[k]) for pair in found.drift.errors)))
+        rows.append((f"RMSE [°], {fit}", *(number(pair[k]) for pair in diagnosis.drift.errors)))
     return Table(
         ("Part of the recording", *(str(k) for k in range(1, PARTS + 1))), tuple(rows),
         "Fitted to each part by itself, with 95 % intervals by episode",
     )  # fmt: skip
 
 
-def tried_table(found: EpisodeDiagnosis) -> Table:
+def tried_table(diagnosis: EpisodeDiagnosis) -> Table:
     """All candidates, by rounds."""
     rows = []
-    for item in found.tried:
+    for item in diagnosis.tried:
         removed = MISSING if item.removed is None else " to ".join(map(percent, item.removed[1:]))
         removed = removed if item.removed is None else f"{percent(item.removed.value)} ({removed})"
         rows.append((f"{item.round}. {item.name}", percent(item.score), removed, "taken" if item.taken else ""))
@@ -319,16 +319,16 @@ def tried_table(found: EpisodeDiagnosis) -> Table:
     )  # fmt: skip
 
 
-def figure(found: EpisodeDiagnosis, rig: Rig) -> Figure:
+def figure(diagnosis: EpisodeDiagnosis, rig: Rig) -> Figure:
     """The drift: errors and numbers over the recording."""
     parts = np.arange(1.0, PARTS + 1.0)
-    one, own = (np.array([pair[k] for pair in found.drift.errors]) for k in (0, 1))
+    one, own = (np.array([pair[k] for pair in diagnosis.drift.errors]) for k in (0, 1))
     series = (
         Line("fitted to all that may be fitted", parts, one, MODEL),
         Line("fitted to each part", parts, own, SECOND),
     )
     panels = [Panel(Axis(), Axis("RMSE [°]", from_zero=True), series)]
-    for name, values in without_laws(found.drift.values).items():
+    for name, values in without_laws(diagnosis.drift.values).items():
         shown, factor = unit(rig, name)
         value, low, high = factor * np.array(values).T
         drawn = (
@@ -346,11 +346,11 @@ def without_laws(values: Mapping[str, T]) -> dict[str, T]:
     return {name: value for name, value in values.items() if ".learned." not in name}
 
 
-def law_figures(found: EpisodeDiagnosis, extended: Rig) -> tuple[Figure, ...]:
+def law_figures(diagnosis: EpisodeDiagnosis, extended: Rig) -> tuple[Figure, ...]:
     """The learned laws, each over what it depends on, in one figure; none without them."""
     panels: list[Panel] = []
     for k, law in laws_of(extended).items():
-        rows = [found.values[value_path(k, node)] for node in range(1, len(law.nodes) + 1)]
+        rows = [diagnosis.values[value_path(k, node)] for node in range(1, len(law.nodes) + 1)]
         shown, factor = _unit_of_law(extended, law)
         value, low, high = factor * np.array(rows).T
         nodes = np.array(law.nodes)
@@ -377,27 +377,27 @@ def _unit_of_law(rig: Rig, law: Law) -> tuple[str, float]:
 
 
 def document(
-    found: EpisodeDiagnosis, joint: PressureDriven, extended: Rig, hashes: tuple[str, ...], with_figures: bool
+    diagnosis: EpisodeDiagnosis, joint: PressureDriven, extended: Rig, hashes: tuple[str, ...], with_figures: bool
 ) -> Document:
     """The page; with the SHA-256 of the recordings."""
-    given, after = found.rows[0], found.rows[-1]
+    given, after = diagnosis.rows[0], diagnosis.rows[-1]
     tiles = Tiles((
         Tile("Later episodes", f"{number(after.forecast.value)}°", f"as configured {number(given.forecast.value)}°"),
         Tile("Interleaved episodes", MISSING if after.interleaved is None else f"{number(after.interleaved.value)}°"),
-        Tile("Effects", str(len(found.effects)), ", ".join(found.effects)),
+        Tile("Effects", str(len(diagnosis.effects)), ", ".join(diagnosis.effects)),
     ))  # fmt: skip
     forecasts = Table(
         ("Share of the fitted episodes, the last ones", "Error [°] on those that follow"),
-        tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
+        tuple((percent(w), number(e)) for w, e in zip(WINDOWS, diagnosis.forecasts, strict=True)),
         "Forecasts within the fitted episodes, by which the share was chosen",
     )
-    drawn = (*law_figures(found, extended), figure(found, joint.rig)) if with_figures else ()
+    drawn = (*law_figures(diagnosis, extended), figure(diagnosis, joint.rig)) if with_figures else ()
     recordings = [(f"Recording {k}", value) for k, value in enumerate(hashes, 1)]
     blocks: tuple[Block, ...] = (
         Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
-        Text(verdict(found), "verdict"), tiles, Findings(findings(found, joint)), errors_table(found),
-        values_table(found, joint.rig), Section("All candidates", (tried_table(found),), 2, "candidates"),
-        Section("Over the recording", (drift_table(found, joint.rig), *drawn, forecasts), 2, "drift"),
+        Text(verdict(diagnosis), "verdict"), tiles, Findings(findings(diagnosis, joint)), errors_table(diagnosis),
+        values_table(diagnosis, joint.rig), Section("All candidates", (tried_table(diagnosis),), 2, "candidates"),
+        Section("Over the recording", (drift_table(diagnosis, joint.rig), *drawn, forecasts), 2, "drift"),
         *background("close_loop of episodes", [("Rig", joint.rig.name), *recordings]),
     )  # fmt: skip
     return Document("What the model of a joint lacks", joint.name, blocks)

@@ -147,7 +147,7 @@ class Figure:
     about: str
     panels: tuple[Panel, ...]  # one above the other with the same horizontal axis, or side by side with separate axes
     link: str = ""
-    beside: bool = False
+    side_by_side: bool = False
 
     @property
     def margins(self) -> tuple[int, int, int, int]:
@@ -160,13 +160,13 @@ class Figure:
     def height(self) -> int:
         """Height of the whole figure in pixels."""
         heights = [panel.height for panel in self.panels]
-        inner = max(heights) if self.beside else sum(heights) + self._gap * (len(heights) - 1)
+        inner = max(heights) if self.side_by_side else sum(heights) + self._gap * (len(heights) - 1)
         return inner + self.margins[2] + self.margins[3]
 
     def areas(self) -> list[tuple[float, float, float, float]]:
         """Left, right, lower and upper end of each panel, relative to the area within the margins."""
         count = len(self.panels)
-        if self.beside:
+        if self.side_by_side:
             width = (1.0 - _BESIDE * (count - 1)) / count
             return [(k * (width + _BESIDE), k * (width + _BESIDE) + width, 0.0, 1.0) for k in range(count)]
         inner = self.height - self.margins[2] - self.margins[3]

@@ -64,53 +64,53 @@ class IdentifyResult(Identified, Result):
         return frame_of(rows, ("parameter", "start", "value", "std"), "parameter")
 
 
-def document(found: Identified, with_figures: bool) -> Document:
+def document(result: Identified, with_figures: bool) -> Document:
     """The page."""
-    what = f"{len(found.held)} recordings" if len(found.held) > 1 else "one recording"
+    what = f"{len(result.held)} recordings" if len(result.held) > 1 else "one recording"
     lede = (
         f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
         "whole ones, which no step used."
     )
     title = "Identification of a pneumatic muscle joint"
-    if isinstance(found.found, SealedIdentified):
+    if isinstance(result.found, SealedIdentified):
         title = "Identification of a sealed muscle joint"
         lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
     parts: list[Block] = [
         Text(lede, "lede"),
-        Text(verdict(found), "verdict"),
-        Tiles(_tiles(found)),
-        Findings(findings(found)),
-        *in_first_lines(assumption(found.found.start, identified=True)),
-        *_angles(found),
-        _held_out(found, with_figures),
-        _parameters(found, with_figures),
-        *_between(found),
-        *(_of_sealed(found.found) if isinstance(found.found, SealedIdentified) else _steps(found.found)),
-        *background("identify", _provenance(found)),
+        Text(verdict(result), "verdict"),
+        Tiles(_tiles(result)),
+        Findings(findings(result)),
+        *in_first_lines(assumption(result.found.start, identified=True)),
+        *_angles(result),
+        _held_out(result, with_figures),
+        _parameters(result, with_figures),
+        *_between(result),
+        *(_of_sealed(result.found) if isinstance(result.found, SealedIdentified) else _steps(result.found)),
+        *background("identify", _provenance(result)),
     ]
-    return Document(title, f"Rig {found.found.start.name}", tuple(parts))
+    return Document(title, f"Rig {result.found.start.name}", tuple(parts))
 
 
-def _angles(found: Identified) -> tuple[Block, ...]:
+def _angles(result: Identified) -> tuple[Block, ...]:
     """Error of the angle by what gives it, on all held-out data of free joints."""
-    if not found.errors_deg:
+    if not result.errors_deg:
         return ()
-    each = [(held.name, errors) for held in found.held if (errors := errors_of(held))]
+    each = [(held.name, errors) for held in result.held if (errors := errors_of(held))]
     out = Comparison("Error of the angle on held-out data, RMS [°]", *(name for name, _ in each), "all")
     for key, title in COLUMNS.items():
-        out.values(title, [*(errors.get(key) for _, errors in each), found.errors_deg.get(key)], best=None)
+        out.values(title, [*(errors.get(key) for _, errors in each), result.errors_deg.get(key)], best=None)
     return (out.table(),)
 
 
-def _tiles(found: Identified) -> tuple[Tile, ...]:
+def _tiles(result: Identified) -> tuple[Tile, ...]:
     out = []
     for channel in CHANNELS:
-        for held in found.held:
+        for held in result.held:
             if errors := known(held, channel):
                 before, now, *_ = errors
                 shares = f"{channel.write(before.rmse)} as configured; {percent(now.coverage95)} in the 95 % interval"
                 out.append(Tile(f"UKF {channel.name} error (RMS)", channel.write(now.rmse), f"{held.name}; {shares}"))
-    for held in found.held:
+    for held in result.held:
         external = held.identified.ukf.external_torque
         if external is not None and math.isfinite(external.rmse):
             about = f"{held.name}; estimated by the filter; where the joint sticks, friction hides it"
@@ -118,9 +118,9 @@ def _tiles(found: Identified) -> tuple[Tile, ...]:
     return tuple(out)
 
 
-def _held_out(found: Identified, with_figures: bool) -> Section:
+def _held_out(result: Identified, with_figures: bool) -> Section:
     content: list[Block] = [Text("Errors on data that were neither fitted nor used for tuning. The best is bold.")]
-    for held in found.held:
+    for held in result.held:
         figures = held_out_figures(held) if with_figures else ()
         content.append(Section(held.name, (held_out_table(held), *figures), brief=True))
     return Section("On held-out data", tuple(content), 2, "held-out", brief=True)
@@ -161,9 +161,9 @@ def _rows(out: Comparison, name: str, unit: str, errors: Sequence[ChannelErrors]
         out.values(f"  {name} 𝕄 over range, ℚ", [item.ratio for item in errors], percent)
 
 
-def _parameters(found: Identified, with_figures: bool) -> Section:
-    drawn = (parameters_figure(found.parameters),) if with_figures else ()
-    return Section("Parameters", (*drawn, parameters_table(found, "All free parameters")), 2, "parameters", brief=True)
+def _parameters(result: Identified, with_figures: bool) -> Section:
+    drawn = (parameters_figure(result.parameters),) if with_figures else ()
+    return Section("Parameters", (*drawn, parameters_table(result, "All free parameters")), 2, "parameters", brief=True)
 
 
 def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
@@ -187,7 +187,7 @@ def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
     return Figure("Parameters with 95 % intervals", about, (panel,), "parameters")
 
 
-def parameters_table(found: Identified, caption: str = "") -> Table:
+def parameters_table(result: Identified, caption: str = "") -> Table:
     """Configured and identified value of each parameter."""
     rows = tuple(
         (
@@ -199,7 +199,7 @@ def parameters_table(found: Identified, caption: str = "") -> Table:
             change(1.96 * item.std / (abs(item.start) or math.nan)).lstrip("+"),
             f"no: {item.reason}" if item.reason else "yes",
         )
-        for item in found.parameters
+        for item in result.parameters
         for unit in [readable(item.unit)]
     )
     header = ("Parameter", "configured", "identified", "std error", "change", "± 95 %", "determined")
@@ -211,8 +211,8 @@ def change(value: float) -> str:
     return f"{round(100.0 * value, 2) + 0.0:+.2f} %" if math.isfinite(value) else MISSING
 
 
-def _between(found: Identified) -> list[Section]:
-    if not found.between:
+def _between(result: Identified) -> list[Section]:
+    if not result.between:
         return []
     text = (
         "Each recording may deviate a little from the common values, by about a per cent. The common values lie "
@@ -223,34 +223,34 @@ def _between(found: Identified) -> list[Section]:
             item.name, *map(change, item.deviations), change(item.largest).lstrip("+"),
             change(1.96 * item.std).lstrip("+"), "yes" if item.certain else "no",
         )
-        for item in found.between
+        for item in result.between
     )  # fmt: skip
-    header = ("Direction", *(held.name for held in found.held), "difference", "± 95 %", "certain")
+    header = ("Direction", *(held.name for held in result.held), "difference", "± 95 %", "certain")
     table = Table(header, rows, "Deviation of each recording from the common value")
     return [Section("How the recordings differ", (Text(text), table), 2, "between", folded=True)]
 
 
-def _steps(found: FromPressures) -> list[Section]:
+def _steps(fit: FromPressures) -> list[Section]:
     content: list[Block] = [
         Text(
             "The measured pressures drive joint and muscles, so no valve has to be known for these. Then the measured "
             "motion drives the chambers, so that the air does not depend on the joint."
         )
     ]
-    for step in found.steps:
+    for step in fit.steps:
         note = f" {step.note[:1].upper()}{step.note[1:]}." if step.note else ""
-        table = (_step_table(step, found.start),) if step.values else ()
+        table = (_step_table(step, fit.start),) if step.values else ()
         content.append(Section(step.name, (Text(f"From {step.source}.{note}"), *table)))
     text = (
-        f"The filter considers a constant torque that is not known, {number(found.covered.torque, 2)} N m (one "
+        f"The filter considers a constant torque that is not known, {number(fit.covered.torque, 2)} N m (one "
         "standard deviation), and the directions in which the values are uncertain."
     )
     rows = tuple(
         (name, ", ".join(f"{path} {number(value, 2)}" for path, value in changes.items() if value))
-        for name, changes in found.rig.directions.items()
+        for name, changes in fit.rig.directions.items()
     )
     directions = (Table(("Direction", "changes by one standard deviation [SI]"), rows, prose=True),) if rows else ()
-    noise = (_noise_table(found.start, found.rig), Text(text), *directions)
+    noise = (_noise_table(fit.start, fit.rig), Text(text), *directions)
     return [
         Section("Step by step", tuple(content), 2, "steps", folded=True),
         Section("Noise and tuning", noise, 2, "noise", folded=True),
@@ -316,8 +316,8 @@ def _noise_table(before: Rig, after: Rig, further: Sequence[tuple[str, ...]] = (
     return Table(("", "configured", "identified"), rows, "Sensor noise, process noise Q and measurement noise R")
 
 
-def _provenance(found: Identified) -> list[tuple[str, str]]:
-    out, held, numbers = [("Rig at the start", found.found.start.name)], found.held, found.found
+def _provenance(result: Identified) -> list[tuple[str, str]]:
+    out, held, numbers = [("Rig at the start", result.found.start.name)], result.held, result.found
     if isinstance(numbers, FromPressures):
         asked = numbers.options
         out += [

@@ -35,21 +35,21 @@ _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""
 
 
-def _errors(found: EpisodesIdentified) -> Table:
-    rows = tuple((name, interval(later), interval(between)) for name, (later, between) in found.errors.items())
+def _errors(identified: EpisodesIdentified) -> Table:
+    rows = tuple((name, interval(later), interval(between)) for name, (later, between) in identified.errors.items())
     header = ("RMSE of the angle [°], 95 % interval by episode", "later", "interleaved")
-    return Table(header, rows, about_episodes(*found.counts))
+    return Table(header, rows, about_episodes(*identified.counts))
 
 
-def _values(found: EpisodesIdentified) -> Table:
-    rows = tuple(shown(found.rig, name, value) for name, value in found.values.items())
+def _values(identified: EpisodesIdentified) -> Table:
+    rows = tuple(shown(identified.rig, name, value) for name, value in identified.values.items())
     return Table(("Value", "95 % interval by episode", "Unit"), rows, "Identified values")
 
 
-def regulators_table(found: RegulatorsFound, rig: Rig) -> Table:
+def regulators_table(regulators: RegulatorsFound, rig: Rig) -> Table:
     """Identified values of both regulators."""
     rows = []
-    for name, value in found.values.items():
+    for name, value in regulators.values.items():
         row = (name.removeprefix("effects."), *shown(rig, name, value)[1:])
         if name.rpartition(".")[2].startswith("frequency"):
             row = (row[0], interval(times(0.5 / math.pi, value)), "Hz")
@@ -60,22 +60,22 @@ def regulators_table(found: RegulatorsFound, rig: Rig) -> Table:
     )  # fmt: skip
 
 
-def regulators_sentences(found: RegulatorsFound) -> tuple[str, ...]:
+def regulators_sentences(regulators: RegulatorsFound) -> tuple[str, ...]:
     """Findings about the regulators in sentences."""
-    errors = " and ".join(number(1e-3 * value) for value in found.errors)
-    commands = " and ".join(number(1e-3 * value) for value in found.command_errors)
+    errors = " and ".join(number(1e-3 * value) for value in regulators.errors)
+    commands = " and ".join(number(1e-3 * value) for value in regulators.command_errors)
     out = [
         f"On later episodes the regulators' pressures differ from the measured ones by {errors} kPa, the commands "
-        f"themselves by {commands} kPa (RMS of muscle 1 and 2). The resonance is {number(found.resonance)}."
+        f"themselves by {commands} kPa (RMS of muscle 1 and 2). The resonance is {number(regulators.resonance)}."
     ]
-    for name in dict.fromkeys(item.name for item in found.tried):
-        item = [one for one in found.tried if one.name == name][-1]
+    for name in dict.fromkeys(item.name for item in regulators.tried):
+        item = [one for one in regulators.tried if one.name == name][-1]
         assert item.removed is not None
         out.append(
             f"The {item.name} is {'identified' if item.taken else 'left as configured'}: freeing it "
             f"{removes(item.removed)}."
         )
-    for k, gain in enumerate(found.gains, 1):
+    for k, gain in enumerate(regulators.gains, 1):
         if abs(gain - 1.0) > _OTHER_SCALE:
             out.append(
                 f"Pressure {k} follows its command with a gain of {number(gain)}, the model has 1: expected both on "

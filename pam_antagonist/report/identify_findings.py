@@ -23,13 +23,13 @@ _LARGE = 0.05
 """Error as a share of the angle's range, from which on it is called large."""
 
 
-def verdict(found: Identified) -> str:
+def verdict(result: Identified) -> str:
     """The errors on held-out data before and after, of each channel in the recording where they are largest."""
-    if found.rejected:
-        return do_not_use(found.rejected)
+    if result.rejected:
+        return do_not_use(result.rejected)
     parts = []
     for channel in CHANNELS:
-        if every := [errors for held in found.held if (errors := known(held, channel))]:
+        if every := [errors for held in result.held if (errors := known(held, channel))]:
             before, now, *_ = max(every, key=lambda errors: errors[1].rmse)
             parts.append(f"{channel.name} {channel.write(now.rmse)} (rig as configured: {channel.write(before.rmse)})")
     if not parts:
@@ -37,18 +37,18 @@ def verdict(found: Identified) -> str:
     return f"Errors of the filter with the identified rig on held-out data (RMS): {', '.join(parts)}."
 
 
-def findings(found: Identified) -> tuple[Finding, ...]:
+def findings(result: Identified) -> tuple[Finding, ...]:
     """All findings."""
-    out = [warn(text) for text in found.found.notes]
-    if (met := at_bounds(found.parameters)) and not found.rejected:
+    out = [warn(text) for text in result.found.notes]
+    if (met := at_bounds(result.parameters)) and not result.rejected:
         out.append(warn(
             f"The search ended at a bound of {bounds_met(met)}: the best values lie beyond it, and these may be wrong. "
             "Held-out data are still predicted much better than with the rig file as given. To find what the model "
             "lacks, run close_loop with the same recordings; to keep the value of the rig file, type --freeze NAME."
         ))  # fmt: skip
-    for held in found.held:
+    for held in result.held:
         out += of_recording(held)
-    return (*out, *_coverage(found), *_differences(found), *_undetermined(found), *_pairs(found))
+    return (*out, *_coverage(result), *_differences(result), *_undetermined(result), *_pairs(result))
 
 
 def of_recording(held: Held) -> list[Finding]:
@@ -83,12 +83,12 @@ def of_recording(held: Held) -> list[Finding]:
     return [warn(f"{held.name}, held-out part: {text}") for text in out]
 
 
-def _coverage(found: Identified) -> list[Finding]:
+def _coverage(result: Identified) -> list[Finding]:
     """How many of the held-out readings lie in their 95 % intervals, and where too few or too many do."""
-    share, own = found.coverage95
+    share, own = result.coverage95
     each = [
         (errors[1].coverage95 or 0.0, f"{channel.name} of {held.name}")
-        for held in found.held for channel in CHANNELS if (errors := known(held, channel))
+        for held in result.held for channel in CHANNELS if (errors := known(held, channel))
     ]  # fmt: skip
     if not each or not math.isfinite(share):
         return []
@@ -103,11 +103,11 @@ def _coverage(found: Identified) -> list[Finding]:
     return [kind(f"{inside}. The filter's covariance is {how}{listed}.")]
 
 
-def _differences(found: Identified) -> list[Finding]:
-    if not found.between:
+def _differences(result: Identified) -> list[Finding]:
+    if not result.between:
         one = "One recording does not show how much the rig changes between recordings. Give several for that."
-        return [note(one)] if len(found.recordings) == 1 else []
-    certain = [item for item in found.between if item.certain]
+        return [note(one)] if len(result.recordings) == 1 else []
+    certain = [item for item in result.between if item.certain]
     if not certain:
         return [good("The recordings agree in all parameters within their error bars.")]
     named = ", ".join(f"{item.name} by {100 * item.largest:.1f} %" for item in certain[:_LISTED])
@@ -123,10 +123,10 @@ def _differences(found: Identified) -> list[Finding]:
     )]  # fmt: skip
 
 
-def _undetermined(found: Identified) -> list[Finding]:
+def _undetermined(result: Identified) -> list[Finding]:
     """Parameters that are not determined, by the recording that would help."""
     records: dict[str, list[str]] = {}
-    for item in found.parameters:
+    for item in result.parameters:
         if item.record is not None:
             records.setdefault(item.record, []).append(f"{item.name} ({item.reason})")
     return [
@@ -134,8 +134,8 @@ def _undetermined(found: Identified) -> list[Finding]:
     ] or [good("The recordings determine every free parameter.")]
 
 
-def _pairs(found: Identified) -> list[Finding]:
-    pairs = found.correlations
+def _pairs(result: Identified) -> list[Finding]:
+    pairs = result.correlations
     if not pairs:
         return []
     named = "; ".join(f"{first} with {second} ({value:+.2f})" for first, second, value in pairs[:_LISTED])

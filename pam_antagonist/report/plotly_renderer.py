@@ -67,8 +67,8 @@ def plot(figure: Figure) -> Values:
     data: list[Values] = []
     for number, (panel, area) in enumerate(zip(figure.panels, figure.areas(), strict=True)):
         suffix = str(number + 1) if number else ""
-        lowest = figure.beside or number == len(figure.panels) - 1
-        follows = {"matches": "x"} if number and not figure.beside else {}
+        lowest = figure.side_by_side or number == len(figure.panels) - 1
+        follows = {"matches": "x"} if number and not figure.side_by_side else {}
         whole = {"fixedrange": True} if any(isinstance(part, Heatmap) and part.cell for part in panel.series) else {}
         layout["xaxis" + suffix] = {
             **_horizontal(panel, lowest), **follows, **whole, "domain": area[:2], "anchor": "y" + suffix

@@ -71,10 +71,10 @@ class ReachableResult(Result):
         return Document("What a joint can reach", self.rig.name, blocks)
 
 
-def table(found: ReachableResult) -> Table:
+def table(result: ReachableResult) -> Table:
     """Stiffness over the angle, with the pressures at both ends."""
-    reach = Reachable(found.rig.parameters(), found.box)
-    low, high = (math.degrees(angle) for angle in found.angles)
+    reach = Reachable(result.rig.parameters(), result.box)
+    low, high = (math.degrees(angle) for angle in result.angles)
     inner = [step * _TABLE_STEP for step in range(math.ceil(low / _TABLE_STEP), math.floor(high / _TABLE_STEP) + 1)]
     rows = []
     for degrees in sorted({low, *inner, high}):
@@ -87,11 +87,11 @@ def table(found: ReachableResult) -> Table:
     return Table(header, tuple(rows), "Stiffness within reach, and the absolute pressures of muscle 1 and 2")
 
 
-def _yielding(found: ReachableResult) -> tuple[Table, ...]:
+def _yielding(result: ReachableResult) -> tuple[Table, ...]:
     """Largest torques to which the joint yields in mode IMPEDANCE around angle 0; none for pressure regulators."""
-    if found.rig.drive != "valve":
+    if result.rig.drive != "valve":
         return ()
-    rig, box = found.rig, found.box
+    rig, box = result.rig, result.box
     middle = Reachable(rig.parameters(), box).at_angle(0.0)
     stiffness = 0.5 * (middle.softest + middle.stiffest)
     rows = [

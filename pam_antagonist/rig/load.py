@@ -118,10 +118,10 @@ def _half_linear(content: Mapping[str, Any], rig: Rig) -> str:
     return ""
 
 
-def _locate(name_or_path: str, beside: Path) -> Path:
+def _locate(name_or_path: str, folder: Path) -> Path:
     path = Path(name_or_path)
     if path.suffix in (".yaml", ".yml"):
-        return beside / path
+        return folder / path
     if name_or_path not in rig_names():
         close = difflib.get_close_matches(name_or_path, rig_names(), 1)
         hint = f" Did you mean {close[0]!r}?" if close else ""

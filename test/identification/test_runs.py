@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.runs import Run, runs_of, said
+from pam_antagonist.identification.runs import Run, notes_of, runs_of
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 
@@ -88,8 +88,8 @@ def test_readings_of_a_slow_sensor_are_joined_by_lines_and_named() -> None:
     (run,) = runs(replace(recording, pressure=pressure))
     assert run.slow == ("pressures",)
     assert np.allclose(run.pressure[1:-1:2], 0.5 * (run.pressure[:-2:2] + run.pressure[2::2]), atol=200.0)
-    assert "the sensor is slower than the log" in said([run])[0]
-    assert said(runs(recording)) == ()
+    assert "the sensor is slower than the log" in notes_of([run])[0]
+    assert notes_of(runs(recording)) == ()
 
 
 def test_a_finer_run_has_the_same_rows_and_pressures_between_them_that_are_ahead_of_a_line() -> None:

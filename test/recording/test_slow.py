@@ -10,7 +10,7 @@ import pytest
 from pam_antagonist import Recording
 from pam_antagonist.estimation.readings import repeated
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.rows import between, own_readings, reading_times, resets, said, slow
+from pam_antagonist.recording.rows import between, own_readings, reading_times, resets, slow, slow_sentence
 
 RNG = np.random.default_rng(4)
 MOVING = 3e5 + np.cumsum(RNG.normal(0.0, 2e3, (600, 2)), axis=0)
@@ -76,7 +76,7 @@ def test_each_sensor_of_a_recording_has_its_own_rate() -> None:
     assert torque is None and own is not None
     assert np.isfinite(pressure).all(axis=1).mean() == pytest.approx(1 / 2, abs=0.02)
     assert np.isfinite(own).mean() == pytest.approx(1 / 7, abs=0.02)
-    assert said("angle", slow(log)["angle"]).startswith(
+    assert slow_sentence("angle", slow(log)["angle"]).startswith(
         "the measured angle repeats the last reading in 86 % of the rows"
     )
     assert list(slow(recording(MOVING, np.round(angle / 0.01) * 0.01, 0.005))) == []

@@ -17,7 +17,7 @@ from pam_antagonist.model import parameters as par
 from validation.paper import control, estimates, linear, model, muscles
 from validation.paper.command import main
 from validation.paper.experiments import EXPERIMENTS, Done
-from validation.paper.page import beside, write
+from validation.paper.page import compared, write
 from validation.paper.virtual import EXACT, START, Mismatch, VirtualRig
 
 
@@ -152,7 +152,7 @@ def test_every_row_of_the_table_is_a_number_that_its_experiment_gives(
     for name in ("profile", "offline"):
         assert {row.what for row in EXPERIMENTS[name].rows} <= set(EXPERIMENTS[name].of_seed(short))
     values = pd.DataFrame([EXPERIMENTS["offline"].of_seed(short)], index=[0])
-    table = beside(Done([0], {"offline": values}, {}), "offline")
+    table = compared(Done([0], {"offline": values}, {}), "offline")
     assert table.rows[0][0] == "angle, model alone, 𝕀, 𝕄, ℚ" and table.rows[0][2] == "1.053°, 3.5°, 8.87 %"
     assert len(EXPERIMENTS["offline"].said(values)) == 2
     done = Done([0], {"offline": values}, {})

@@ -5,12 +5,12 @@ from __future__ import annotations
 from validation.faults.bench import RELAYED
 from validation.faults.causes import (
     at_device,
-    beside,
     clock_set_back,
     device_stalled,
     disk_full,
     killed,
     messages,
+    neighbour,
     second_commander,
     stalled,
     wrong_rig,
@@ -78,7 +78,7 @@ FAULTS: tuple[Fault, ...] = (
           (Wanted("bridge: device", _ERROR, "samples every 1 ms"),
            Wanted("controller: rig", _ERROR, "sample_period 0.004 s rather than 0.001 s")), _CLEAR,
           clear=("controller",)),
-    Fault("two pipelines", "another one in /left/elbow; its controller killed", beside, _ON, (), _KEPT),
+    Fault("two pipelines", "another one in /left/elbow; its controller killed", neighbour, _ON, (), _KEPT),
     # ---- messages
     Fault("messages lost", "20 % of pressure 1, estimates and commands", messages("drop=0.2", RELAYED), _ON,
           (Wanted("estimator: samples", _WARN, "incomplete"),), lasts=1.0, bench="relayed"),

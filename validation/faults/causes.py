@@ -162,7 +162,7 @@ def _last_words(log: Path) -> str:
     return lines[-1] if len(lines) == 1 else f"{len(lines)} lines of errors"
 
 
-def beside(bench: Bench) -> Iterator[Ended]:
+def neighbour(bench: Bench) -> Iterator[Ended]:
     """Another pipeline in another namespace of the same domain, whose controller is killed; its valves become safe."""
     with bench.run_beside() as second:
         begin = second.kill("controller")

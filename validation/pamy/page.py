@@ -138,8 +138,8 @@ def _beside_the_network(result: ArmResult) -> str:
     )
 
 
-def _with_rows(found: EpisodeDiagnosis, rows: Sequence[Row]) -> EpisodeDiagnosis:
-    return replace(found, rows=tuple(rows))
+def _with_rows(diagnosis: EpisodeDiagnosis, rows: Sequence[Row]) -> EpisodeDiagnosis:
+    return replace(diagnosis, rows=tuple(rows))
 
 
 def _regulators(result: ArmResult) -> str:

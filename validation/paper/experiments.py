@@ -243,7 +243,7 @@ class Done:
     values: dict[str, pd.DataFrame]
     seconds: dict[str, float]
 
-    def beside(self, name: str) -> pd.DataFrame:
+    def compared(self, name: str) -> pd.DataFrame:
         """Numbers beside the paper's: median, least and largest over the virtual rigs."""
         rows = EXPERIMENTS[name].rows
         found = self.values[name].reindex(columns=[row.what for row in rows])

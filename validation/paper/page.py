@@ -40,10 +40,10 @@ def _theirs(row: Any) -> str:
     return MISSING if pd.isna(row["paper"]) else f"{scale * row['paper']:.6g}{unit}"
 
 
-def beside(done: Done, name: str) -> Table:
+def compared(done: Done, name: str) -> Table:
     """Numbers beside the paper's; 𝕀, 𝕄 and ℚ of one quantity share a row."""
     rows: list[tuple[str, ...]] = []
-    for what, row in done.beside(name).astype(object).iterrows():
+    for what, row in done.compared(name).astype(object).iterrows():
         before = rows[-1][0].partition(", 𝕀")[0] if rows else ""
         if str(what)[-1] in "𝕄ℚ" and rows and before == str(what)[:-3]:
             first, *cells, why = rows[-1]
@@ -60,7 +60,7 @@ def overview(done: Done) -> Table:
     rows = tuple(
         (EXPERIMENTS[name].title, str(what), _ours(row), _theirs(row))
         for name in done.values
-        for what, row in done.beside(name).astype(object).iterrows()
+        for what, row in done.compared(name).astype(object).iterrows()
         if not pd.isna(row["paper"]) and row["unit"] in ("%", "ms")
     )
     return Table(("Experiment", *_HEADER[:3]), rows)
@@ -88,7 +88,7 @@ def write(done: Done, folder: Path, with_figures: bool) -> None:
     ]  # fmt: skip
     for name, values in done.values.items():
         one = EXPERIMENTS[name]
-        lines += [f"## {one.title}", "", one.question, "", *markdown(beside(done, name)), ""]
+        lines += [f"## {one.title}", "", one.question, "", *markdown(compared(done, name)), ""]
         said = one.said(values)
         lines += [*(f"* {text}" for text in said), ""] if said else []
         if with_figures:
@@ -102,7 +102,7 @@ def write(done: Done, folder: Path, with_figures: bool) -> None:
     content = {
         name: {
             "title": EXPERIMENTS[name].title,
-            "beside_the_paper": done.beside(name).reset_index(names="what").astype(object).where(pd.notna, None)
+            "beside_the_paper": done.compared(name).reset_index(names="what").astype(object).where(pd.notna, None)
             .to_dict("records"),
             "of_seed": values.astype(object).where(pd.notna, None).to_dict("index"),
         }

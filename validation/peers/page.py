@@ -82,12 +82,12 @@ def _range(values: pd.Series) -> str:
     return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
 
 
-def _table(first: str, found: pd.DataFrame, error: str, peers: Mapping[str, str], more: bool) -> Table:
+def _table(first: str, errors: pd.DataFrame, error: str, peers: Mapping[str, str], more: bool) -> Table:
     """A row a peer, a column a joint: errors, with coverage where there is one."""
-    joints = list(dict.fromkeys(found.joint))
+    joints = list(dict.fromkeys(errors.joint))
     rows = []
     for peer, words in peers.items():
-        mine = found[(found.peer == peer) & found[error].notna()]
+        mine = errors[(errors.peer == peer) & errors[error].notna()]
         if mine.empty:
             continue
         cells = []

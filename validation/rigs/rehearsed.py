@@ -157,10 +157,10 @@ def controlled(folder: Path) -> dict[str, Any]:
     }
 
 
-def table(found: Sequence[dict[str, Any]]) -> Table:
+def table(outcomes: Sequence[dict[str, Any]]) -> Table:
     """A row a rig and draw."""
     rows = []
-    for one in found:
+    for one in outcomes:
         error, allowed = (f"{one[name]:.2f}" if name in one else "-" for name in ("angle_error_deg", "allowed_deg"))
         beyond = one["beyond_deg"]
         kept = "-" if beyond is None else "yes" if beyond <= 0.0 else f"by {beyond:.1f}°"
@@ -170,14 +170,14 @@ def table(found: Sequence[dict[str, Any]]) -> Table:
     return Table(header, tuple(rows))
 
 
-def summary(found: Sequence[dict[str, Any]]) -> str:
+def summary(outcomes: Sequence[dict[str, Any]]) -> str:
     """How many came to the end and held their angles, and why the others did not."""
-    ended = [one for one in found if one["status"] == common.DONE]
+    ended = [one for one in outcomes if one["status"] == common.DONE]
     held = [one for one in ended if one["angle_error_deg"] <= one["allowed_deg"]]
-    low, high = interval(len(held), len(found)) or (0.0, 1.0)
-    said = [f"{len(ended)} of {len(found)} come to the end, {len(held)} hold their angles within what is allowed: "
-            f"{len(held) / len(found):.0%}, by Clopper and Pearson {low:.0%} to {high:.0%} (95 %)."]  # fmt: skip
-    said += [f"{one['rig']}, draw {one['draw']}: {one['said']}" for one in found if one not in ended]
+    low, high = interval(len(held), len(outcomes)) or (0.0, 1.0)
+    said = [f"{len(ended)} of {len(outcomes)} come to the end, {len(held)} hold their angles within what is allowed: "
+            f"{len(held) / len(outcomes):.0%}, by Clopper and Pearson {low:.0%} to {high:.0%} (95 %)."]  # fmt: skip
+    said += [f"{one['rig']}, draw {one['draw']}: {one['said']}" for one in outcomes if one not in ended]
     return "\n".join(said)
 
 
