@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pam_antagonist.recording import read_bag
-from pam_antagonist.report.style import MEASURED, MODEL, QUIET, SECOND
+from pam_antagonist.report.figure import MEASURED, MODEL, QUIET, SECOND
 
 OUT = Path(__file__).parent / "tutorials"
 

@@ -17,7 +17,7 @@ from pam_antagonist import load_rig, simulate
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.report import terminal
-from pam_antagonist.report.table import Table, markdown, number, percent
+from pam_antagonist.report.document import Table, markdown, number, percent
 
 _DESCRIPTION = """\
 Show which missing effects look alike, and which recordings cannot show an effect, on simulated joints (rig A).

@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist import __version__
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.numbers import real
+from pam_antagonist.cli.common import real
 from pam_antagonist.cli.progress import phases
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed

@@ -36,9 +36,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.common import real
 from pam_antagonist.cli.demo_steps import FOUND, GAINS, MODEL, Task, found_gains, law_of, task
 from pam_antagonist.cli.driving import how_to_watch, stay_apart
-from pam_antagonist.cli.numbers import real
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput

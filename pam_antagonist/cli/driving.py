@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pam_antagonist.design.exploration import Program
     from pam_antagonist.rig import Rig
 
+
 SOURCES = ("plant", "bridge", "none", "rehearsal")
 SIMULATED = ("plant", "rehearsal")
 PLAN_NOTE = "pam_antagonist.plan"
@@ -34,6 +35,8 @@ _STOP_BEYOND = 0.1
 _LONGEST_VENT_S = 20.0
 """[s] So long a plan waits for the pressures to fall below half way to the limit."""
 _KPA = 1e3
+_FIRST_STAMP_NS = 1_000_000_000_000_000_000
+"""Stamp of the first sample of a rehearsal."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,6 @@ def drive(owner: Owner, plan: Plan, out: Path, rig: Rig, program: Program | None
 
     program = Planned(plan.voltage, plan.period) if program is None else program
     if owner.source == "rehearsal":
-        from pam_antagonist.cli.rehearsal import rehearse
         from pam_antagonist.rig import load_rig
 
         joint = load_rig(owner.rig, regulators=True)
@@ -224,3 +226,46 @@ def _through_nodes(owner: Owner, plan: Plan, program: Program, drive: str, out: 
             time.sleep(_DRAIN_S)
             processes.stop(*processes.running)
     return begun_ns, ended
+
+
+def rehearse(rig: Rig, plan: Plan, program: Program, seed: int, mismatch: float, bag: Path) -> tuple[int, str]:
+    """Drive a simulated joint by a program, without ROS and faster than real time, and write the recording.
+
+    The joint is that of the plant node, and so are the limits at which the plan ends. What is not in it is time: delays
+    of messages, and a computer that is busy. Returns when it began [ns], and in words why it ended early.
+
+    `plan`: says where the joint begins and what its limits are. `mismatch`: standard deviation of the joint's
+    parameters from the rig's [-].
+    """
+    from pam_antagonist.recording import Recording, write_bag
+    from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
+    from pam_antagonist.simulation.plant import Plant
+
+    start, period = (plan.pressure, plan.pressure), plan.period
+    plant = Plant(rig, plan.joint, plan.lock_angle, seed, mismatch=mismatch, initial_pressure=start)
+    lookout, every, ended = Lookout(), max(1, round(TICK / period)), ""
+    samples = [plant.step(plan.rest)]
+    while (k := len(samples) - 1) * period < program.seconds:
+        seen = samples[-1]
+        command = program.command(k * period, seen.pressure, seen.angle)
+        if command is None:
+            break
+        samples.append(plant.step(command))
+        angle = seen.angle if program.confined else math.nan
+        if k % every == 0 and (reason := lookout.ends(plan.limits.broken(seen.pressure, angle))):
+            ended = f"after {k * period:.1f} s {reason}"
+            samples += [plant.step(plan.rest) for _ in range(round(RETREAT / period))]
+            break
+    stamps = _FIRST_STAMP_NS + np.rint(np.arange(len(samples)) * period * 1e9).astype(np.int64)
+    recording = Recording(
+        path=bag,
+        stamp_ns=stamps,
+        pressure=np.array([sample.pressure for sample in samples]),
+        voltage=np.array([sample.voltage for sample in samples]),
+        angle=np.array([sample.angle for sample in samples]),
+        torque=np.array([sample.torque for sample in samples]),
+        angle_sensor=None if rig.encoder is None else np.array([sample.encoder for sample in samples]),
+        drive=rig.drive,
+    )
+    write_bag(bag, recording, pressure_variance=rig.sensors.pressure_std**2)
+    return _FIRST_STAMP_NS, ended

@@ -169,7 +169,7 @@ def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path, 
 
 def _summary(document: dict[str, Any]) -> str:
     from pam_antagonist.report import terminal
-    from pam_antagonist.report.table import Table, number, percent
+    from pam_antagonist.report.document import Table, number, percent
 
     limits = document["limits"]
     low, high = (value / 1e3 for value in limits["pressure_pa"])

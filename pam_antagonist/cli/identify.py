@@ -30,7 +30,7 @@ import argparse
 
 from pam_antagonist.cli import cluster, common
 from pam_antagonist.cli import recordings as given
-from pam_antagonist.cli.numbers import real, whole
+from pam_antagonist.cli.common import real, whole
 from pam_antagonist.cli.progress import phases
 from pam_antagonist.errors import BadInput
 

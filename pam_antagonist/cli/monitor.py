@@ -1,11 +1,19 @@
-"""``monitor --explain RIG``: which sizes a monitor finds within a minute, on a short simulated run."""
+"""``monitor``: the node; what it can see (``--explain``); and the search in what it has kept (``--search``).
+
+``monitor --explain RIG`` says which sizes a monitor finds within a minute, on a short simulated run.
+``monitor --search ORDER.json`` is a process of its own, which the node starts: it writes the buffer as a bag and the
+report of ``close_loop`` beside it, adds an entry to the rig's log book, and prints ``{"verdict", "effects",
+"calibration", "ambiguous_with"}`` as one line.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +23,7 @@ from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
 from pam_antagonist.diagnosis.monitor_responses import SHARE
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
-from pam_antagonist.report.table import Table
+from pam_antagonist.report.document import Table
 from pam_antagonist.report.terminal import render
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import rest_pressure, rest_voltage
@@ -77,13 +85,71 @@ def parser() -> common.Parser:
     return out
 
 
+def search(order: dict[str, object]) -> dict[str, object]:
+    """Carry out an order.
+
+    Its keys: ``buffer`` (a file of numpy with ``stamps`` and ``rows``, as of a feed), ``rig``, ``begin_ns`` from which
+    on the joint is searched, ``folder`` for bag and report (empty: none), ``namespace``, ``joint``, ``lock_angle``,
+    ``log``.
+    """
+    from pam_antagonist.api.diagnose import diagnose
+    from pam_antagonist.api.history import log
+    from pam_antagonist.recording import Recording, write_bag
+
+    rig = load_rig(str(order["rig"]), regulators=True)
+    with np.load(str(order["buffer"])) as kept:
+        stamps, rows = kept["stamps"], kept["rows"]
+    known = np.isfinite(rows[:, 4]).any()
+    zero = rig.encoder.offset if rig.encoder is not None else 0.0
+    folder = Path(str(order["folder"])) if order["folder"] else None
+    buffer = Recording(
+        path=Path("buffer") if folder is None else folder / "buffer", stamp_ns=stamps, pressure=rows[:, :2],
+        voltage=rows[:, 2:4], angle=rows[:, 4] - zero if known else None, angle_sensor=rows[:, 4] if known else None,
+        drive=rig.drive,
+    )  # fmt: skip
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_bag(folder / "buffer", buffer, namespace=str(order["namespace"]))
+        except (OSError, BadInput) as error:
+            print(f"the buffer is not kept: {error}", file=sys.stderr)
+            folder = None
+    begin = (int(order["begin_ns"]) - int(stamps[0])) * 1e-9  # type: ignore[call-overload]
+    since = buffer.slice(max(begin, 0.0), buffer.duration_s)
+    joint, lock = str(order["joint"]), float(order["lock_angle"])  # type: ignore[arg-type]
+    found = diagnose(
+        since, rig, joint=joint, lock_angle=lock if joint == "locked" else None, jobs=1, profiles=False, estimator=False
+    )
+    if folder is not None:
+        try:
+            found.save(folder / "report")
+        except (OSError, BadInput) as error:
+            print(f"the report is not kept: {error}", file=sys.stderr)
+    if order["log"]:
+        try:
+            log("monitor", str(order["rig"]), [since], rig, found)
+        except BadInput as error:
+            print(str(error), file=sys.stderr)
+    report = found.report
+    return {key: report.get(key) for key in ("verdict", "effects", "calibration", "ambiguous_with")}
+
+
+def search_as_ordered(file: str) -> int:
+    """Carry out the order in a file; 2 where the buffer allows no search."""
+    try:
+        found = search(json.loads(Path(file).read_text(encoding="utf-8")))
+    except BadInput as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(json.dumps(found))
+    return 0
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """The node, or ``--explain RIG``."""
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:1] == ["--search"]:
-        from pam_antagonist.cli import monitor_search
-
-        return monitor_search.main(words[1:])
+        return search_as_ordered(words[1])
     if any(word.partition("=")[0] == "--explain" for word in words):
         return int(common.command(parser, _explain)(words))
     try:

@@ -14,7 +14,7 @@ import argparse
 from pathlib import Path
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import real
+from pam_antagonist.cli.common import real
 from pam_antagonist.cli.recordings import announce, check_page
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.report.reachable import ReachableResult

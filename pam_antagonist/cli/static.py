@@ -22,7 +22,7 @@ from pathlib import Path
 
 from pam_antagonist.api.static import StaticResult, static
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import real
+from pam_antagonist.cli.common import real
 from pam_antagonist.cli.recordings import announce
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import QUANTITIES, Choice

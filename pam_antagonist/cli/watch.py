@@ -24,7 +24,7 @@ import sys
 import webbrowser
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import whole
+from pam_antagonist.cli.common import whole
 from pam_antagonist.optional import needs, needs_ros
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
 

@@ -19,21 +19,25 @@ from pam_antagonist.replays.channels import CHANNELS, TORQUE, Channel
 from pam_antagonist.report import close_loop_figures as drawn
 from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings
 from pam_antagonist.report.document import (
+    MISSING,
     Block,
+    Comparison,
     Definitions,
     Document,
     Findings,
     Section,
+    Table,
     Text,
     Tile,
     Tiles,
     background,
     in_first_lines,
     note,
+    number,
+    percent,
     words,
 )
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.units import readable
 

@@ -11,10 +11,23 @@ from pam_antagonist.diagnosis import remaining
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.result import FoundEffect, HeldOutComparison, SizeProfile
 from pam_antagonist.inference.point import Span
-from pam_antagonist.report.document import Block, Findings, note
-from pam_antagonist.report.figure import TIME, Axis, Band, Figure, Line, Panel, Points, Reference, Region, Series
-from pam_antagonist.report.style import ESTIMATE, MODEL, QUIET, SECOND
-from pam_antagonist.report.table import Table, number, percent
+from pam_antagonist.report.document import Block, Findings, Table, note, number, percent
+from pam_antagonist.report.figure import (
+    ESTIMATE,
+    MODEL,
+    QUIET,
+    SECOND,
+    TIME,
+    Axis,
+    Band,
+    Figure,
+    Line,
+    Panel,
+    Points,
+    Reference,
+    Region,
+    Series,
+)
 from pam_antagonist.rig.units import readable
 
 if TYPE_CHECKING:

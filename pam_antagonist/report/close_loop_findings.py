@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from pam_antagonist.diagnosis import found_calibrations, thresholds
 from pam_antagonist.diagnosis.result import Ambiguity
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report.document import Finding, good, note, warn, words
-from pam_antagonist.report.table import number
+from pam_antagonist.report.document import Finding, good, note, number, warn, words
 
 if TYPE_CHECKING:
     from pam_antagonist.diagnosis.closed_loop import ClosedLoop

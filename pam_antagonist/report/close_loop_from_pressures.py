@@ -11,10 +11,24 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.closed_trials import ClosedTrials
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
 from pam_antagonist.report.close_loop import effects_frame, sizes_table, title_of
-from pam_antagonist.report.document import Block, Document, Findings, Section, Text, Tile, Tiles, background, note, warn
+from pam_antagonist.report.document import (
+    Block,
+    Comparison,
+    Document,
+    Findings,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    background,
+    note,
+    number,
+    percent,
+    warn,
+)
 from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import Result
-from pam_antagonist.report.table import Comparison, Table, number, percent
 
 if TYPE_CHECKING:
     from pandas import DataFrame

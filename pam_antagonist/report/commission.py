@@ -9,12 +9,10 @@ import numpy as np
 from typing_extensions import override
 
 from pam_antagonist.recording import Recording
-from pam_antagonist.report.document import Block, Document, Findings, Links, Text, background, good, warn
-from pam_antagonist.report.figure import TIME, Axis, Figure, Line, Panel, Reference
+from pam_antagonist.report.document import Block, Document, Findings, Links, Table, Text, background, good, warn
+from pam_antagonist.report.figure import MEASURED, MODEL, SECOND, TIME, Axis, Figure, Line, Panel, Reference
 from pam_antagonist.report.replay_figures import seconds
 from pam_antagonist.report.result import Result
-from pam_antagonist.report.style import MEASURED, MODEL, SECOND
-from pam_antagonist.report.table import Table
 
 
 @dataclass(frozen=True)

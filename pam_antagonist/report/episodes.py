@@ -19,22 +19,24 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
 from pam_antagonist.report.document import (
+    MISSING,
     Block,
     Document,
     Finding,
     Findings,
     Section,
+    Table,
     Text,
     Tile,
     Tiles,
     background,
     note,
+    number,
+    percent,
     warn,
 )
-from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
+from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.report.style import BAND, ESTIMATE, MODEL, SECOND
-from pam_antagonist.report.table import MISSING, Table, number, percent
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, laws_of, value_path
 from pam_antagonist.rig.units import readable, unit_of

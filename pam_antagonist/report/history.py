@@ -15,21 +15,22 @@ from typing_extensions import override
 
 from pam_antagonist.inference.trend import FEWEST, Trend, significant, trend
 from pam_antagonist.report.document import (
+    MISSING,
     Block,
     Document,
     Finding,
     Findings,
     Section,
+    Table,
     Text,
     background,
     good,
     note,
+    number,
     warn,
 )
-from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference
+from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel, Points, Reference
 from pam_antagonist.report.result import Result
-from pam_antagonist.report.style import BAND, ESTIMATE, MODEL
-from pam_antagonist.report.table import MISSING, Table, number
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.logbook import Entry, Logbook
 from pam_antagonist.software import versions

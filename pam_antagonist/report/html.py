@@ -17,9 +17,8 @@ from jinja2.filters import do_mark_safe
 
 from pam_antagonist import strict_json
 from pam_antagonist.report import plotly_renderer
-from pam_antagonist.report.document import Document, Section, figures_of
-from pam_antagonist.report.style import DARK
-from pam_antagonist.report.table import with_unit
+from pam_antagonist.report.document import Document, Section, figures_of, with_unit
+from pam_antagonist.report.figure import DARK
 
 _OPTION = re.compile(r"(?<!\S)--[a-z][a-z-]*")
 _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")

@@ -17,22 +17,25 @@ from pam_antagonist.identification.result import FromPressures, Held, Step
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
 from pam_antagonist.replays.channels import CHANNELS
 from pam_antagonist.report.document import (
+    MISSING,
     Block,
+    Comparison,
     Document,
     Findings,
     Section,
+    Table,
     Text,
     Tile,
     Tiles,
     background,
     in_first_lines,
+    number,
+    percent,
 )
-from pam_antagonist.report.figure import Axis, Figure, Panel, Points
+from pam_antagonist.report.figure import FAINT, MODEL, Axis, Figure, Panel, Points
 from pam_antagonist.report.identify_findings import findings, verdict
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.report.style import FAINT, MODEL
-from pam_antagonist.report.table import MISSING, Comparison, Table, number, percent
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.units import readable, unit_of

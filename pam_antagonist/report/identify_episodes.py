@@ -13,7 +13,7 @@ from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import Document, Finding, Findings, Text, background, note, warn
+from pam_antagonist.report.document import Document, Finding, Findings, Table, Text, background, note, number, warn
 from pam_antagonist.report.episodes import (
     about_episodes,
     interval,
@@ -24,7 +24,6 @@ from pam_antagonist.report.episodes import (
     units_findings,
 )
 from pam_antagonist.report.result import Result
-from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import write_rig, write_unread
 

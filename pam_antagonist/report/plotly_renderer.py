@@ -19,8 +19,23 @@ from numpy.typing import NDArray
 
 from pam_antagonist.optional import needs
 from pam_antagonist.report import decimate
-from pam_antagonist.report.figure import Axis, Band, Bars, Figure, Heatmap, Line, Panel, Points, Reference, Region
-from pam_antagonist.report.style import GRID, INK, QUIET, VEIL, ZERO
+from pam_antagonist.report.figure import (
+    GRID,
+    INK,
+    QUIET,
+    VEIL,
+    ZERO,
+    Axis,
+    Band,
+    Bars,
+    Figure,
+    Heatmap,
+    Line,
+    Panel,
+    Points,
+    Reference,
+    Region,
+)
 
 Values = dict[str, Any]
 FloatArray = NDArray[np.float64]

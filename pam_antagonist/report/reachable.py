@@ -13,11 +13,9 @@ from typing_extensions import override
 from pam_antagonist.control.laws import Reachable
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
-from pam_antagonist.report.document import Block, Document, Text, background
-from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel
+from pam_antagonist.report.document import Block, Document, Table, Text, background, number
+from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result
-from pam_antagonist.report.style import BAND, ESTIMATE, MODEL
-from pam_antagonist.report.table import Table, number
 from pam_antagonist.rig import Rig
 
 _POINTS = 121

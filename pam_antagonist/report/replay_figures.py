@@ -12,6 +12,16 @@ from pam_antagonist.estimation import metrics
 from pam_antagonist.replays import Replay
 from pam_antagonist.report import decimate
 from pam_antagonist.report.figure import (
+    BAND,
+    DEEP,
+    EDGE,
+    ESTIMATE,
+    FAINT,
+    MEASURED,
+    MODEL,
+    PALE,
+    QUIET,
+    SECOND,
     TIME,
     Axis,
     Band,
@@ -25,7 +35,6 @@ from pam_antagonist.report.figure import (
     Region,
     Series,
 )
-from pam_antagonist.report.style import BAND, DEEP, EDGE, ESTIMATE, FAINT, MEASURED, MODEL, PALE, QUIET, SECOND
 
 _LAGS = 40
 """Largest lag that is shown [samples]."""

@@ -13,11 +13,33 @@ from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Text, background, note, warn
-from pam_antagonist.report.figure import Axis, Band, Figure, Line, Panel, Points, Reference, Series
+from pam_antagonist.report.document import (
+    MISSING,
+    Block,
+    Document,
+    Finding,
+    Findings,
+    Table,
+    Text,
+    background,
+    note,
+    number,
+    warn,
+)
+from pam_antagonist.report.figure import (
+    BAND,
+    ESTIMATE,
+    MEASURED,
+    Axis,
+    Band,
+    Figure,
+    Line,
+    Panel,
+    Points,
+    Reference,
+    Series,
+)
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.report.style import BAND, ESTIMATE, MEASURED
-from pam_antagonist.report.table import MISSING, Table, number
 from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import write_rig
 

@@ -6,8 +6,18 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from pam_antagonist.report.document import Block, Columns, Document, Finding, Findings, Section, Text, warn
-from pam_antagonist.report.table import Table, with_unit
+from pam_antagonist.report.document import (
+    Block,
+    Columns,
+    Document,
+    Finding,
+    Findings,
+    Section,
+    Table,
+    Text,
+    warn,
+    with_unit,
+)
 
 WIDTH = 100
 _MARKS = {"good": "✓", "warn": "!", "note": " "}

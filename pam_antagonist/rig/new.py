@@ -3,7 +3,7 @@
 Values that cannot be measured simply are assumed, with a wide prior, so that ``identify`` can change them.
 
 **Force.** A data sheet gives the force F_n without contraction at a gauge pressure p_n, and the contraction ε_n at
-which no force is left. The map is that of :mod:`~pam_antagonist.model.braided_force` with a = F_n/p_n. The rubber takes
+which no force is left. The map is that of :mod:`~pam_antagonist.model.muscle` with a = F_n/p_n. The rubber takes
 the share h = 0.19 of F_n, which it reaches within a quarter of ε_n: b = h F_n, s = 15/ε_n, ε_0 = 0.007. F(ε_n, p_n) = 0
 then gives k = (1 − h)/ε_n. The shares come from a measured map (Martens and Boblan 2017, DMSP-20): a, b, k and s of its
 best fit are within a tenth of those that its data sheet gives in this way.

@@ -173,15 +173,15 @@ def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(stopped
 
 
 def test_a_sensor_that_always_shows_the_same_is_named(monkeypatch, tmp_path, capsys):
-    from pam_antagonist.cli import rehearsal
+    from pam_antagonist.simulation import plant
 
-    class Frozen(rehearsal.Plant):
+    class Frozen(plant.Plant):
         def step(self, *given: Any) -> Any:
             sample = super().step(*given)
             sample.pressure[0] = 450.3e3
             return sample
 
-    monkeypatch.setattr(rehearsal, "Plant", Frozen)
+    monkeypatch.setattr(plant, "Plant", Frozen)
     words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
     assert commission.main(words) == 1
     assert "pressure sensor 1 shows 450.3 kPa all the time" in capsys.readouterr().err

@@ -29,8 +29,8 @@ from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.signals import FurtherSignal
 from pam_antagonist.report import episodes as report
+from pam_antagonist.report.document import number
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
-from pam_antagonist.report.table import number
 from pam_antagonist.rig.learned import laws_of
 
 EPISODES, ROWS, PERIOD = 120, 60, 0.0125

@@ -107,7 +107,7 @@ def test_no_space_for_the_buffer_is_a_warning(node: Any, monkeypatch: pytest.Mon
 def test_search_keeps_the_buffer_as_a_bag_and_a_folder_that_cannot_be_written_is_no_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from pam_antagonist.cli import monitor_search
+    from pam_antagonist.cli import monitor
     from pam_antagonist.recording import read_bag
 
     stamps = ONSET_NS + np.arange(3000) * MS
@@ -119,7 +119,7 @@ def test_search_keeps_the_buffer_as_a_bag_and_a_folder_that_cannot_be_written_is
     (tmp_path / "file").touch()
     for folder, kept in (("found", True), ("file/found", False)):
         (tmp_path / "order.json").write_text(json.dumps({**order, "folder": str(tmp_path / folder)}))
-        assert monitor_search.main([str(tmp_path / "order.json")]) == 2  # three seconds are too short
+        assert monitor.search_as_ordered(str(tmp_path / "order.json")) == 2  # three seconds are too short
         assert ("the buffer is not kept" in capsys.readouterr().err) is not kept
     assert len(read_bag(tmp_path / "found" / "buffer", namespace="/left")) == 3000
 

@@ -15,7 +15,7 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.checkpoint import Checkpoint
 from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
 from pam_antagonist.replays import Replay, replay
-from pam_antagonist.report.replay_findings import findings
+from pam_antagonist.report.replay import findings
 from pam_antagonist.rig import Rig
 
 Changed = Callable[..., Recording]

@@ -18,8 +18,7 @@ from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.report.close_loop import DiagnoseResult, errors_table
 from pam_antagonist.report.close_loop_figures import left
 from pam_antagonist.report.close_loop_findings import findings
-from pam_antagonist.report.document import Findings
-from pam_antagonist.report.table import Table
+from pam_antagonist.report.document import Findings, Table
 from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import plain
 

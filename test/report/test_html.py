@@ -14,11 +14,21 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import decimate, plotly_renderer, replay_figures, style
-from pam_antagonist.report.document import Columns, Definitions, Document, Finding, Findings, Section, Text, Tile, Tiles
+from pam_antagonist.report import decimate, figure, plotly_renderer, replay_figures
+from pam_antagonist.report.document import (
+    Columns,
+    Definitions,
+    Document,
+    Finding,
+    Findings,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+)
 from pam_antagonist.report.figure import TIME, Axis, Band, Bars, Figure, Line, Panel, Points, Reference, Region
 from pam_antagonist.report.html import render
-from pam_antagonist.report.table import Table
 
 
 class Reader(HTMLParser):
@@ -177,7 +187,7 @@ def test_every_colour_of_the_light_theme_that_a_dark_page_would_hide_has_a_dark_
         parts = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
         return float(np.dot(parts, (0.3, 0.59, 0.11))) / 255.0
 
-    named = [value for value in vars(style).values() if isinstance(value, str) and value.startswith("#")]
-    background = brightness(style.DARK[style.PAPER])
-    for color in {*named, *style.PALETTE} - {style.PAPER, style.PALE, style.GRID, style.EDGE}:
-        assert brightness(style.DARK.get(color, color)) - background > 0.2, color
+    named = [value for value in vars(figure).values() if isinstance(value, str) and value.startswith("#")]
+    background = brightness(figure.DARK[figure.PAPER])
+    for color in {*named, *figure.PALETTE} - {figure.PAPER, figure.PALE, figure.GRID, figure.EDGE}:
+        assert brightness(figure.DARK.get(color, color)) - background > 0.2, color

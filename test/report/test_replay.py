@@ -22,8 +22,7 @@ from pam_antagonist.replays.result import JointFacts, RecordedRig, numbers
 from pam_antagonist.report.document import Section
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.html import render, write
-from pam_antagonist.report.replay import document
-from pam_antagonist.report.replay_findings import live_rig
+from pam_antagonist.report.replay import document, live_rig
 from pam_antagonist.rig import Rig, RigIdentity, fingerprint, load_rig
 from pam_antagonist.strict_json import plain
 

@@ -12,8 +12,7 @@ from pam_antagonist.estimation import Counts
 from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors, PressureErrors, channel_errors
 from pam_antagonist.replays.live import LiveComparison
 from pam_antagonist.replays.result import FilterFacts, Innovation, JointFacts, RecordingFacts, ReplayReport, Timing
-from pam_antagonist.report.replay import errors_table, tiles
-from pam_antagonist.report.replay_findings import findings, verdict
+from pam_antagonist.report.replay import errors_table, findings, tiles, verdict
 
 NAN = float("nan")
 ANGLE, TORQUE = ChannelErrors("deg", 0.5, 2.0, 0.05, 0.97), ChannelErrors("nm", 0.1, 0.4, 0.1, 0.95)

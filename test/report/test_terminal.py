@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pam_antagonist.report.document import Definitions, Finding, Findings, Section, Text
-from pam_antagonist.report.table import Comparison, Table
+from pam_antagonist.report.document import Comparison, Definitions, Finding, Findings, Section, Table, Text
 from pam_antagonist.report.terminal import WIDTH, render
 
 

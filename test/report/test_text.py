@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.report.table import number, percent
+from pam_antagonist.report.document import number, percent
 from pam_antagonist.strict_json import dumps, plain, write_json
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pam_antagonist.report.table import Comparison
+from pam_antagonist.report.document import Comparison
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.units import readable, unit_of
 

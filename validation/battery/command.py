@@ -11,12 +11,12 @@ from typing import Any
 from joblib import Parallel, delayed
 
 from pam_antagonist.cli import cluster, common
-from pam_antagonist.cli.numbers import JOBS, SEED, whole
+from pam_antagonist.cli.common import JOBS, SEED, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
-from pam_antagonist.report.table import markdown
+from pam_antagonist.report.document import markdown
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import write_json
 from validation import json_option

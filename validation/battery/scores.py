@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pam_antagonist.report.table import MISSING, Table, number, percent
+from pam_antagonist.report.document import MISSING, Table, number, percent
 from validation.battery.draw import LARGE, LEVELS
 from validation.battery.forms import REMAINDERS, group_of
 from validation.battery.outcomes import Outcome

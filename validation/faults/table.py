@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from pam_antagonist.report.table import Table, markdown
+from pam_antagonist.report.document import Table, markdown
 from pam_antagonist.software import versions
 from validation.faults.fault import LIMIT_MS, Outcome, Recovery, Valves
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import JOBS
+from pam_antagonist.cli.common import JOBS
 from pam_antagonist.diagnosis.episodes import diagnose
 from pam_antagonist.identification.regulators import of_commands, pressures_of
 from pam_antagonist.inference.bootstrap import rmse

@@ -12,8 +12,8 @@ from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
+from pam_antagonist.report.document import Table, number, percent
 from pam_antagonist.report.identify_episodes import regulators_sentences, regulators_table
-from pam_antagonist.report.table import Table, number, percent
 from validation.pamy import network
 
 _ADDRESS = "https://github.com/ALRhub/action-conditional-rkn"

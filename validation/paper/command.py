@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import JOBS, whole
+from pam_antagonist.cli.common import JOBS, whole
 from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.optional import available

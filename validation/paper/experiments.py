@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 from joblib import Parallel, delayed
 
-from pam_antagonist.report.table import percent
+from pam_antagonist.report.document import percent
 from validation.paper import control, estimates, figures, live, model, muscles
 from validation.paper.virtual import JOINT, TUNINGS, UNITS, VirtualRig
 

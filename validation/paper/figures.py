@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pam_antagonist.control.command import PI_MODES
 from pam_antagonist.estimation import metrics
-from pam_antagonist.report.style import ESTIMATE, MEASURED, MODEL, SECOND
+from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND
 from validation.paper import control as loop
 from validation.paper.estimates import LABELS, MODELS
 from validation.paper.virtual import JOINT, TUNINGS, UNITS, Floats, VirtualRig, measured_of

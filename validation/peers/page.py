@@ -10,8 +10,8 @@ import pandas as pd
 
 from pam_antagonist.cli import common
 from pam_antagonist.report import terminal
-from pam_antagonist.report.style import PALETTE
-from pam_antagonist.report.table import MISSING, Table, markdown, number, percent
+from pam_antagonist.report.document import MISSING, Table, markdown, number, percent
+from pam_antagonist.report.figure import PALETTE
 from pam_antagonist.software import versions
 from validation.peers.joints import ARM
 

@@ -19,7 +19,7 @@ from pam_antagonist.control.model_law import ModelGains
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
-from pam_antagonist.report.table import Table, markdown
+from pam_antagonist.report.document import Table, markdown
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.plant import Plant
