@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from pam_antagonist.api.check import CheckResult, check
     from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
-    from pam_antagonist.api.excite import excite
+    from pam_antagonist.api.excite import ExciteResult, excite
     from pam_antagonist.api.history import HistoryResult, history
     from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.api.import_csv import import_csv
@@ -39,7 +39,7 @@ _NAMES = {
     "rig.load": ("load_rig",),
     "api.check": ("CheckResult", "check"),
     "api.diagnose": ("DiagnoseResult", "diagnose"),
-    "api.excite": ("excite",),
+    "api.excite": ("ExciteResult", "excite"),
     "api.history": ("HistoryResult", "history"),
     "api.identify": ("IdentifyResult", "identify"),
     "api.import_csv": ("import_csv",),
@@ -55,6 +55,7 @@ __all__ = [
     "CheckResult",
     "DiagnoseResult",
     "Estimator",
+    "ExciteResult",
     "HistoryResult",
     "IdentifyResult",
     "Recording",

@@ -56,7 +56,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "identification": (*_OFFLINE, "replays", "inference"),
     "diagnosis": (*_OFFLINE, "replays", "inference", "identification"),
     "design": (*_OFFLINE, "simulation", "inference", "identification", "diagnosis"),
-    "report": (*_RESULTS, "control"),
+    "report": (*_RESULTS, "design", "control"),
     "nodes": (*_OFFLINE, "diagnosis", "simulation", "control", "safety", "hardware"),
     "api": (*_RESULTS, "simulation", "checks", "design", "report"),
     "__init__": (BASE, "rig", "estimation", "recording", "api"),  # the names of the Python API

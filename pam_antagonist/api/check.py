@@ -11,6 +11,7 @@ from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.report import terminal
 from pam_antagonist.report.result import frame_of
 from pam_antagonist.rig import as_rig
 from pam_antagonist.rig.assumption import assumption
@@ -19,6 +20,8 @@ from pam_antagonist.strict_json import write_json
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+_MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,6 +51,19 @@ class CheckResult(Checked):
                 for finding in self.findings
             ],
         }  # fmt: skip
+
+    def summary(self) -> str:
+        """The findings that the command prints, the worst first, with what to do."""
+        lines = []
+        for finding in self.findings:
+            text = finding.text
+            if finding.todo:
+                text += f". {finding.todo[0].upper()}{finding.todo[1:]}"
+            lines.append(terminal.marked(text if text.endswith("?") else f"{text}.", _MARKS[finding.status]))
+        options = self.corrections.options()
+        if options and self.wrong:
+            lines.append(f"With these options every command corrects this recording: {' '.join(options)}")
+        return "\n".join(lines)
 
     def save(self, path: str | Path) -> Path:
         """Write the findings as JSON to a file; returns its path.

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from pam_antagonist.api.given import RigGiven
-from pam_antagonist.design import SHORTEST, Limits, Plan, designed
+from pam_antagonist.design import SHORTEST, Limits, designed
 from pam_antagonist.errors import number
+from pam_antagonist.report.excite import ExciteResult
 from pam_antagonist.rig import as_rig
+from pam_antagonist.shown import widened
+
+__all__ = ["ExciteResult", "excite"]
 
 
 def excite(
@@ -19,7 +23,7 @@ def excite(
     limits: Limits | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-) -> Plan:
+) -> ExciteResult:
     """Design the voltages of an experiment, as the command ``excite`` does with ``--plan-only``.
 
     Args:
@@ -47,4 +51,5 @@ def excite(
     chosen = as_rig(rig)
     length = number("duration", duration, SHORTEST, 3600.0)
     given = Limits.of(chosen) if limits is None else limits
-    return designed(chosen, given, length, joint, lock_angle, seed, progress or (lambda seconds: None))
+    plan = designed(chosen, given, length, joint, lock_angle, seed, progress or (lambda seconds: None))
+    return widened(ExciteResult, plan, rig=chosen)

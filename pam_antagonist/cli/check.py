@@ -17,20 +17,11 @@ examples:
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.recording.corrections import Corrections, add_options, from_options
 from pam_antagonist.strict_json import dumps
-
-if TYPE_CHECKING:
-    from pam_antagonist.api.check import CheckResult
-    from pam_antagonist.recording import Recording
-    from pam_antagonist.rig import Rig
-
-_MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 
 
 def parser() -> common.Parser:
@@ -65,7 +56,8 @@ def _main(arguments: argparse.Namespace) -> int:
         results[str(bag)] = checked = check(recording, rig, arguments.joint, lock_angle, given)
         note_down(arguments, "check", [recording], rig, checked)
         if arguments.json != "-":
-            print(_text(bag, recording, rig, results[str(bag)]))
+            print(f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}")
+            print(checked.summary())
     if arguments.json != "-" and (rests_on := next(iter(results.values())).assumption) is not None:
         print(f"\n{terminal.render(in_first_lines(rests_on))}")
     if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
@@ -77,21 +69,6 @@ def _main(arguments: argparse.Namespace) -> int:
         content = {bag: checked.as_dict() for bag, checked in results.items()}
         common.give_json(arguments.json, dumps(content) + "\n")
     return common.BAD_INPUT if any(checked.wrong for checked in results.values()) else common.DONE
-
-
-def _text(bag: Path, recording: Recording, rig: Rig, checked: CheckResult) -> str:
-    from pam_antagonist.report import terminal
-
-    lines = [f"\n{bag.name}: {recording.duration_s:.1f} s, joint {checked.joint}, against rig {rig.name}"]
-    for finding in checked.findings:
-        text = finding.text
-        if finding.todo:
-            text += f". {finding.todo[0].upper()}{finding.todo[1:]}"
-        lines.append(terminal.marked(text if text.endswith("?") else f"{text}.", _MARKS[finding.status]))
-    options = checked.corrections.options()
-    if options and checked.wrong:
-        lines.append(f"With these options every command corrects this recording: {' '.join(options)}")
-    return "\n".join(lines)
 
 
 main = common.command(parser, _main)

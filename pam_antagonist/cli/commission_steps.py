@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, drive, how_to_watch, limits_of, stay_apart, write_plan
+from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, drive, how_to_watch, limits_of, stay_apart
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.design import Plan, designed
@@ -32,8 +32,10 @@ from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
 from pam_antagonist.report.commission import CommissionResult, Step
 from pam_antagonist.report.commission import Driven as DrivenStep
+from pam_antagonist.report.excite import ExciteResult
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.shown import widened
 
 if TYPE_CHECKING:
     from pam_antagonist.api.identify import IdentifyResult
@@ -163,7 +165,7 @@ class Commission:
         number = next(k for k in count(1) if not (self._out / f"{name}_{k}").exists())
         folder = self._out / f"{name}_{number}"
         folder.mkdir()
-        write_plan(folder, plan, self._rig)
+        widened(ExciteResult, plan, rig=self._rig).write(folder)
         self._at(name, "driving the joint", plan.duration if program is None else program.seconds)
         return drive(self._owner, plan, folder, self._rig, program)
 

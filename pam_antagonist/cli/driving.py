@@ -126,31 +126,6 @@ def add_source(out: Parser) -> None:
     out.shared("--mismatch")
 
 
-def write_plan(out: Path, plan: Plan, rig: Rig) -> dict[str, Any]:
-    """Write ``plan.json``, and ``voltages.csv`` where the plan has voltages."""
-    from pam_antagonist.design import standard_errors
-    from pam_antagonist.strict_json import plain, write_json
-
-    document: dict[str, Any] = {
-        "rig": rig.name,
-        "joint": plan.joint,
-        "lock_angle_rad": plan.lock_angle if plan.joint == "locked" else None,
-        "limits": {
-            "pressure_pa": plan.limits.pressure, "angle_rad": plan.limits.angle, "rate_rad_s": plan.limits.rate,
-        },
-    }  # fmt: skip
-    if len(plan.voltage):
-        changes = np.flatnonzero(np.any(np.diff(plan.voltage, axis=0) != 0.0, axis=1)) + 1
-        rows = [0, *changes, len(plan.voltage) - 1]
-        lines = [f"{k * plan.period:.6g},{plan.voltage[k, 0]:.4f},{plan.voltage[k, 1]:.4f}" for k in rows]
-        (out / "voltages.csv").write_text("\n".join(["t_s,u1,u2", *lines]) + "\n", encoding="utf-8")
-        start = (plan.pressure, plan.pressure)
-        errors = standard_errors(rig, plan.voltage, plan.period, plan.joint, plan.lock_angle, start)
-        document |= {"duration_s": plan.duration, "rest_v": plan.rest, "standard_errors": errors}
-    write_json(out / "plan.json", document)
-    return dict(plain(document))
-
-
 def stay_apart() -> None:
     """Have the nodes of this process hear only those that it starts, unless the environment says otherwise."""
     # A domain of its own keeps two experiments, or an experiment and a rig, from hearing each other.

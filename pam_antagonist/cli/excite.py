@@ -27,17 +27,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pam_antagonist.cli import common, driving
 from pam_antagonist.cli.driving import Owner
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
+from pam_antagonist.shown import widened
 
 if TYPE_CHECKING:
     from pam_antagonist.design import Limits, Plan
@@ -66,6 +66,7 @@ def parser() -> common.Parser:
 
 def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.design import SHORTEST, designed
+    from pam_antagonist.report.excite import ExciteResult
     from pam_antagonist.rig import load_rig
 
     if not SHORTEST <= arguments.duration <= 3600.0:
@@ -90,8 +91,9 @@ def _main(arguments: argparse.Namespace) -> int:
         out.mkdir(parents=True)
     except OSError as error:
         raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
-    document = driving.write_plan(out, plan, rig)
-    print(_summary(document))
+    planned = widened(ExciteResult, plan, rig=rig)
+    planned.write(out)
+    print(planned.summary())
     if arguments.plan_only:
         print(common.next_command("simulate", [], f"--rig {arguments.rig} --profile {out}/voltages.csv --out BAG"))
         return common.DONE
@@ -165,21 +167,6 @@ def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path, 
     print(f"recording: {out / 'bag'}")
     print(common.next_command("identify", [out / "bag"], f"--rig {arguments.rig} --out DIR"))
     return common.DONE
-
-
-def _summary(document: dict[str, Any]) -> str:
-    from pam_antagonist.report import terminal
-    from pam_antagonist.report.document import Table, number, percent
-
-    limits = document["limits"]
-    low, high = (value / 1e3 for value in limits["pressure_pa"])
-    rows = [(name, percent(share)) for name, share in document["standard_errors"].items()]
-    table = terminal.table(Table(("parameter", "standard error, as a share of the prior's"), tuple(rows)))
-    angle = number(math.degrees(limits["angle_rad"]), 3)
-    return (
-        f"planned: {document['duration_s']:g} s, joint {document['joint']}, {low:.0f} to {high:.0f} kPa, "
-        f"up to {angle} deg and {limits['rate_rad_s']:g} rad/s\n{table}"
-    )
 
 
 main = common.command(parser, _main)

@@ -25,6 +25,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Direction, free_parameters
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.shown import Shown
 
 Floats = NDArray[np.float64]
 
@@ -180,8 +181,8 @@ FORBIDDEN = 1e6
 """Least merit of a block that leaves the limits; it grows with the excess."""
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Shown):
     """An experiment that was designed.
 
     Attributes:

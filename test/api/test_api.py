@@ -25,6 +25,7 @@ from pam_antagonist import (
     ReplayResult,
     check,
     diagnose,
+    excite,
     identify,
     load_rig,
     new_rig,
@@ -140,6 +141,18 @@ def test_results_are_short_in_a_console_and_tables_in_a_notebook(replayed: Repla
         assert len(repr(item)) <= 500 and "\n" not in repr(item)
     assert re.match(r"ReplayResult: .*joint free, rig shin2022; angle RMSE 0\.\d+° \(model alone", repr(replayed))
     assert replayed._repr_html_() == f"<pre>{html.escape(replayed.summary())}</pre>"
+
+
+def test_a_plan_and_a_check_are_shown_as_results_are(free: Recording, rig: Rig, tmp_path: Path) -> None:
+    pytest.importorskip("plotly", reason="the extra [reports] is not installed")
+    plan = excite(rig, 6.0)
+    assert repr(plan) == f"ExciteResult: 6 s, joint free, rig {rig.name}; .voltage (6000, 2) [V]"
+    assert plan.summary().startswith("planned: 6 s, joint free, ") and "joint.inertia" in plan._repr_html_()
+    assert [line.name for line in plan.plot().data] == ["valve 1", "valve 2"]
+    assert {path.name for path in plan.save(tmp_path / "plan").iterdir()} == {"plan.json", "voltages.csv"}
+    checked = check(free, rig)
+    assert len(checked.summary().splitlines()) >= len(checked.findings)
+    assert checked._repr_html_() == f"<pre>{html.escape(checked.summary())}</pre>"
 
 
 def test_a_figure_of_a_result_is_plotted(replayed: ReplayResult) -> None:
