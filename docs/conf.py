@@ -76,7 +76,6 @@ NAVIGATION = {
         "paper",
         "faults",
         "evidence/speed",
-        "performance",
         "evidence/security",
     ],
 }

@@ -100,7 +100,7 @@ def parameters() -> str:
             shared[names].append(entry)
 
     def row(entry: Parameter) -> str:
-        text = entry.description.replace("|", "/") + ("" if entry.read_only else "; may change while the node runs")
+        text = entry.description.replace("|", "/") + ("" if entry.read_only else "; *live*")
         allowed = re.sub(r"^(a number from|an integer from|one of) ", "", entry.expected)
         return f"| `{entry.name}` | `{entry.default}` | {allowed} | {text} |"
 

@@ -52,6 +52,10 @@ def compared(done: Done, name: str) -> Table:
             rows[-1] = (f"{first}, {str(what)[-1]}", *joined, why)
         else:
             rows.append((str(what), _ours(row), _theirs(row), row["why"]))
+    # A reason that was just given is not repeated.
+    reasons = ["", *(row[-1] for row in rows)]
+    rows = [(*row[:-1], "likewise" if row[-1] and row[-1] == before else row[-1])
+            for row, before in zip(rows, reasons, strict=False)]  # fmt: skip
     return Table(_HEADER, tuple(rows))
 
 

@@ -31,7 +31,10 @@ def section(effect: Effect) -> str:
     law = "" if "```math" in effect.notes else f"*Law* {effect.law}.\n\n"
     numbers = ("parameter", "", "neutral", "allowed", "meaning")
     parameters = "" if effect.of_tables else _table(numbers, map(_parameter, effect.parameters))
-    states = [f"*State* {line}.\n\n" for line in map(_line, _merged(map(_state, effect.states)))]
+    # Laws of a table are alike: the first one stands for all.
+    shown = [state for state in effect.states if not effect.of_tables or state.name.startswith("law1_")]
+    likewise = ", and so for each law" if effect.of_tables else ""
+    states = [f"*State* {line}{likewise}.\n\n" for line in map(_line, _merged(map(_state, shown)))]
     return (
         f"## `{effect.name}`\n\n{effect.meaning} {where}\n\n{effect.notes}\n\n{law}{parameters}\n"
         + "".join(states)
