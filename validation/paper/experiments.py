@@ -151,7 +151,7 @@ def _table_3_rows() -> tuple[Row, ...]:
     models = {**_TABLE_3, "simple_fitted": None, "tondu_fitted": None}
     rows = [
         Row(f"{estimates.MODELS[name]}, tuning {tuning}, ℚ", "%", paper if tuning == "published" else None,
-            _TABLE_3_WHY[name] if paper and tuning == "published" else "Not in the paper.")
+            _TABLE_3_WHY[name] if paper and tuning == "published" else "")
         for name, paper in models.items() for tuning in TUNINGS
     ]  # fmt: skip
     return (*rows, *(Row(f"factor of the fitted constants, {name}", "-") for name in ("simple", "tondu")))
