@@ -71,7 +71,7 @@ class ExciteResult(Plan, Result):
         table = Table(("parameter", "standard error, as a share of the prior's"), rows)
         blocks: list[Block] = [Text(text), table]
         if figures:
-            seconds = self.period * np.arange(len(self.voltage))
+            seconds = self.period * np.arange(len(self.voltage), dtype=np.float64)
             series = tuple(Line(f"valve {i + 1}", seconds, self.voltage[:, i], (MODEL, ESTIMATE)[i]) for i in (0, 1))
             blocks.append(Figure("Voltages", "", (Panel(TIME, Axis("Voltage [V]"), series, 300),)))
         return Document("A planned experiment", self.rig.name, tuple(blocks))
