@@ -25,6 +25,8 @@ _ARGUMENTS = {
     "flow": ("none", "pressure", "other_pressure", "pressure_difference", "pressure_sum", "length", "length_rate",
              "valve_flow", "open_rate", "time"),
     "valve": ("none", "pressure", "other_pressure", "pressure_difference", "open_rate", "length", "time"),
+    "passage": ("pressure", "length", "valve_flow", "open_rate", "time"),
+    "volume": ("pressure", "length"),
     "force": ("none", "pressure", "other_pressure", "length", "length_rate", "velocity", "time"),
     "strength": ("none", "pressure", "other_pressure", "length", "length_rate", "time"),
     "sensor": ("pressure", "other_pressure", "pressure_difference"), "encoder": ("angle",),
