@@ -20,11 +20,14 @@ _TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)
 _SHORT = (0.03, 0.1, 0.3)
 """[s] Times of lag and high-pass, and those of a sensor."""
 _WIDTHS = (0.1, 0.3, 0.6)
-"""Widths of play as shares of the argument's range."""
+_NARROW = (0.01, 0.03, 0.1)
+"""Widths of play as shares of the argument's range, and those of an encoder."""
 _ARGUMENTS = {
     "flow": ("none", "pressure", "other_pressure", "pressure_difference", "pressure_sum", "length", "length_rate",
              "valve_flow", "open_rate", "time"),
     "valve": ("none", "pressure", "other_pressure", "pressure_difference", "open_rate", "length", "time"),
+    "passage": ("pressure", "length", "valve_flow", "open_rate", "time"),
+    "volume": ("pressure", "length"),
     "force": ("none", "pressure", "other_pressure", "length", "length_rate", "velocity", "time"),
     "strength": ("none", "pressure", "other_pressure", "length", "length_rate", "time"),
     "sensor": ("pressure", "other_pressure", "pressure_difference"), "encoder": ("angle",),
@@ -36,7 +39,7 @@ _ARGUMENTS = {
 _WITH_MEMORY = {
     "flow": ("pressure",), "valve": ("open_rate",), "force": ("pressure", "length"), "strength": ("pressure", "length"),
     "exchange": ("pressure_difference",), "supply": ("draw",), "torque": ("angle", "pressure_difference"),
-    "sensor": ("pressure",),
+    "sensor": ("pressure",), "encoder": ("angle",),
 }  # fmt: skip
 _OF_A_MUSCLE = ("pressure", "other_pressure", "length", "length_rate", "open_rate", "valve_flow")
 
@@ -151,11 +154,11 @@ def groups_with_memory(places: Sequence[str], span: Callable[[Group], float]) ->
     for place in places:
         kind = Group(place).kind
         for argument in _WITH_MEMORY.get(kind, ()):
-            operators = {"draw": ("lag",), "sensor": ("high_pass",)}
+            operators = {"draw": ("lag",), "sensor": ("high_pass",), "encoder": ()}
             for operator in operators.get(argument, operators.get(kind, ("lag", "high_pass"))):
                 for time in _SHORT if kind == "sensor" else _TIMES:
                     yield Group(place, argument, operator, time)
-            for share in _WIDTHS if argument != "draw" else ():
+            for share in () if argument == "draw" else _NARROW if kind == "encoder" else _WIDTHS:
                 width = share * span(Group(place, argument))
                 if width > 0.0:
                     yield Group(place, argument, "play", width)

@@ -37,7 +37,7 @@ _ANEW_S = 1.0
 _LONGEST = 2.0 * LONGEST_STEP
 _PARTS = ("air", "torque", "angle")
 _SHOWN_IN: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("flow", "leak", "valve", "supply", "exchange"), ("air",)),
+    **dict.fromkeys(("flow", "leak", "valve", "passage", "volume", "supply", "exchange"), ("air",)),
     **dict.fromkeys(("force", "strength"), ("torque", "angle")),
     **dict.fromkeys(("torque", "friction"), ("angle",)),
 }

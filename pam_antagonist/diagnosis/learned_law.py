@@ -49,7 +49,7 @@ _SLOWEST_S = 25e-3
 """[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
 _AIR = {"mass_loss", "open_rate", "open_rate_shift", "voltage_shift", "spool_voltage"}
 _HOOKS: Mapping[str, set[str]] = {
-    **dict.fromkeys(("flow", "leak", "valve"), _AIR),
+    **dict.fromkeys(("flow", "leak", "valve", "passage"), _AIR),
     **dict.fromkeys(("force", "strength"), {"contraction_force", "muscle_force"}),
     "exchange": {"mass_loss"}, "supply": {"supply_change"}, "sensor": {"sensor_reading"},
     "torque": {"joint_torque"}, "friction": {"coulomb_torque"},
@@ -161,7 +161,7 @@ def with_laws(
             return _saying(now, place_in_words(learned.search))
         if after is now or not is_better(now, after.extended):
             words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
-            return _saying(now, words)
+            return _saying(now, f"{_likely_place(learned.search)} {words}")
         now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
     return now
 
@@ -228,11 +228,17 @@ def _is_a_torque_alone(found: Diagnosis) -> bool:
 
 def place_in_words(found: LawSearch) -> str:
     """Where the model errs by nothing that was measured; empty if that is not known."""
+    likely = _likely_place(found)
+    return likely and likely.removesuffix(".") + ", by nothing that was measured."
+
+
+def _likely_place(found: LawSearch) -> str:
+    """Where the model errs most likely, whatever that depends on; empty if that is not known."""
     place = found.places[0] if found.places else None
     if place is None or place.gain < LEAST_GAIN:
         return ""
     group = Group(place.name)
-    return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}, by nothing that was measured."
+    return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}."
 
 
 def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:

@@ -25,7 +25,10 @@ Floats = NDArray[np.float64]
 
 CHANNELS = ("pressure 1", "pressure 2", "torque", "motion")
 PLACES: Mapping[str, tuple[str, ...]] = {
-    **{kind: (f"{kind}_1", f"{kind}_2", f"{kind}_both") for kind in ("flow", "valve", "strength", "sensor", "line")},
+    **{
+        kind: (f"{kind}_1", f"{kind}_2", f"{kind}_both")
+        for kind in ("flow", "valve", "passage", "strength", "sensor", "line")
+    },
     **{kind: (f"{kind}_1", f"{kind}_2") for kind in ("volume", "force")},
     **{kind: (kind,) for kind in ("supply", "exchange", "encoder", "meter", "torque", "friction")},
 }
@@ -256,6 +259,7 @@ def _places(
         place(f"flow_{n}", own(c))
         if valve:
             place(f"valve_{n}", own(c * per_opening[:, i]))
+            place(f"passage_{n}", own(c * passed[:, i]))
             place(f"line_{n}", own(c * by_own[:, i]), own(one), -by_pressure[:, i], pulled=True)
         # With e' = e + k2 P φ no derivative of φ is needed.
         share = p[par.POLYTROPIC_VOLUME] * shown[:, PRESSURE_1 + i]
@@ -264,7 +268,7 @@ def _places(
         scaled = pressure_force[:, i]
         place(f"strength_{n}", torque=lever[:, i] * scaled, motion=shaft * scaled, pulled=True)
         place(f"sensor_{n}", shown_as=own(one), torque=-by_pressure[:, i], pulled=True)
-    for kind in ("flow", "valve", "strength", "sensor", "line"):
+    for kind in ("flow", "valve", "passage", "strength", "sensor", "line"):
         if f"{kind}_1" in out:
             (g1, h1), (g2, h2) = out[f"{kind}_1"], out[f"{kind}_2"]
             out[f"{kind}_both"] = (g1 + g2, h1 + h2)

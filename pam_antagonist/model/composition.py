@@ -64,7 +64,7 @@ _OF_MUSCLE = "(muscle_length, length_rate, wanted_open_rate, valve_flow)"
 _OWN = {
     **dict.fromkeys(("mass_loss", "muscle_rates", "muscle_steady"), _OF_MUSCLE),
     "open_rate": "(muscle_length, length_rate, wanted_open_rate, wanted_open_rate)",
-    "contraction_force": "(muscle_length, length_rate, length_rate, length_rate)",
+    **dict.fromkeys(("swelling", "contraction_force"), "(muscle_length, length_rate, length_rate, length_rate)"),
     **dict.fromkeys(("joint_rates", "joint_steady"), "(drawn_flow, drawn_flow, drawn_flow, drawn_flow)"),
 }
 """Argument ``own`` of learned laws: what is known where."""
@@ -365,6 +365,7 @@ open_rate: Any = _composed.open_rate
 supply_change: Any = _composed.supply_change
 chamber_pressure: Any = _composed.chamber_pressure
 mass_loss: Any = _composed.mass_loss
+swelling: Any = _composed.swelling
 cooling: Any = _composed.cooling
 valve_pressure_rate: Any = _composed.valve_pressure_rate
 contraction_force: Any = _composed.contraction_force

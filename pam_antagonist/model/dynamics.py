@@ -14,6 +14,7 @@ from pam_antagonist.model.parameters import (
     BASE_STATES,
     INERTIA,
     LOCKED,
+    POLYTROPIC_VOLUME,
     STIFFNESS,
     STOP,
     SUPPLY,
@@ -37,7 +38,8 @@ _muscle_torque, _coulomb_torque, _acceleration = joint.muscle_torque, joint.coul
 # Composed functions of the effects.
 _spool_voltage, _held_open_rate = composition.spool_voltage, composition.open_rate
 _supply_change, _chamber = composition.supply_change, composition.chamber_pressure
-_mass_loss, _cooling, _valve_pressure_rate = composition.mass_loss, composition.cooling, composition.valve_pressure_rate
+_mass_loss, _swelling = composition.mass_loss, composition.swelling
+_cooling, _valve_pressure_rate = composition.cooling, composition.valve_pressure_rate
 _contraction_force, _passed_on = composition.contraction_force, composition.muscle_force
 _with_coulomb = composition.coulomb_torque
 _with_disturbance, _joint_torque = composition.disturbance_torque, composition.joint_torque
@@ -125,6 +127,9 @@ def _air(i, alpha, wanted, pressure, chamber, muscle_length, length_rate, supply
     passed, drawn = _valve_flow(i, alpha, pressure, supply, p)
     net = passed if effects is None else _mass_loss(passed, i, chamber, muscle_length, length_rate, wanted, x, p)
     polytropic = _pressure_rate(chamber, volume, volume_slope * length_rate, net, p)
+    if effects is not None:
+        modulus, volume_rate = p[POLYTROPIC_VOLUME] * chamber, volume_slope * length_rate / volume
+        polytropic = _swelling(polytropic, i, modulus, volume_rate, muscle_length, length_rate, x, p)
     rate = polytropic if effects is None else _cooling(polytropic, i, chamber, x, p)
     return polytropic, rate, passed, drawn
 

@@ -25,7 +25,7 @@ LAWS = tuple(f"law{number}" for number in range(1, learned.LAWS + 1))
 _KEYS = ("place", "muscle", "argument", "operator", "time", "width", "nodes", "values")
 OPERATORS = ("none", "lag", "high_pass", "play", "stop")
 OWN = ("pressure", "other_pressure", "length", "length_rate")
-_PASSED = {"flow": ("open_rate", "valve_flow"), "leak": ("open_rate", "valve_flow"), "valve": ("open_rate",)}
+_PASSED = {**dict.fromkeys(("flow", "leak", "passage"), ("open_rate", "valve_flow")), "valve": ("open_rate",)}
 EVERYWHERE = (
     "none", "pressure_1", "pressure_2", "pressure_difference", "pressure_sum", "angle", "velocity", "speed", "time"
 )  # fmt: skip
@@ -37,7 +37,7 @@ _WHERE = {
     "flow": "the flow into {m}", "leak": "a leak of {m}", "valve": "the opening of {v}", "sensor": "the sensor of {m}",
     "force": "the force of {m}", "strength": "the strength of {m}", "torque": "the torque on the joint",
     "friction": "the joint's friction", "damping": "the joint's viscous friction", "supply": "the supply",
-    "exchange": "the flow from muscle 1 to muscle 2",
+    "exchange": "the flow from muscle 1 to muscle 2", "passage": "the passage between {v} and its muscle",
     "encoder": "the encoder", "line": "the line of {m}", "volume": "the volume of {m}", "meter": "the torque meter",
 }  # fmt: skip
 """Places in words, those too at which no rig has a law."""
@@ -154,16 +154,16 @@ class Law:
 
     def _arguments(self, signals: Sequence[str]) -> list[str]:
         """What a law at this place may depend on."""
-        if self.place == "sensor":
-            return ["pressure"]
+        if self.place in ("sensor", "volume"):
+            return ["pressure", *(["length"] if self.place == "volume" else [])]
         own = ["draw"] if self.place in learned.OF_JOINT else [*OWN, *_PASSED.get(self.place, ())]
         return [*EVERYWHERE, *own, *(name for name in signals if name not in learned.ARGUMENTS)]
 
     def _wrong_operator(self) -> str:
         if self.operator not in OPERATORS:
             return f"operator: {unknown(str(self.operator), OPERATORS)}; expected one of {', '.join(OPERATORS)}"
-        if self.operator != "none" and (self.place == "sensor" or self.argument in ("none", "time")):
-            what = "a sensor" if self.place == "sensor" else f"the argument {self.argument}"
+        if self.operator != "none" and (self.place in ("sensor", "volume") or self.argument in ("none", "time")):
+            what = f"the place {self.place}" if self.place in ("sensor", "volume") else f"the argument {self.argument}"
             return f"operator: {self.operator}, expected none with {what}"
         if self.argument == "draw" and self.operator != "lag":
             return f"operator: {self.operator}, expected lag with the argument draw"

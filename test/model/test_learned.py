@@ -45,6 +45,10 @@ def cases() -> dict[str, Law]:
         Law("exchange", DROP, (1e-5, 0.0, 0.0, 1e-5), argument="pressure_difference"),
         Law("supply", (0.0, 2e-4), (0.0, -0.2), argument="draw", operator="lag", time=0.3),
         Law("supply", (4e5, 9e5), (0.1, -0.1), argument="pressure_sum"),
+        Law("passage", (0.15, 0.16, 0.18), (0.3, -0.2, -9.0), "both", "length"),
+        Law("volume", (0.15, 0.16, 0.18), (0.1, -0.1, 0.2), 2, "length"),
+        Law("volume", (2e5, 5e5), (0.0, 0.1), "both", "pressure"),
+        Law("passage", (-2e-4, 2e-4), (0.3, -0.4), 1, "valve_flow"),
     ]
     return {f"{law.at}-{law.argument}-{law.operator}": law for law in laws}
 
@@ -72,6 +76,12 @@ def theta(law: Law, argument: float) -> float:
             share = (argument - law.nodes[k - 1]) / (law.nodes[k] - law.nodes[k - 1])
             return law.values[k - 1] + share * (law.values[k] - law.values[k - 1])
     return law.values[-1]
+
+
+def inclination(law: Law, argument: float) -> float:
+    """Slope of the table."""
+    inside = [k for k in range(1, len(law.nodes)) if law.nodes[k - 1] <= argument < law.nodes[k]]
+    return sum((law.values[k] - law.values[k - 1]) / (law.nodes[k] - law.nodes[k - 1]) for k in inside)
 
 
 def second_version(law: Law, x: list[float], u: tuple[float, float], time: float, signals: Any) -> list[float]:
@@ -134,7 +144,7 @@ def second_version(law: Law, x: list[float], u: tuple[float, float], time: float
     p_dot = []
     for i in (1, 2):
         alpha = min(max(open_rate[i] + place("valve", i), 0.0), 1.0)
-        flow = valve(i, alpha, supply)
+        flow = valve(i, alpha, supply) * (1.0 + max(place("passage", i), -1.0))
         extra = place("flow", i)
         flow += fade(extra, T["P_tank"] - pressure[i] if extra > 0 else pressure[i] - T["P_out"])
         flow -= max(place("leak", i), 0.0) * paper.nozzle_either_way(T, pressure[i], T["P_out"])
@@ -143,7 +153,14 @@ def second_version(law: Law, x: list[float], u: tuple[float, float], time: float
         flow += -passed if i == 1 else passed
         v = paper.volume(T, length[i])
         v_dot = paper.volume_rate(T, length[i], speed[i])
-        p_dot.append(T["k_1"] * T["R"] * T["T"] / v * flow - T["k_2"] * v_dot / v * pressure[i])
+        # dV'/dt = (1 + φ) dV/dt + V φ', with φ' by length or by the pressure itself.
+        grown = 1.0 + place("volume", i)
+        swells = law.place == "volume" and law.muscle in (i, "both")
+        slope = inclination(law, known[law.argument](i)) if swells else 0.0
+        by_length, by_pressure = (slope * (law.argument == name) for name in ("length", "pressure"))
+        swell = grown * v_dot + v * by_length * speed[i]
+        rate = T["k_1"] * T["R"] * T["T"] * flow - T["k_2"] * swell * pressure[i]
+        p_dot.append(rate / (v * grown + T["k_2"] * v * by_pressure * pressure[i]))
     forces = {}
     for i in (1, 2):
         static, passive = (paper.force(T, i, length[i], value) for value in (pressure[i], T["P_out"]))

@@ -33,7 +33,7 @@ PLACES: Mapping[str, Place] = {
     "supply_droop": _place("supply", "draw valve_flow time"),
     "valve_lag": _place("valve", "open_rate"),
     "valve_offset": _place("valve flow", "open_rate time"),
-    "line_resistance": _place("line sensor flow valve", "valve_flow pressure open_rate"),
+    "line_resistance": _place("line sensor flow valve passage", "valve_flow pressure open_rate"),
     "pressure_sensor": _place("sensor", "pressure time"),
     "load_torque": _place(_PULL, "angle length"),
     "friction": _place("friction torque", "velocity speed"),
@@ -55,7 +55,7 @@ PLACES: Mapping[str, Place] = {
     # Outside of every law.
     "check": _place("exchange", "pressure_difference"),
     "relief": _place(_AIR, "pressure"),
-    "kink": _place("valve flow line", "length angle valve_flow"),
+    "kink": _place("valve flow line passage", "length angle valve_flow"),
     "fold": _place("volume flow", "length angle length_rate"),
     "jet": _place(_AIR, "pressure"),
     "coil": _place("valve flow", "open_rate"),

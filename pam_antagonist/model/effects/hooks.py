@@ -32,6 +32,8 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     "valve_flow": ("kg/s", "mass flow through the valve into the muscle, equation (5)"),
     "orifice_flow": ("kg/(s m2)", "flow of an ideal orifice from the muscle to the atmosphere, by its area"),
     "drawn_flow": ("kg/s", "mass flow that both valves draw from the supply"),
+    "bulk_modulus": ("Pa", "of the air in the muscle, k_2 P_i"),
+    "volume_rate": ("1/s", "dV_i/dt over V_i"),
     "polytropic_rate": ("Pa/s", "dP_i/dt of equation (4)"),
     "chamber_rate": ("Pa/s", "dP_i/dt of the muscle, effects included"),
     "coulomb_torque": ("N m", "T_s + T_p of equation (10)"),
@@ -72,6 +74,7 @@ _FRICTION = (*_JOINT, "first_pressure", "second_pressure", "now")
 _LENGTH = ("muscle_length", "length_rate", "now")
 _LOSS = ("chamber_pressure", "orifice_flow", *_LENGTH, "wanted_open_rate")
 _LINE = ("valve_pressure", "chamber_pressure", "valve_flow")
+_SWELLING = ("bulk_modulus", "volume_rate", *_LENGTH)
 _FORCE = (*_LENGTH, "chamber_pressure", "passive_force")
 
 HOOKS: dict[str, Hook] = {
@@ -85,6 +88,7 @@ HOOKS: dict[str, Hook] = {
         Hook("supply_change", "change of the supply's pressure", "Pa", "adds", "supply_pressure", ("now",), False),
         Hook("chamber_pressure", "pressure in the muscle", "Pa", "replaces", "valve_pressure", states="needed"),
         Hook("mass_loss", "mass flow out of the muscle past the valve", "kg/s", "subtracts", "valve_flow", _LOSS),
+        Hook("swelling", "dP/dt of a muscle of another volume", "Pa/s", "replaces", "polytropic_rate", _SWELLING),
         Hook("cooling", "what dP/dt loses", "Pa/s", "subtracts", "polytropic_rate", ("chamber_pressure",)),
         Hook("valve_pressure_rate", "dP/dt at the valve", "Pa/s", "replaces", "chamber_rate", _LINE, states="needed"),
         Hook("contraction_force", "further contraction force", "N", "adds", "static_force", _FORCE),

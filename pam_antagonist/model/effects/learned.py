@@ -35,13 +35,15 @@ effects:
 | `friction` | joint | N m | change of the Coulomb torque T_s + T_p, which stays at 0 or above |
 | `exchange` | joint | kg/s | mass flow from muscle 1 to muscle 2, only towards the lower pressure |
 | `supply` | joint | - | change of the supply's pressure, as a share of it |
+| `passage` | muscle | - | change of the flow through the valve, as a share of it, −1 at least: a hose that throttles |
+| `volume` | muscle | - | change of the volume, as a share of it, by `length` or `pressure`, without an operator |
 
 The arguments `pressure_1`, `pressure_2`, `pressure_difference` (P_1 − P_2), `pressure_sum`, `angle`, `velocity`,
 `speed` (its absolute value), `time` (since the start) and the names of the file's `signals` are known everywhere. At a
-place of a muscle there are its own `pressure`, `other_pressure`, `length` and `length_rate`. At `flow` and `leak` there
-are `open_rate` (that the voltage asks for) and `valve_flow`, at `valve` there is `open_rate`. A place of the joint may
-depend on `draw`, the flow of both valves out of the supply, with the operator `lag`. `none` makes a constant, with one
-node.
+place of a muscle there are its own `pressure`, `other_pressure`, `length` and `length_rate`. At `flow`, `leak` and
+`passage` there are `open_rate` (that the voltage asks for) and `valve_flow`, at `valve` there is `open_rate`. A place
+of the joint may depend on `draw`, the flow of both valves out of the supply, with the operator `lag`. `none` makes a
+constant, with one node.
 
 | operator | its number | what the table gets |
 |---|---|---|
@@ -70,7 +72,7 @@ LAWS, NODES = 12, 15
 """The most laws of a rig, and the most nodes of a law."""
 PLACES = {
     "flow": "kg/s", "leak": "m2", "exchange": "kg/s", "force": "N", "strength": "-", "valve": "-", "sensor": "Pa",
-    "torque": "N m", "damping": "N m s/rad", "friction": "N m", "supply": "-",
+    "torque": "N m", "damping": "N m s/rad", "friction": "N m", "supply": "-", "passage": "-", "volume": "-",
 }  # fmt: skip
 """Places of a law, with the unit of its values. Their codes are 1, 2 and so on, as those of the other tables."""
 OF_JOINT = ("torque", "damping", "friction", "exchange", "supply")
@@ -88,7 +90,9 @@ MUSCLES = ("both", "1", "2", "joint")
 """Where a law acts; these codes begin at 0."""
 
 # numba would compile a function anew for each literal.
-FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, _DAMPING, FRICTION, SUPPLY = map(np.int64, range(1, 12))
+FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, _DAMPING, FRICTION, SUPPLY, PASSAGE, VOLUME = map(
+    np.int64, range(1, 14)
+)
 JOINT = np.int64(2)
 """Index of the joint, in the place of a muscle's."""
 (
@@ -107,6 +111,8 @@ NUMBERS = len(CODES) + 2 + 2 * NODES
 _TIME_AT, _WIDTH_AT, _NODE_AT = len(CODES), len(CODES) + 1, len(CODES) + 2
 _LARGEST = 1e12
 """Largest number of a table, in the unit of its place or argument."""
+_LEAST_VOLUME, _LEAST_GIVE = 0.5, 0.1
+"""A volume stays above that share of itself, and a pressure follows its flow by no more than ten times as much."""
 _FADE = 2e3
 """[Pa] Difference of pressures within which a flow goes to 0, so that it never turns against it."""
 
@@ -214,14 +220,46 @@ def _passive(law, value, rate, p):
 
 @in_place
 def _lost_air(chamber_pressure, orifice_flow, now, own, atmosphere, supply_pressure, muscle, law, x, p):
-    """Mass flow out of a muscle beside the valve [kg/s]: places ``flow``, ``leak`` and ``exchange``."""
+    """Mass flow out of a muscle beside the valve [kg/s]: places ``flow``, ``leak``, ``exchange`` and ``passage``."""
+    share, _, _ = _sums(PASSAGE, muscle, now, own, law, x, p)
+    _, _, _, through_valve = own
     flow, area, passed = _sums(FLOW, muscle, now, own, law, x, p)
     _, _, first, second = now
     left = supply_pressure - chamber_pressure if flow > 0.0 else chamber_pressure - atmosphere
     drop = first - second if passed > 0.0 else second - first
     passed = passed * min(max(drop / _FADE, 0.0), 1.0)
-    lost = max(area, 0.0) * orifice_flow - flow * min(max(left / _FADE, 0.0), 1.0)
+    lost = max(area, 0.0) * orifice_flow - max(share, -1.0) * through_valve - flow * min(max(left / _FADE, 0.0), 1.0)
     return lost + (passed if muscle == 0 else -passed)
+
+
+@inlined
+def _slope_of(law, argument, p):
+    """Slope of a table at an argument, 0 outside of the nodes."""
+    nodes = int(p[law + TABLE]) + _NODE_AT
+    slope = 0.0
+    for k in range(1, int(p[law + _COUNT])):
+        if argument >= p[nodes + k - 1] and argument < p[nodes + k]:
+            slope = (p[nodes + NODES + k] - p[nodes + NODES + k - 1]) / (p[nodes + k] - p[nodes + k - 1])
+    return slope
+
+
+@in_place
+def _swollen(polytropic_rate, bulk_modulus, volume_rate, now, own, muscle, law, x, p):
+    """dP/dt [Pa/s] of a muscle whose volume is V (1 + φ): place ``volume``."""
+    share, by_length, by_pressure = 0.0, 0.0, 0.0
+    for k in range(int(p[law - 1])):
+        codes = law + k * SIZE
+        if p[codes + _PLACE] == VOLUME and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
+            argument, _ = _argued(codes, muscle, now, own, p)
+            share += _tabled(codes, argument, p)
+            slope = _slope_of(codes, argument, p)
+            by_length += slope if p[codes + _ARGUMENT] == _LENGTH else 0.0
+            by_pressure += slope if p[codes + _ARGUMENT] == _PRESSURE else 0.0
+    _, length_rate, _, _ = own
+    volume = max(1.0 + share, _LEAST_VOLUME)
+    carried = bulk_modulus * volume_rate
+    rate = (polytropic_rate + carried - bulk_modulus * by_length * length_rate) / volume - carried
+    return rate / max(1.0 + bulk_modulus * by_pressure / volume, _LEAST_GIVE)
 
 
 @in_place
@@ -333,7 +371,8 @@ def _states(number: int) -> Iterator[AddedState]:
 
 
 IN_HOOKS = {
-    "mass_loss": ("flow", "leak", "exchange"), "open_rate": ("valve",), "supply_change": ("supply",),
+    "mass_loss": ("flow", "leak", "exchange", "passage"), "swelling": ("volume",),
+    "open_rate": ("valve",), "supply_change": ("supply",),
     "contraction_force": ("force", "strength"), "joint_torque": ("torque", "damping"), "coulomb_torque": ("friction",),
     "sensor_reading": ("sensor",), "sensor_inverse": ("sensor",),
 }  # fmt: skip
@@ -350,6 +389,7 @@ EFFECT = Effect(
         "open_rate": _moved_valve,
         "supply_change": _supply_shift,
         "mass_loss": _lost_air,
+        "swelling": _swollen,
         "contraction_force": _further_force,
         "coulomb_torque": _of_joint,
         "joint_torque": _further_torque,
