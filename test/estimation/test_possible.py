@@ -19,15 +19,10 @@ RIG = load_rig("shin2022")
 CLEAN = trial(2.0, seed=7)
 BOTH = MISSING_PRESSURE_1 | MISSING_PRESSURE_2
 WRONG = {
-    "above the supply": lambda p: np.full_like(p, 1.1e6),
-    "bar": lambda p: p / 1e5,
-    "kPa": lambda p: p / 1e3,
-    "MPa": lambda p: p / 1e6,
-    "psi": lambda p: p / 6894.76,
-    "hPa": lambda p: p / 100.0,
-    "negative": lambda p: -p,
+    "above the supply": lambda p: np.full_like(p, 1.1e6), "bar": lambda p: p / 1e5, "kPa": lambda p: p / 1e3,
+    "MPa": lambda p: p / 1e6, "psi": lambda p: p / 6894.76, "hPa": lambda p: p / 100.0, "negative": lambda p: -p,
     "zero": lambda p: 0.0 * p,
-}
+}  # fmt: skip
 
 
 def _run(pressure: np.ndarray, voltage: np.ndarray = CLEAN.voltage):
