@@ -192,5 +192,3 @@ def test_rig_a_comes_near_to_its_sensors_noise(tmp_path):
         assert 1.8 < entry["identified"]["innovation"]["nis_mean"] < 2.2
         assert entry["identified"]["ukf"]["torque"]["coverage95"] >= 0.90
     assert free["identified"]["ukf"]["angle"]["coverage95"] >= 0.90
-
-
