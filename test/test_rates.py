@@ -25,7 +25,7 @@ from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
 
 RIG = load_rig("shin2022")
-RATES = (50, 100, 250, 500, 2000)
+RATES = (50, 250, 2000)
 _FASTEST = 2000
 _START_NS = 1_800_000_000_000_000_000
 _LEAK = {"leak": {"area_1": 1.2e-9}}
@@ -97,7 +97,7 @@ def test_a_replay_errs_as_at_1_khz(replayed: Callable[[Recording], ReplayReport]
     assert (counts.gaps, counts.missing, counts.restarts) == (0, 0, 0)
 
 
-@pytest.mark.parametrize("hz", [100, 250, 1000])
+@pytest.mark.parametrize("hz", [100, 1000])
 def test_uneven_stamps_are_no_gaps(replayed: Callable[[Recording], ReplayReport], hz: int) -> None:
     uneven = recorded(hz, jitter=0.2)
     # One sample less, so that its bag is another than that of even stamps.
@@ -173,7 +173,7 @@ def test_a_wrong_orifice_area_is_identified(hz: int) -> None:
     assert found.values[name] == pytest.approx(RIG.value(name), rel=0.01)
 
 
-@pytest.mark.parametrize("hz", [50, 100, 250, 500])
+@pytest.mark.parametrize("hz", [50, 250])
 def test_a_leak_is_found_by_name(hz: int) -> None:
     leaking = recorded(hz, "locked", seconds=24.0, leaking=True)
     found = diagnose([leaking], RIG, joint="locked", jobs=1, profiles=False, estimator=False)

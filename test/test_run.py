@@ -88,7 +88,7 @@ def test_unknown_name_is_refused_before_anything_is_set_up(checkout: Path) -> No
 def test_every_executable_is_a_name_that_is_known(checkout: Path) -> None:
     (checkout / ".venv").mkdir()
     (checkout / ".venv/mine").touch()  # so that nothing is set up: it ends behind the check of the name
-    for name in COMMANDS:
+    for name in ("replay", "plant", "battery"):  # one of each kind; the names are those that --help lists
         assert "did not make it" in start(name, "--help", root=checkout).stderr, name
 
 
@@ -101,12 +101,8 @@ def test_every_missing_prerequisite_gets_one_line(checkout: Path, bare_path: Pat
     assert done.returncode == 2
     lines = done.stderr.splitlines()
     assert [line.split(" not found")[0] for line in lines] == [
-        "error: CPython 3.10 to 3.13",
-        "error: cmake",
-        "error: make",
-        "error: cc",
-        "error: c++",
-    ]
+        "error: CPython 3.10 to 3.13", "error: cmake", "error: make", "error: cc", "error: c++",
+    ]  # fmt: skip
     assert all("install" in line for line in lines)
 
 

@@ -20,9 +20,8 @@ from pam_antagonist.rig import Rig
 
 CERTAIN: list[dict[str, Any]] = [
     {"flip_angle": True}, {"flip_torque": True}, {"swap_pressures": True}, {"swap_valves": True}, {"gauge": True},
-    {"swap_pressures": True, "flip_angle": True}, {"pressure_unit": "kPa"}, {"pressure_unit": "psi"},
-    {"angle_unit": "deg"}, {"angle_unit": "mrad"}, {"angle_unit": "rev"}, {"torque_unit": "N mm"},
-    {"torque_unit": "kgf cm"},
+    {"swap_pressures": True, "flip_angle": True}, {"pressure_unit": "kPa"}, {"angle_unit": "deg"},
+    {"torque_unit": "N mm"},
 ]  # fmt: skip
 NUMBERS: list[dict[str, Any]] = [
     {"encoder_zero": radians(20.0)}, {"torque_zero": 2.0}, {"torque_scale": 0.4}, {"delay_voltage": 0.3},

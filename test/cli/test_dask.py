@@ -13,7 +13,6 @@ from joblib import Parallel, delayed
 
 from pam_antagonist.cli import close_loop, identify, simulate
 from pam_antagonist.cli.cluster import connected
-from validation.battery import command as battery
 
 pytestmark = pytest.mark.slow
 
@@ -62,13 +61,3 @@ def test_a_report_is_the_same(command, options, scheduler, bags, tmp_path):
     assert reports[0] == reports[1]
     # So little data may give no better rig, which is status 1.
     assert statuses in ([0, 0], [1, 1])
-
-
-def test_cases_of_a_battery_are_the_same(scheduler, tmp_path):
-    for name, where in (("here", []), ("there", ["--dask", scheduler])):
-        arguments = ["--out", str(tmp_path / name), "--count", "0", "--nothing", "2", "--duration", "21", *where]
-        assert battery.main(arguments) == 0
-    names = sorted(path.name for path in (tmp_path / "here").iterdir())
-    assert names == sorted(path.name for path in (tmp_path / "there").iterdir()) and len(names) == 3
-    for name in names:
-        assert without_times(tmp_path / "here" / name) == without_times(tmp_path / "there" / name)

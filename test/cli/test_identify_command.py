@@ -192,19 +192,3 @@ def test_rig_a_comes_near_to_its_sensors_noise(tmp_path):
         assert 1.8 < entry["identified"]["innovation"]["nis_mean"] < 2.2
         assert entry["identified"]["ukf"]["torque"]["coverage95"] >= 0.90
     assert free["identified"]["ukf"]["angle"]["coverage95"] >= 0.90
-
-
-def test_a_damaged_bag_is_fitted_up_to_the_damage_if_that_is_asked_for(tmp_path, capsys):
-    made = ["--rig", "shin2022", "--out", str(tmp_path / "cut"), "--duration", "12", "--profile", "steps"]
-    assert simulate.main([*made, "--seed", "3", "--joint", "locked"]) == 0
-    (file,) = (tmp_path / "cut").glob("*.mcap")
-    file.write_bytes(file.read_bytes()[: int(0.8 * file.stat().st_size)])
-    arguments = [str(tmp_path / "cut"), "--rig", "shin2022", "--out", str(tmp_path / "out"), *FEW, "--no-figures"]
-    assert main(arguments) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "damaged" in error and "--recover" in error
-    assert main([*arguments, "--recover"]) == 0
-    assert "truncated or damaged" in " ".join(capsys.readouterr().out.split())
-    (item,) = report(tmp_path / "out")["recordings"]
-    assert 5.0 < item["duration_s"] < 11.0
-    assert any("truncated or damaged" in issue for issue in item["issues"])

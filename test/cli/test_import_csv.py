@@ -32,13 +32,10 @@ def as_csv(bag: Path, tmp_path: Path) -> Path:
     assert recording.angle is not None and recording.torque is not None
     columns = np.column_stack(
         [
-            np.arange(len(recording)),
-            (recording.pressure - 101.3e3) * 1e-5,
-            recording.voltage,
-            -np.degrees(recording.angle),
-            recording.torque * 1e3,
+            np.arange(len(recording)), (recording.pressure - 101.3e3) * 1e-5, recording.voltage,
+            -np.degrees(recording.angle), recording.torque * 1e3,
         ]
-    )
+    )  # fmt: skip
     names = "time [ms],p1 [bar],p2 [bar],u1,u2,phi,tau"
     np.savetxt(tmp_path / "trial.csv", columns, fmt="%.17g", delimiter=",", header=names, comments="")
     (tmp_path / "map.yaml").write_text(MAP)
@@ -135,20 +132,6 @@ def test_missing_arguments_are_named(given, refused):
     for name in ("FILE", "--map", "--out"):
         wanted = not (name in given or (name == "FILE" and "trial.csv" in given))
         assert (f"{name}," in error or f"{name} missing" in error) == wanted, name
-
-
-def test_it_loads_no_ros_and_no_estimator(python, as_csv):
-    given = [*arguments(as_csv, as_csv.parent / "out")]
-    code = f"""
-import sys
-from pam_antagonist.__main__ import main
-status = main(["import_csv", *{given!r}])
-heavy = [name for name in ("rclpy", "numba", "scipy", "plotly", "pandas") if name in sys.modules]
-sys.exit(status or (f"loaded {{heavy}}" if heavy else 0))
-"""
-    done = python("-c", code)
-    assert done.returncode == 0, done.stderr
-    assert (as_csv.parent / "out" / "metadata.yaml").exists()
 
 
 def test_what_the_import_found_is_known_to_who_reads_the_bag(as_csv, tmp_path):

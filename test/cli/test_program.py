@@ -1,4 +1,4 @@
-"""Help and hints show the words that work where they are printed; ``pam`` completes in a shell."""
+"""Executables: one table, help and hints in the words that are typed, what starting one loads, and what is missing."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ import sys
 
 import pytest
 
+import pam_antagonist.__main__
 from pam_antagonist import __version__
 from pam_antagonist.__main__ import COMMANDS, main
+from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.transport import SerialTransport
 from pam_antagonist.program import VARIABLE, program, typed
+from validation.__main__ import COMMANDS as MEASUREMENTS
 
 
 @pytest.mark.parametrize(
@@ -31,10 +35,10 @@ def test_a_command_is_shown_as_it_is_typed(monkeypatch, given, started, expected
     assert typed("check --help") == f"{expected} check --help"
 
 
-@pytest.mark.parametrize("name", sorted(COMMANDS))
+@pytest.mark.parametrize("name", sorted({**COMMANDS, **MEASUREMENTS}))
 def test_help_shows_it_and_holds_no_other_form(name, monkeypatch, capsys):
     monkeypatch.setenv(VARIABLE, "here/run")
-    assert main([name, "--help"]) == 0
+    assert main([name, "--help"], {**COMMANDS, **MEASUREMENTS}) == 0
     said = capsys.readouterr().out
     assert said.startswith(f"usage: here/run {name} ")
     assert "{run}" not in said
@@ -81,3 +85,109 @@ def test_an_unknown_shell_is_refused_in_one_line(capsys):
     assert main(["--completion", "dos"]) == 2
     said = capsys.readouterr().err
     assert "expected one of bash, zsh" in said and said.count("\n") == 1
+
+
+def test_help_lists_every_executable_in_one_line(capsys):
+    assert main([]) == 2 and "usage" in capsys.readouterr().out
+    assert main(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name, command in COMMANDS.items():
+        assert [line for line in lines if line.split() == [name, *command.summary.split()]], name
+
+
+def test_an_unknown_name_lists_the_names(capsys):
+    assert main(["repaly"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert all(name in error for name in COMMANDS)
+    assert "did you mean replay?" in error
+
+
+@pytest.mark.parametrize("words", ["--help", "reachable --help", "plant --help", "reachable --rig shin2022"])
+def test_a_reader_of_the_output_may_go(words):
+    """As ``pam --help | head``: the pipe is closed before anything is written."""
+    command, pipe = [sys.executable, "-m", "pam_antagonist", *words.split()], subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+    assert (process.returncode, said) == (0, "")
+
+
+def test_the_table_needs_the_standard_library_only(python):
+    # setup.py reads it where nothing is installed yet.
+    code = f"import runpy; print(len(runpy.run_path({pam_antagonist.__main__.__file__!r})['COMMANDS']))"
+    done = python("-I", "-S", "-c", code)
+    assert done.stdout.strip() == str(len(COMMANDS)), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "further"),
+    [
+        ("replay", "{bag} --no-figures", ["plotly", "matplotlib", "scipy.stats", "scipy.signal", "pandas"]),
+        ("simulate", "--duration 1", []),
+    ],
+)
+def test_offline_commands_load_no_ros_and_what_is_slow_only_where_it_is_needed(
+    name, arguments, further, python, bag, tmp_path
+):
+    words = [name, *arguments.format(bag=bag).split(), "--rig", "shin2022", "--out", str(tmp_path / "out")]
+    code = f"""
+import sys
+from pam_antagonist.__main__ import main
+status = main({words!r})
+ros = ["rclpy", "rcl_interfaces", "pam_antagonist_msgs", "sensor_msgs", "std_msgs"]
+found = {{*ros, *{further!r}}} & set(sys.modules)
+sys.exit(status or (f"loaded {{found}}" if found else 0))
+"""
+    done = python("-c", code)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out").is_dir()
+
+
+def test_they_start_from_a_checkout():
+    done = subprocess.run([sys.executable, "-m", "validation"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert all(name in done.stdout for name in MEASUREMENTS)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["demo"], ["plant"], ["record", "--out", "bag"], ["faults"], ["benchmark", "--only", "pipeline"]],
+    ids=lambda words: words[0],
+)
+@pytest.mark.parametrize("absent", ["rclpy", "pam_antagonist_msgs"])
+def test_without_ros_what_needs_it_says_so(
+    arguments,
+    absent,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, absent, None)
+    assert main(arguments, {**COMMANDS, **MEASUREMENTS}) == 2
+    said = capsys.readouterr().err
+    assert f"needs ROS 2 ({absent} is not installed)" in said and said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_plotly_a_report_has_no_figures(bag, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    assert main(["replay", str(bag), "--rig", "shin2022", "--out", str(tmp_path / "out")]) == 0
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if "plotly" in line]
+    assert "pip install 'pam_antagonist[reports]'" in said
+    assert "figures.js" not in (page := (tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert "<table" in page
+
+
+def test_without_pyserial_a_port_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(BadInput, match=r"/dev/ttyACM0: serial is not installed.*'pam_antagonist\[hardware\]'"):
+        SerialTransport("/dev/ttyACM0")
+
+
+def test_without_shtab_completion_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["--completion", "bash"]) == 2
+    assert "'pam_antagonist[completion]'" in capsys.readouterr().err

@@ -120,15 +120,10 @@ def test_a_trajectory_that_is_called_off_stays_where_it_was() -> None:
 @pytest.mark.parametrize(
     ("seconds", "values", "velocities"),
     [
-        ([], [], []),
-        ([1.0, 1.0], [0.0, 0.0], []),
-        ([-1.0], [0.0], []),
-        ([0.0, math.nan], [0.0, 0.0], []),
-        ([0.0], [math.inf], []),
-        ([0.0, 1.0], [0.0], []),
-        ([0.0, 1.0], [0.0, 0.0], [0.0]),
+        ([], [], []), ([1.0, 1.0], [0.0, 0.0], []), ([-1.0], [0.0], []), ([0.0, math.nan], [0.0, 0.0], []),
+        ([0.0], [math.inf], []), ([0.0, 1.0], [0.0], []), ([0.0, 1.0], [0.0, 0.0], [0.0]),
     ],
-)
+)  # fmt: skip
 def test_trajectories_that_make_no_sense_are_refused(
     seconds: list[float], values: list[float], velocities: list[float]
 ) -> None:

@@ -13,9 +13,7 @@ from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, found_ca
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.search import hypotheses, search
-from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
-from pam_antagonist.inference.starts import best_of_starts
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
@@ -140,18 +138,3 @@ def test_an_effect_and_a_calibration_beside_it_are_both_named(rig, recorded) -> 
     assert [effect.name for effect in found.effects] == ["leak"]
     assert [item.name for item in found.calibrations] == ["delay_voltage"]
     assert found.calibrations[0].value == pytest.approx(0.03, abs=2e-3)
-
-
-def test_a_zero_to_which_base_and_effect_have_bent_is_found(rig) -> None:
-    leak = {"area_1": 2e-9, "area_2": 1e-9}
-    exact = simulate(rig.replaced(sample_period=4e-3, effects={"leak": leak}), duration=40.0, seed=3, mismatch=0.01)
-    trial = make_trial(misread(exact, encoder_zero=np.radians(0.3)), rig, "free", 0.0, "free")
-    experiment = ValveDriven(rig, trial, len(trial) * 2 // 3 // 25 * 25)
-    free = next(candidate.free for candidate in experiment.candidates({}) if candidate.effect == "leak")
-    start = Point(experiment.origin.theta, {f"effects.leak.{name}": value for name, value in leak.items()})
-    base = Model((experiment,), (best_of_starts(experiment, refit(experiment, start, free), 0),), ("leak",))
-    chosen = search(base, Work(), hypotheses())
-    assert chosen.model.effects == ("leak",)
-    assert calibrations.calibrations_of(chosen.model) == ("encoder_zero",)
-    (found,) = calibrations.found(chosen)
-    assert np.degrees(found.value) == pytest.approx(0.3, abs=0.06)

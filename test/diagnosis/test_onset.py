@@ -143,7 +143,3 @@ def test_a_sensor_that_jumps_in_the_held_out_part_is_found_at_250_hz(recorded, r
     assert effect.end_s is None
     assert "from 15.0" in found.sentence
     assert found.by_recording[0].held_out_s is not None and len(found.by_recording[0].held_out_s) > 1
-
-
-def test_a_joint_with_nothing_wrong_has_nothing_at_100_hz(recorded, rig) -> None:
-    assert diagnosed(thinned(recorded(seconds=20.0), 10), rig).verdict == "none"

@@ -69,12 +69,6 @@ def test_what_follows_from_the_residual_itself_is_not_read() -> None:
     assert hits <= 5
 
 
-def test_a_whitener_undoes_an_autoregression() -> None:
-    found = residual_statistics.whitener(drift(np.random.default_rng(1), 0.9))
-    assert found[1] == pytest.approx(-0.9, abs=0.05)
-    assert residual_statistics.whitener(np.zeros(100)).tolist() == [1.0]
-
-
 @pytest.fixture(scope="module")
 def sound(recorded, experiment_of):
     experiment = experiment_of(recorded(), "locked")
@@ -146,12 +140,8 @@ def around(seed: int, count: int = 400) -> Surroundings:
     voltage = np.repeat(rng.uniform(4.0, 8.0, (count // 10, 2)), 10, axis=0)
     angle = 0.3 * np.sin(np.arange(count) / 9.0)
     return Surroundings(
-        1e5 * rng.uniform(1.5, 6.0, (count, 2)),
-        voltage,
-        np.arange(count) * 0.2,
-        angle,
-        np.gradient(angle, 0.2),
-    )
+        1e5 * rng.uniform(1.5, 6.0, (count, 2)), voltage, np.arange(count) * 0.2, angle, np.gradient(angle, 0.2),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -186,10 +176,3 @@ def test_a_sparse_regression_finds_the_form_and_is_judged_by_what_it_has_not_see
     assert found.share > 0.9 and found.held_out > 0.95
     nothing = remaining.form(rng.standard_normal(400), here, (made(later), later))
     assert len(nothing.terms) <= 1 and nothing.held_out < 0.1
-
-
-def test_frequencies_are_told() -> None:
-    time = np.arange(3000) * STEP
-    shares = remaining.bands(np.sin(2.0 * np.pi * 2.0 * time), STEP)
-    assert shares["1 to 3 Hz"] > 0.99
-    assert remaining.period(np.sin(2.0 * np.pi * 2.0 * time), STEP) == pytest.approx(0.5, rel=0.01)

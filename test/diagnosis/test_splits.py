@@ -1,4 +1,4 @@
-"""Blocks that are held out in turn, and effects that begin during a recording."""
+"""Blocks that are held out in turn, effects that begin during a recording, and stretches above noise."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pam_antagonist.diagnosis import change_point
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import refit
@@ -97,3 +98,38 @@ def test_what_was_held_out_is_named_in_seconds(joint) -> None:
     assert parted.held_parts == (Span(3.0, 6.0), Span(9.0, 12.0))
     assert parted.held_samples.sum() == 6000
     assert joint.held_parts == (Span(joint.fitted * joint.trial.dt, 12.0),)
+
+
+@pytest.fixture(scope="module")
+def long(recorded, experiment_of) -> Experiment:
+    return experiment_of(recorded(seconds=30.0), "locked")
+
+
+def noise_of(long: Experiment, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((len(long.trial) // long.trial.block, len(long.channels))) * long.noise
+
+
+def test_noise_alone_is_not_above_noise(long) -> None:
+    assert all(change_point.clearest(long, noise_of(long, seed)) is None for seed in range(200))
+
+
+@pytest.mark.parametrize(("begin", "end", "size"), [(4.0, 6.0, 4.0), (20.0, 30.0, 2.5)])
+def test_a_stretch_above_noise_is_found_where_it_is(long, begin: float, end: float, size: float) -> None:
+    residual = noise_of(long, 1)
+    residual[int(begin * 50) : int(end * 50), 1] += size * long.noise[1]
+    found = change_point.clearest(long, residual)
+    assert found is not None
+    assert found.channel == "Pressure 1"
+    assert found.begin_s < end and found.end_s > begin
+    assert found.end_s - found.begin_s <= 2.0 * (end - begin)
+
+
+def test_a_noise_that_is_known_to_a_tenth_decides_nothing(long) -> None:
+    assert change_point.clearest(long, 1.08 * noise_of(long, 2)) is None
+
+
+def test_what_the_base_parameters_explain_is_not_above_noise(long) -> None:
+    wrong = Point(long.origin.theta + 0.05 * np.eye(long.size)[0], {})
+    assert change_point.clearest(long, long.residual(wrong, whole=True)) is not None
+    assert change_point.stretches_above_noise([(long, wrong)], 1) == ()

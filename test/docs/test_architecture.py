@@ -1,8 +1,11 @@
-"""What docs/architecture.md says of the code is so."""
+"""What pages say is so: docs/architecture.md of the code, the glossary of names, the README in short."""
 
 from __future__ import annotations
 
+import importlib
 import re
+from pathlib import Path
+from typing import Any
 
 import pages
 import pytest
@@ -24,15 +27,9 @@ def test_a_name_before_a_file_is_defined_in_it(name: str, file: str) -> None:
 def test_it_names_the_steps_of_both_ways() -> None:
     names = {name for name, _ in NAMED}
     assert names >= {
-        "Estimator.step_in_place",
-        "process",
-        "advance",
-        "rk4_step_within",
-        "read_bag",
-        "check_recording",
-        "diagnose",
+        "Estimator.step_in_place", "process", "advance", "rk4_step_within", "read_bag", "check_recording", "diagnose",
         "prepare",
-    }
+    }  # fmt: skip
 
 
 def test_files_of_the_first_table_exist() -> None:
@@ -73,3 +70,89 @@ def test_each_folder_of_the_table_says_where_to_begin() -> None:
     for row in table.splitlines()[2:]:
         first, _, begin = (cell.strip() for cell in row.strip("|").split("|"))
         assert not begin or begin.startswith("[`"), f"{first}: {begin}"
+
+
+GLOSSARY = pages.read(pages.ROOT / "docs" / "reference" / "glossary.md")
+TERMS = [
+    [cell.strip() for cell in line.strip("|").split("|")]
+    for line in GLOSSARY.splitlines()
+    if line.startswith("|") and not line.startswith(("|---", "| term"))
+]
+WORDS = (
+    "residual", "excess over noise", "evidence", "held-out", "free parameter", "free direction", "direction",
+    "disturbance torque", "ambiguity", "detected", "threshold", "prior", "likelihood", "innovation",
+)  # fmt: skip
+REPLACED = re.compile(
+    r"\b(foretold|knobs?|laps|visitors?|at_itself|made_ready|unclean|beyond (the )?noise)\b", re.IGNORECASE
+)
+
+
+def resolved(name: str) -> Any:
+    """What a dotted name stands for: a module, or something in one."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            found: Any = importlib.import_module(".".join(parts[:k]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[k:]:
+            if not hasattr(found, part) and part in _fields(found):
+                return found
+            found = getattr(found, part)
+        return found
+    raise AttributeError(name)
+
+
+def _fields(kind: Any) -> set[str]:
+    """Names that a dataclass, a named tuple or a model of pydantic declares."""
+    return {name for base in getattr(kind, "__mro__", ()) for name in getattr(base, "__annotations__", {})}
+
+
+@pytest.mark.parametrize("row", TERMS, ids=lambda row: row[0])
+def test_names_in_the_code_exist(row: list[str]) -> None:
+    term, meaning, code = row
+    assert term and meaning
+    (name,) = re.findall(r"`([^`]+)`", code)
+    resolved(name)
+
+
+def test_the_standard_words_are_in_it() -> None:
+    terms = {term for row in TERMS for term in row[0].split(", ")}
+    assert terms >= set(WORDS)
+
+
+def test_no_term_stands_twice() -> None:
+    terms = [row[0] for row in TERMS]
+    assert len(terms) == len(set(terms))
+
+
+@pytest.mark.parametrize("page", pages.PAGES, ids=pages.name)
+def test_pages_use_no_word_that_it_replaces(page: Path) -> None:
+    assert not REPLACED.findall(pages.prose(page))
+
+
+README = pages.read(pages.ROOT / "README.md")
+FIRST_HOUR = pages.read(pages.ROOT / "docs" / "tutorials" / "first_hour.md")
+
+
+def test_it_has_at_most_120_lines() -> None:
+    assert len(README.splitlines()) <= 120
+
+
+def test_its_parts_stand_in_the_order_in_which_a_stranger_asks() -> None:
+    assert re.findall(r"^## (.*)", README, re.MULTILINE) == [
+        "On a measured joint", "What you need", "Install", "Replay a recording", "Your rig in five steps", "Python",
+        "What it is not, and where it is weak", "Documentation", "Citation",
+    ]  # fmt: skip
+    assert README.index("demo.gif") < README.index("## ")
+
+
+def test_figures_of_the_shipped_recordings_are_those_of_the_first_hour() -> None:
+    section = README.split("## Replay a recording")[1].split("\n## ")[0]
+    numbers = re.findall(r"\b\d+\.\d+\b", section)
+    assert len(numbers) > 10
+    assert not [number for number in numbers if number not in FIRST_HOUR]
+
+
+def test_the_moving_picture_is_small() -> None:
+    assert (pages.ROOT / "docs" / "demo.gif").stat().st_size < 1.5e6

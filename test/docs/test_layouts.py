@@ -1,4 +1,4 @@
-"""Layouts for other tools load as their tools would load them, and name nothing that this package does not publish."""
+"""Files for other tools: layouts load as their tools would load them; the JSON schema of rig files fits the rigs."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ import re
 import runpy
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pages
+import pydantic
 import pytest
 
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording.messages import typestore
 from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.rig.learned import LAWS
 
 TOOLS = pages.ROOT / "config" / "tools"
 LAYOUTS = runpy.run_path(str(pages.ROOT / "docs" / "layouts.py"))
@@ -116,3 +120,32 @@ def test_foxglove(suffix: str) -> None:
                 assert path["timestampMethod"] == "receiveTime"  # what a script publishes has no header
             else:
                 check_field(path["value"], JOINTS[suffix])
+
+
+ROOT = pages.ROOT
+SCHEMA = ROOT / "config" / "rig.schema.json"
+RIGS = sorted((ROOT / "config" / "rigs").glob("*.yaml"))
+
+
+@pytest.mark.skipif(pydantic.VERSION.startswith("1."), reason="pydantic 2 makes the schema")
+def test_the_file_is_what_the_code_makes() -> None:
+    schema = runpy.run_path(str(ROOT / "docs" / "rig_schema.py"))["rig_json_schema"]()
+    assert json.loads(SCHEMA.read_text(encoding="utf-8")) == schema, "run ./run python docs/generate.py"
+
+
+@pytest.mark.parametrize("path", RIGS, ids=lambda path: path.stem)
+def test_every_rig_file_names_it(path: Path) -> None:
+    first = path.read_text(encoding="utf-8").splitlines()[0]
+    assert first == "# yaml-language-server: $schema=../rig.schema.json"
+    assert (path.parent / first.split("=")[1]).resolve() == SCHEMA
+
+
+def test_it_knows_every_effect_and_parameter() -> None:
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    for name, effect in CATALOGUE.items():
+        known = schema["properties"]["effects"]["properties"][name]["properties"]
+        if effect.of_tables:
+            assert list(known) == list(LAWS)
+            continue
+        for item in effect.parameters:
+            assert (known[item.name]["minimum"], known[item.name]["maximum"]) == (item.low, item.high)

@@ -103,14 +103,10 @@ def test_manifests_name_one_maintainer_version_and_licence(release: dict[str, An
 @pytest.mark.parametrize(
     ("address", "good"),
     [
-        ("lab@uni-somewhere.edu", True),
-        ("maintainers@pam-antagonist.invalid", False),
-        ("me@example.org", False),
-        ("me@host.example", False),
-        ("me@localhost", False),
-        ("nobody", False),
+        ("lab@uni-somewhere.edu", True), ("maintainers@pam-antagonist.invalid", False), ("me@example.org", False),
+        ("me@host.example", False), ("me@localhost", False), ("nobody", False),
     ],
-)
+)  # fmt: skip
 def test_a_release_needs_an_address_where_somebody_reads_mail(
     release: dict[str, Any], tmp_path: Path, address: str, good: bool
 ) -> None:

@@ -1,4 +1,4 @@
-"""The covariance: definite whatever comes, right for the torque, and honest."""
+"""The covariance: definite whatever comes, right for the torque, and honest; a factorisation that always answers."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from recordings import START_NS, trial
 
 from pam_antagonist import simulate
 from pam_antagonist.estimation import Estimator
+from pam_antagonist.estimation.factor import factorise
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import load_rig
 
@@ -93,3 +94,20 @@ def test_an_angle_at_rest_stays_where_friction_holds_it(seed: int) -> None:
     error, std = rows["angle"] - recording.angle, np.sqrt(rows["covariance"][:, 0, 0])
     assert np.mean(np.abs(error[5000:]) < 1.96 * std[5000:]) > 0.95
     assert std[-1] == pytest.approx(std[5000], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "matrix", [[[1.0, 1.0], [1.0, 1.0 - 1e-15]], [[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]]]
+)
+def test_lost_pivots_are_repaired_to_a_definite_product(matrix: list[list[float]]) -> None:
+    given = np.array(matrix)
+    lower = np.empty((2, 2))
+    assert factorise(given, lower) > 0
+    product = lower @ lower.T
+    assert np.all(np.isfinite(product))
+    assert np.all(np.linalg.eigvalsh(product) > 0.0)
+
+
+def test_says_where_nothing_is_finite() -> None:
+    assert factorise(np.array([[1.0, np.nan], [np.nan, 1.0]]), np.empty((2, 2))) == -1
+    assert factorise(np.array([[np.inf, 0.0], [0.0, 1.0]]), np.empty((2, 2))) == -1

@@ -34,15 +34,11 @@ def driven(kind: str, seconds: float = 6.0, pushed: float = 0.0) -> Recording:
     samples = [plant.step(u, d) for u, d in zip(voltage, external, strict=True)]
     made = simulate(RIG, voltage[:2], seed=4)
     return dataclasses.replace(
-        made,
-        stamp_ns=made.stamp_ns[0] + 1_000_000 * np.arange(count),
-        pressure=np.array([one.pressure for one in samples]),
-        voltage=voltage,
-        angle=np.array([one.truth[0] for one in samples]),
-        torque=None,
-        angle_sensor=np.array([one.encoder for one in samples]),
-        external_torque=external,
-    )
+        made, stamp_ns=made.stamp_ns[0] + 1_000_000 * np.arange(count),
+        pressure=np.array([one.pressure for one in samples]), voltage=voltage,
+        angle=np.array([one.truth[0] for one in samples]), torque=None,
+        angle_sensor=np.array([one.encoder for one in samples]), external_torque=external,
+    )  # fmt: skip
 
 
 def run(rig: Rig, recording: Recording, angle_sensor: str = "none", joint: str = "free") -> EstimateRun:
@@ -163,14 +159,10 @@ def faulty(kind: str, recording: Recording) -> np.ndarray:
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("none", ""),
-        ("spike", ""),
-        ("jump", "jumped by +11.5°"),
-        ("frozen", "frozen"),
-        ("frozen with a step", "frozen"),
-        ("wrong sign", "publish the negative angle"),
+        ("none", ""), ("spike", ""), ("jump", "jumped by +11.5°"), ("frozen", "frozen"),
+        ("frozen with a step", "frozen"), ("wrong sign", "publish the negative angle"),
     ],
-)
+)  # fmt: skip
 def test_a_faulty_encoder_is_refused_and_the_estimate_goes_on(kind: str, words: str) -> None:
     recording = driven("moving", 8.0)
     rig = RIG

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from recordings import trial
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.learned import Law, with_law
@@ -55,17 +54,6 @@ def test_it_stays_definite_with_its_states(joint: str) -> None:
     assert run.counts.repaired == run.counts.restarts == 0
     assert list(run.added) == ["law2_memory_1", "law2_memory_2"]
     assert all(np.isfinite(values).all() for values in run.added.values())
-
-
-def test_it_goes_on_from_a_checkpoint_and_another_law_refuses_it(whole: np.ndarray) -> None:
-    first, second = Estimator(lawful(std=1e-2)), Estimator(lawful(std=1e-2))
-    first.run(*samples(0, HALF))
-    taken = first.checkpoint()
-    assert taken is not None and taken.identity.added == ("law2_memory_1", "law2_memory_2")
-    second.restore(taken)
-    assert second.run(*samples(HALF, END)).rows.tobytes() == whole[HALF:].tobytes()
-    with pytest.raises(BadInput, match="rather than shin2022"):
-        Estimator(lawful(memory=False)).restore(taken)
 
 
 def test_the_uncertainty_of_a_law_enters_the_covariance(whole: np.ndarray) -> None:

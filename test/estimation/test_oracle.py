@@ -74,7 +74,7 @@ def _without_consider(rig: Rig, change: float = 0.0) -> Rig:
 )
 def test_equals_filterpy_over_a_whole_recording(tuning: str, joint: str, change: float) -> None:
     rig = _without_consider(load_rig("shin2022"), change)
-    recording = trial(10.0, seed=4, joint=joint)
+    recording = trial(5.0, seed=4, joint=joint)
     states, covariances = _oracle(rig, tuning, recording, joint)
     run = Estimator(rig, tuning, joint).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
     ours = np.column_stack([run["angle"], run["velocity"], run["pressure"]])
@@ -101,11 +101,8 @@ MUSCLE_AND_VALVE = {
         (
             MUSCLE_AND_VALVE,
             [
-                ("hysteresis", "hysteresis_1"),
-                ("hysteresis", "hysteresis_2"),
-                ("valve_lag", "open_rate_1"),
-                ("creep", "creep_2"),
-                ("thermal", "warmth_1"),
+                ("hysteresis", "hysteresis_1"), ("hysteresis", "hysteresis_2"), ("valve_lag", "open_rate_1"),
+                ("creep", "creep_2"), ("thermal", "warmth_1"),
             ],
             6.0,
         ),
@@ -113,7 +110,7 @@ MUSCLE_AND_VALVE = {
         ({"external_torque": {"noise": 0.05}}, [("external_torque", "external_torque")], 2.0),
     ],
     ids=["muscle and valve", "external torque"],
-)
+)  # fmt: skip
 def test_equals_filterpy_with_added_states(effects, order, seconds) -> None:
     rig = _without_consider(load_rig("shin2022")).replaced(effects=effects)
     recording = trial(seconds, seed=8)

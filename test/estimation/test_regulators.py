@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from scipy.signal import lsim, lti
 
 from pam_antagonist import load_rig, read_bag, replay, simulate
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import Estimator, simulate_model
+from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import Recording, write_bag
 
 RIG = load_rig("shin2022_regulators", regulators=True)
@@ -21,50 +20,6 @@ RIG = load_rig("shin2022_regulators", regulators=True)
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     return simulate(RIG, duration=8.0, mismatch=0.01, seed=3)
-
-
-def test_a_locked_joint_follows_its_commands_as_the_textbook_says() -> None:
-    lag = {"frequency_1": 50.0, "frequency_2": 80.0, "damping": 0.4}
-    rig = RIG.replaced(effects={"regulator_lag": lag})
-    command = np.full((400, 2), 300e3)
-    command[100:, 0], command[200:, 1] = 450e3, 250e3
-    run = simulate_model(rig, command, command[0], "locked")
-    time = np.arange(401) * 1e-3
-    for i, omega in enumerate((50.0, 80.0)):
-        step = np.concatenate([command[:, i], command[-1:, i]]) - 300e3
-        _, expected, _ = lsim(lti([omega**2], [1.0, 0.8 * omega, omega**2]), step, time, interp=False)
-        assert run.pressure[:, i] - 300e3 == pytest.approx(expected[1:], abs=150.0)
-
-
-def test_range_dead_zone_rate_and_threshold_hold_the_pressure_back() -> None:
-    lag = {"frequency_1": 60.0, "frequency_2": 60.0, "damping": 0.8, "dead_zone": 4e3, "largest_rate": 1e6}
-    effects = {
-        "regulator_lag": lag, "regulator_limits": {"lowest": 200e3, "highest": 500e3},
-        "regulator_threshold": {"threshold_1": 20e3, "threshold_2": 20e3},
-    }  # fmt: skip
-    rig = RIG.replaced(effects=effects)
-    command = np.full((2400, 2), 300e3)
-    command[100:1000] = 600e3, 303e3
-    command[1000:1600, 0] = 600e3 - 115e3
-    command[1600:, 0] = 400e3
-    run = simulate_model(rig, command, command[0], "locked")
-    first = run.pressure[:, 0]
-    assert np.diff(first).max() * 1e3 == pytest.approx(1e6, rel=0.01)
-    assert np.all(run.pressure[:, 1] == 300e3), "an error within the dead zone and the threshold is corrected"
-    # 500 kPa is the end of the range, the threshold and the dead zone each stop before; a small reversal does nothing.
-    assert first[999] == pytest.approx(500e3 - 10e3 - 4e3, abs=2e3)
-    assert first[1599] == pytest.approx(first[999], abs=500.0)
-    assert first[-1] == pytest.approx(400e3 + 10e3 + 4e3, abs=2e3)
-
-
-def test_a_dead_time_shifts_the_answer() -> None:
-    late = RIG.replaced(effects={**RIG.effects, "regulator_dead_time": {"time_1": 0.02, "time_2": 0.02}})
-    command = np.full((500, 2), 300e3)
-    command[100:, 0] = 400e3
-    runs = [simulate_model(rig, command, command[0], "locked").pressure[:, 0] for rig in (RIG, late)]
-    half = [int(np.argmax(run > 350e3)) for run in runs]
-    assert half[1] - half[0] == pytest.approx(20, abs=3)
-    assert runs[1].min() > 299.9e3, "it answers in the wrong direction first"
 
 
 def test_the_filter_tells_the_angle_with_and_without_measured_pressures(recording: Recording) -> None:

@@ -20,6 +20,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, WEIGHT_COS, WEIGHT_SIN, ZERO
 from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.write import write_rig
 
@@ -27,11 +28,8 @@ STRANGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "strangers
 RIG = described(0.01)
 TRUE = drawn(RIG, 3)
 EXACT = {
-    ZERO: ZERO_ERROR,
-    DELAY: LATE_S,
-    WEIGHT_COS: WEIGHT * math.sin(HANGING),
-    WEIGHT_SIN: -WEIGHT * math.cos(HANGING),
-}
+    ZERO: ZERO_ERROR, DELAY: LATE_S, WEIGHT_COS: WEIGHT * math.sin(HANGING), WEIGHT_SIN: -WEIGHT * math.cos(HANGING),
+}  # fmt: skip
 
 
 def found_in(recordings: Sequence[Recording], rig: Rig = RIG) -> FromPressures:
@@ -44,18 +42,13 @@ def trials() -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def found(trials: list[Recording]) -> FromPressures:
-    return found_in(trials)
+def result(trials: list[Recording]) -> IdentifyResult:
+    return identify(trials, RIG)
 
 
 @pytest.fixture(scope="module")
-def bags(trials: list[Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Bags of the trials, with the rig file beside them."""
-    folder = tmp_path_factory.mktemp("trials")
-    for trial in trials:
-        write_bag(folder / trial.path.name, trial)
-    write_rig(RIG, folder / "rig.yaml", [])
-    return folder
+def found(result: IdentifyResult) -> FromPressures:
+    return result.found  # type: ignore[return-value]
 
 
 def run(folder: Path, names: Sequence[str], out: Path) -> int:
@@ -90,36 +83,34 @@ def test_the_file_has_what_all_of_the_data_determine(found: FromPressures) -> No
     assert any("The angle is late" in note for note in found.notes) == late
 
 
-@pytest.mark.slow(8)
-def test_the_command_gives_the_same_numbers_and_a_rig_that_replay_takes(
-    found: FromPressures, bags: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_the_report_has_the_numbers_and_the_rig_is_one_that_replay_takes(
+    result: IdentifyResult, found: FromPressures, trials: list[Recording], tmp_path: Path
 ) -> None:
-    assert run(bags, [f"free_{k}" for k in range(6)], tmp_path / "out") == 0
-    said = capfd.readouterr()
-    assert "Errors of the filter with the identified rig on held-out data" in said.out
-    assert not [line for line in said.err.splitlines() if not line.startswith(("identify: ", "compiling"))]
-    numbers = json.loads((tmp_path / "out" / "report.json").read_text())
+    out = result.save(tmp_path / "out")
+    assert "Errors of the filter with the identified rig on held-out data" in result.summary()
+    numbers = json.loads((out / "report.json").read_text())
     assert numbers["errors_deg"]["identified"] == pytest.approx(found.pooled("identified"))
     values = {entry["name"]: entry["value"] for entry in numbers["parameters"]}
     joint, air = found.final
     assert air is not None
     assert values == {**joint.values, **air.values}
-    rig = tmp_path / "out" / "rig.yaml"
-    assert load_rig(str(rig)).identified
-    assert replay.main([str(bags / "free_2"), "--rig", str(rig), "--out", str(tmp_path / "again")]) == 0
+    assert load_rig(str(out / "rig.yaml")).identified
+    write_bag(tmp_path / "free_2", trials[2])
+    words = [str(tmp_path / "free_2"), "--rig", str(out / "rig.yaml"), "--out", str(tmp_path / "again")]
+    assert replay.main(words) == 0
     again = json.loads((tmp_path / "again" / "report.json").read_text())
     assert again["ukf"]["angle"]["rmse_deg"] < 1.2 * numbers["held_out"][0]["errors_deg"]["identified"]
 
 
-@pytest.mark.slow(5)
-def test_a_start_far_away_comes_to_the_same_error(trials: list[Recording], found: FromPressures) -> None:
+@pytest.mark.slow(15)
+def test_a_start_far_away_comes_to_the_same_error(trials: list[Recording]) -> None:
     force = RIG.muscle_1.force
     far = RIG.replaced(
         muscle_1=RIG.muscle_1.replaced(force=force.replaced(c1=170.0, c3=450.0, c6=0.257)),
         muscle_2=RIG.muscle_2.replaced(force=force.replaced(c1=340.0, c2=2.7, c6=0.243)),
         geometry=RIG.geometry.replaced(radius=0.033),
     )
-    assert found_in(trials, far).pooled("identified") < 1.5 * found.pooled("identified")
+    assert found_in(trials[:2], far).pooled("identified") < 0.1
 
 
 @pytest.mark.slow(8)
@@ -186,8 +177,8 @@ def _cylinder(trial: Recording) -> Recording:
     return replace(trial, angle=angle)
 
 
-def _exchanged(name: str) -> Callable[[Recording], Recording]:
-    return lambda trial: replace(trial, **{name: getattr(trial, name)[:, ::-1].copy()})
+def _exchanged_voltages(trial: Recording) -> Recording:
+    return replace(trial, voltage=trial.voltage[:, ::-1].copy())
 
 
 @pytest.mark.slow(4)
@@ -195,10 +186,9 @@ def _exchanged(name: str) -> Callable[[Recording], Recording]:
     ("change", "words"),
     [
         (_cylinder, "do not fit two muscles on one joint"),
-        (_exchanged("pressure"), "do not fit two muscles on one joint"),
-        (_exchanged("voltage"), "the commands do not explain the pressures"),
+        (_exchanged_voltages, "the commands do not explain the pressures"),
     ],
-    ids=["cylinder", "exchanged pressures", "exchanged voltages"],
+    ids=["cylinder", "exchanged voltages"],
 )
 def test_what_is_no_pair_of_muscles_ends_in_one_sentence(
     change: Callable[[Recording], Recording],

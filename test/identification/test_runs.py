@@ -55,13 +55,6 @@ def test_holes_missing_pressures_and_episodes_divide() -> None:
     assert [len(run) for run in runs(trials)] == [150, 250, 200]
 
 
-def test_a_single_missing_row_does_not_divide() -> None:
-    pressure = made(100.0).pressure.copy()
-    pressure[200] = np.nan
-    (run,) = runs(replace(made(100.0), pressure=pressure))
-    assert len(run) == 599
-
-
 def test_stretches_under_a_second_are_left_out_and_nothing_else_is_refused() -> None:
     with pytest.raises(BadInput, match=r"made: no stretch of 1 s without a hole"):
         runs(made(100.0, 0.8))
@@ -69,16 +62,6 @@ def test_stretches_under_a_second_are_left_out_and_nothing_else_is_refused() -> 
     assert run.part(5.5, 9.0) is None
     cut = run.part(2.0, 4.0)
     assert cut is not None and cut.time[0] == 2.0 and len(cut) == 200
-
-
-def test_missing_commands_divide_what_the_valves_are_fitted_to() -> None:
-    voltage = np.full((600, 2), 5.0)
-    voltage[250, 0] = np.nan
-    voltage[300, 1] = np.nan
-    (run,) = runs(replace(made(100.0), voltage=voltage))
-    assert [(round(float(part.time[0]), 6), len(part)) for part in run.commanded()] == [(0.0, 250), (3.01, 299)]
-    (silent,) = runs(replace(made(100.0), voltage=np.full((600, 2), np.nan)))
-    assert silent.commanded() == []
 
 
 def test_readings_of_a_slow_sensor_are_joined_by_lines_and_named() -> None:

@@ -46,14 +46,10 @@ def recording_of(joint: Rig, seconds: float = 25.0, seed: int = 1, noise: float 
     pressures = np.array([joint.valves.charge_1, joint.valves.charge_2])
     run = simulate_model(joint, np.zeros((len(time), 2)), pressures, external_torque=external)
     return Recording(
-        path=Path("simulated"),
-        stamp_ns=np.arange(1, len(time) + 1) * 1_000_000,
-        pressure=run.pressure + rng.normal(0.0, noise, run.pressure.shape),
-        voltage=np.zeros((len(time), 2)),
-        angle=run.angle + rng.normal(0.0, 5e-4, len(time)),
-        torque=None,
-        external_torque=external,
-    )
+        path=Path("simulated"), stamp_ns=np.arange(1, len(time) + 1) * 1_000_000,
+        pressure=run.pressure + rng.normal(0.0, noise, run.pressure.shape), voltage=np.zeros((len(time), 2)),
+        angle=run.angle + rng.normal(0.0, 5e-4, len(time)), torque=None, external_torque=external,
+    )  # fmt: skip
 
 
 def test_sealed_chambers_keep_their_air(joint):

@@ -31,19 +31,6 @@ def trial() -> Recording:
     return recorded(TRUE, 3.0, 0)
 
 
-def test_chambers_are_simulated_from_the_first_known_angle_on(trial: Recording) -> None:
-    (run,) = runs_of(trial, joint_condition(trial, "free", None), "trial")
-    shown, starts = air_stage.simulated(run, RIG.parameters("locked"), 0.0, 1.0)
-    run.angle[[0, 1, 2, -1]] = np.nan
-    late, later = air_stage.simulated(run, RIG.parameters("locked"), 0.0, 1.0)
-    assert starts[0]
-    assert later[3]
-    assert not later[:3].any()
-    assert np.array_equal(late[[0, 1, 2, 3, -1]], run.pressure[[0, 1, 2, 3, -1]])
-    assert np.isfinite(late).all()
-    assert not np.array_equal(shown[-1], run.pressure[-1])
-
-
 def test_a_lock_angle_that_the_encoder_gave_has_its_zero_taken_off(trial: Recording) -> None:
     zero = Fit((Unknown(ZERO, (), 0.0, 1.0),), np.array([0.1]), np.eye(1), 0.0)
     locked = JointCondition("locked", 0.3, "measured angle")
@@ -52,15 +39,6 @@ def test_a_lock_angle_that_the_encoder_gave_has_its_zero_taken_off(trial: Record
     unread = Recording(trial.path, trial.stamp_ns, trial.pressure, trial.voltage, None, None)
     _, ((_, state, _),) = with_joint(RIG, zero, [(unread, locked, "locked")])
     assert state.lock_angle == 0.3
-
-
-def test_the_weight_of_a_limb_may_have_moved_the_middle_of_the_angles(trial: Recording) -> None:
-    found = runs_of(trial, joint_condition(trial, "free", None), "trial")
-    light, heavy = (
-        joint_stage.middle(found, RIG.replaced(joint=RIG.joint.replaced(stop=None, mass=mass))) for mass in (0.01, 5.0)
-    )
-    assert light[0] == heavy[0]
-    assert light[1] < heavy[1]
 
 
 def test_a_common_value_takes_what_all_recordings_have_in_common() -> None:
@@ -90,35 +68,6 @@ def test_the_zero_is_not_known_better_than_the_encoder(trial: Recording) -> None
     zero = Fit((Unknown(ZERO, (), 0.0, 0.1),), np.array([0.4]), np.eye(1) * 1e-12, 0.0)
     std = joint_stage.with_joint_errors(zero, TRUE, found, 1).stds[ZERO]
     assert TRUE.sensors.error("angle") < std < 0.1
-
-
-@pytest.mark.parametrize(("first", "taken", "calls"), [(1e9, "second", 4), (1.0, "first", 3)])
-def test_a_further_start_goes_on_where_the_first_is_far_from_the_data(
-    first: float, taken: str, calls: int, trial: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    costs = {"short 1": 1.0, "short 2": 2.0, "first": first, "second": 5.0}
-    names = iter(costs)
-    seen = []
-
-    def fitted(free: list[Unknown], *_: object) -> Fit:
-        seen.append(next(names))
-        return Fit(tuple(free), np.full(len(free), len(seen)), np.eye(len(free)), costs[seen[-1]])
-
-    monkeypatch.setattr(joint_stage, "fitted", fitted)
-    monkeypatch.setattr(joint_stage, "with_joint_errors", lambda found, *_: found)
-    runs = runs_of(trial, joint_condition(trial, "free", None), "trial")
-    assert joint_stage.fit_joint(RIG, runs, starts=2).cost == costs[taken]
-    assert len(seen) == calls
-
-
-def test_a_fit_that_stays_far_from_the_data_has_determined_nothing(trial: Recording) -> None:
-    runs = runs_of(trial, joint_condition(trial, "free", None), "trial")
-    zero = Fit((Unknown(ZERO, (), 0.0, 0.1),), np.array([0.4]), np.eye(1) * 1e-12, 0.0)
-    near, far = (
-        joint_stage.with_joint_errors(replace(zero, cost=cost), TRUE, runs, 1).reasons[ZERO] for cost in (1.0, 1e4)
-    )
-    assert near == ""
-    assert far == "the fit does not explain the data"
 
 
 def test_valves_that_were_opened_just_a_little_show_where_they_are_shut() -> None:

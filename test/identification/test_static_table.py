@@ -71,17 +71,6 @@ def test_columns_and_units_can_be_given(file):
     assert found.pressure - absolute.pressure == pytest.approx(np.full(9, ATMOSPHERE))
 
 
-def test_a_semicolon_file_with_decimal_commas_and_comments(file):
-    text = write(file, "length_mm;pressure_bar_gauge;force_N", rows(1e3, 1e-5), ";").read_text().replace(".", ",")
-    file.write_text("# a muscle, measured on a bench\n" + text)
-    assert read_force_map(file, ATMOSPHERE).value == pytest.approx(expected(file).value, rel=1e-9)
-
-
-def test_names_in_a_comment_as_numpy_writes_them(file):
-    np.savetxt(file, np.array(rows()), delimiter=",", header="length_m,pressure_Pa_gauge,force_N")
-    assert read_force_map(file, ATMOSPHERE).value == pytest.approx(expected(file).value, rel=1e-9)
-
-
 def test_deviations_are_read(file):
     write(file, "length_m,pressure_Pa_gauge,force_N,force_std_kN", [(*row, 2e-3) for row in rows()])
     found = read_force_map(file, ATMOSPHERE)
@@ -188,18 +177,6 @@ def test_advice_fits_a_table(file, content, says):
     with pytest.raises(BadInput) as refused:
         read_force_map(file, ATMOSPHERE)
     assert says in str(refused.value) and "file." not in str(refused.value)
-
-
-def test_other_ways_to_write_a_table(file):
-    text = write(file, SI, rows()).read_text()
-    wanted = read_force_map(file, ATMOSPHERE).value
-    for content in (
-        text.replace(",", " ").encode(),
-        text.replace(",", ";").replace(".", ",").encode("utf-16"),
-        text.replace("\n", "\r\n").encode("utf-8-sig"),
-    ):
-        file.write_bytes(content)
-        assert read_force_map(file, ATMOSPHERE).value == pytest.approx(wanted, rel=1e-9)
 
 
 def test_volumes_in_any_unit(file):

@@ -24,26 +24,6 @@ def residual(true: tuple[float, float], noise: float = 0.0, unit: float = 0.01):
     return of
 
 
-def test_values_are_found_and_given_to_all_their_parameters() -> None:
-    found = fitted([GAIN, SHIFT], residual((3.1, 0.1)))
-    assert found.values == pytest.approx({"gain": 3.1, "shift": 0.1}, rel=1e-3)
-    assert found.parameters["a.gain"] == found.parameters["b.gain"] == found.values["gain"]
-    assert not found.at_bounds
-
-
-def test_standard_errors_are_those_of_the_noise() -> None:
-    off = []
-    found = fitted([GAIN, SHIFT], residual((3.1, 0.1), noise=0.01))
-    for name, true in (("gain", 3.1), ("shift", 0.1)):
-        off.append(abs(found.values[name] - true) / found.stds[name])
-    assert max(off) < 4.0
-    assert found.stds["gain"] < 0.01
-
-
-def test_a_positive_value_stays_positive_whatever_the_data_say() -> None:
-    assert fitted([GAIN, SHIFT], residual((-5.0, 0.0))).values["gain"] > 0.0
-
-
 @pytest.mark.parametrize("begin", [(-4.0, -0.5), (4.0, 0.5), (50.0, -50.0)])
 def test_every_start_ends_at_the_same_values(begin: tuple[float, float]) -> None:
     found = fitted([GAIN, SHIFT], residual((3.1, 0.1)), np.array(begin), evaluations=40)

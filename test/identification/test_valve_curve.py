@@ -77,13 +77,9 @@ def _staircase(rig: Rig) -> list[Run]:
     pressure = np.array([sample.pressure for sample in samples])
     measured = [np.array([getattr(sample, name) for sample in samples]) for name in ("angle", "torque")]
     recording = Recording(
-        path=Path("staircase"),
-        stamp_ns=stamps,
-        pressure=pressure,
-        voltage=voltage,
-        angle=measured[0],
+        path=Path("staircase"), stamp_ns=stamps, pressure=pressure, voltage=voltage, angle=measured[0],
         torque=measured[1],
-    )
+    )  # fmt: skip
     return runs_of(recording, JointCondition("locked", 0.0, "command line"), "staircase")
 
 

@@ -10,7 +10,7 @@ from pam_antagonist.inference.free_parameters import Candidate, base_directions,
 from pam_antagonist.inference.free_run import SANE, stride_blocks
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
-from pam_antagonist.inference.trial import PRESSURE_1, block_noise, blocks, converter_step, make_trial
+from pam_antagonist.inference.trial import PRESSURE_1, block_noise, blocks, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
@@ -175,11 +175,3 @@ def test_coordinates_go_there_and_back(effect: str) -> None:
         assert unknown.value(unknown.coordinate(value)) == pytest.approx(value)
         assert unknown.item.low <= unknown.bounded(1e30) <= unknown.item.high
     assert Candidate(effect).sizes and Candidate(effect).grid()
-
-
-def test_a_fine_converter_is_seen_in_few_samples() -> None:
-    rng = np.random.default_rng(8)
-    step = 1.75e-4
-    course = 0.3 * np.sin(np.arange(6000) / 200.0) + 3e-5 * rng.standard_normal(6000)
-    assert converter_step(np.rint(course / step) * step) == pytest.approx(step, rel=1e-6)
-    assert converter_step(course) == 0.0

@@ -6,8 +6,6 @@ U(ψ) = −∫ τ dψ + k_s ψ²/2 is a polynomial, E = J ψ̇²/2 + U(ψ).
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import transcription as paper
 from states import held, steps
@@ -71,22 +69,3 @@ def test_with_friction_energy_never_grows(rig):
         assert value[0] - value[-1] > 0.99 * drop(states), "it does not come to rest"
         assert np.max(value - np.minimum.accumulate(value)) < reversal_gain(law_step)
     assert reversal_gain(1e-3) < 1e-3 * drop(states)
-
-
-def test_each_swing_costs_at_least_the_coulomb_torque_times_its_path(rig):
-    p = held(rig, joint__viscous_friction=0.0)
-    p[par.FRICTION_STEP] = 1e-4
-    states = steps(START, p, 5000, 1e-4)
-    turns = [0, *(np.flatnonzero(np.diff(np.sign(states[:, 1])) != 0) + 1)]
-    value = energy(states)
-    coulomb = [paper.balance(T, x)[1] for x in states.tolist()]
-    swings = 0
-    for a, b in zip(turns[:-1], turns[1:], strict=True):
-        path = abs(states[b, 0] - states[a, 0])
-        if path < math.radians(2.0):
-            continue
-        low, high = min(coulomb[a : b + 1]), max(coulomb[a : b + 1])
-        lost = value[a] - value[b]
-        assert low * path - 2 * reversal_gain(1e-4) < lost < high * path + 2 * reversal_gain(1e-4)
-        swings += 1
-    assert swings > 3

@@ -72,6 +72,3 @@ def test_force_slope_with_length(p, i):
     for pressure in (150e3, 450e3, 700e3):
         quotient = (paper.force(T, i, 0.170, pressure) - paper.force(T, i, 0.160, pressure)) / 0.010
         assert muscle.force_length_slope(i - 1, 0.165, pressure, p) == pytest.approx(quotient, rel=1e-10)
-
-
-# ---------------------------------------------------------------- Equations (8), (9), (10)

@@ -22,14 +22,9 @@ def reference(x, u, duration, locked=False):
     """States of the transcription at 101 times, and that nothing switches among them."""
     times = np.linspace(0.0, duration, 101)
     solution = solve_ivp(
-        lambda _, state: paper.derivative(T, state.tolist(), u, locked),
-        (0.0, duration),
-        x,
-        method="DOP853",
-        t_eval=times,
-        rtol=1e-12,
-        atol=[1e-14, 1e-12, 1e-6, 1e-6],
-    )
+        lambda _, state: paper.derivative(T, state.tolist(), u, locked), (0.0, duration), x, method="DOP853",
+        t_eval=times, rtol=1e-12, atol=[1e-14, 1e-12, 1e-6, 1e-6],
+    )  # fmt: skip
     states = solution.y.T
     regimes = {(paper.regime(T, s[2]), paper.regime(T, s[3])) for s in states}
     assert len(regimes) == 1, "a flow changes its regime on the way"

@@ -247,19 +247,6 @@ def test_play_and_stop_are_the_operators_of_their_names(rig: Rig) -> None:
         assert (loaded[1] - without[1]) * factor == pytest.approx(wanted, rel=0.02)
 
 
-@pytest.mark.parametrize("beyond", [1.0, 1e3])
-def test_the_table_is_constant_outside_of_the_range_that_was_seen(rig: Rig, beyond: float) -> None:
-    law = Law("torque", (-0.05, 0.05), (-0.03, 0.04), argument="angle")
-    p, base = vector(rig, law), vector(rig)
-    for side, value in ((-1.0, -0.03), (1.0, 0.04)):
-        x = np.array([side * (0.05 + 1e-4 * beyond), 3.0 * side, 400e3, 400e3])
-        dx, plain = np.empty(4), np.empty(4)
-        dynamics.derivative(x, np.array([5.0, 5.0]), p, dx)
-        dynamics.derivative(x, np.array([5.0, 5.0]), base, plain)
-        z = T["T_stp"] / T["J"]
-        assert (dx[1] - plain[1]) * T["J"] == pytest.approx(value / (1.0 + z * T["c_s"]), rel=1e-6)
-
-
 def test_no_law_drives_the_joint_or_pumps_air(rig: Rig) -> None:
     """Laws with the wrong sign: negative friction, a damping that pushes, a leak and flows against pressures."""
     states = random_states(200, seed=8)
@@ -326,21 +313,3 @@ def test_a_sensor_s_reading_and_its_inverse(rig: Rig) -> None:
         reading = sensor.reading(0, pressure, p)
         assert reading == pytest.approx(pressure + theta(law, reading), rel=1e-12)
         assert sensor.pressure_behind(1, reading, p) == pytest.approx(pressure, rel=1e-12)
-
-
-def test_a_law_of_a_sensor_is_taken_back_before_the_sensor_s_other_errors(rig: Rig) -> None:
-    wrong = rig.replaced(effects={"pressure_sensor": {"offset_1": 2e3, "gain_1": 0.01}})
-    p = vector(wrong, Law("sensor", (200e3, 500e3), (1e3, -2e3), 1, "pressure"))
-    for pressure in np.linspace(100e3, 700e3, 50):
-        assert sensor.pressure_behind(0, sensor.reading(0, pressure, p), p) == pytest.approx(pressure, rel=1e-12)
-
-
-def test_laws_of_one_place_add_up(rig: Rig) -> None:
-    one, other = CASES["torque-angle-none"], CASES["torque-none-none"]
-    x, u = np.array([0.03, 1.5, 400e3, 380e3]), np.array([5.0, 5.0])
-    rates = []
-    for laws in ((), (one,), (other,), (one, other)):
-        dx = np.empty(4)
-        dynamics.derivative(x, u, vector(rig, *laws), dx)
-        rates.append(dx[1])
-    assert rates[3] - rates[0] == pytest.approx(rates[1] + rates[2] - 2.0 * rates[0], rel=1e-9)

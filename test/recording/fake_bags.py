@@ -89,12 +89,9 @@ class FakeRig:
             joint.items.append(self.joint_message(stamp, [self.angle[i]], [self.torque[i]]))
             wrench.items.append(self.wrench_message(stamp, self.external[i]))
         return {
-            f"{namespace}/pressure_1": p1,
-            f"{namespace}/pressure_2": p2,
-            f"{namespace}/valve_state": valve,
-            f"{namespace}/measured/joint_states": joint,
-            f"{namespace}/measured/external_torque": wrench,
-        }
+            f"{namespace}/pressure_1": p1, f"{namespace}/pressure_2": p2, f"{namespace}/valve_state": valve,
+            f"{namespace}/measured/joint_states": joint, f"{namespace}/measured/external_torque": wrench,
+        }  # fmt: skip
 
     def write(
         self, path: Path, streams: dict[str, Stream], *, storage: str = "mcap", compression: str = "none"

@@ -85,13 +85,6 @@ def test_other_readers_see_a_bag_of_jazzy(tmp_path: Path) -> None:
         assert connection.digest.startswith("RIHS01_a13ee3a330e346c9")
 
 
-def test_estimate_in_place_of_the_recorded_one(tmp_path: Path) -> None:
-    recording = make_recording()
-    other = recording.estimate.take(slice(5, 20))
-    write_bag(tmp_path / "bag", recording, estimate=other)
-    np.testing.assert_array_equal(read_bag(tmp_path / "bag").estimate.angle, other.angle)
-
-
 @pytest.mark.parametrize("kind", ["folder", "file", "dangling link"])
 def test_nothing_is_overwritten(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "bag"
@@ -171,11 +164,3 @@ def test_a_write_that_fails_is_reported(rig: FakeRig, tmp_path: Path, monkeypatc
     with pytest.raises(OSError, match="No space left"):
         bag.close()
     bag.close()
-
-
-def test_only_what_there_is_is_written(tmp_path: Path) -> None:
-    recording = Recording(Path("x"), STAMPS, np.full((SIZE, 2), 4e5), np.full((SIZE, 2), 5.0), angle=np.zeros(SIZE))
-    write_bag(tmp_path / "bag", recording)
-    back = read_bag(tmp_path / "bag")
-    assert back.angle is not None
-    assert back.torque is None and back.external_torque is None and back.estimate is None and back.reference is None

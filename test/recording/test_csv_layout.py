@@ -172,15 +172,12 @@ def test_a_wrong_decimal_is_seen(lab: Lab) -> None:
 @pytest.mark.parametrize(
     ("start", "says"),
     [
-        (b"PK\x03\x04\x14\0", "save it as CSV"),
-        (b"\x1f\x8b\x08\0", "unpack it first"),
-        (b"\x89HDF\r\n", "an HDF5 file"),
-        (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
-        (b"\x89MCAP0\r\n", "a bag already"),
-        (b"\x7fELF\0\0", "not a text file"),
+        (b"PK\x03\x04\x14\0", "save it as CSV"), (b"\x1f\x8b\x08\0", "unpack it first"),
+        (b"\x89HDF\r\n", "an HDF5 file"), (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+        (b"\x89MCAP0\r\n", "a bag already"), (b"\x7fELF\0\0", "not a text file"),
         (bytes(range(128, 256)) * 8, "is not utf-8"),
     ],
-)
+)  # fmt: skip
 def test_files_of_another_kind(lab: Lab, start: bytes, says: str) -> None:
     lab.csv.write_bytes(start + b"\0" * 64 if b"\0" in start else start)
     assert says in lab.refusal()

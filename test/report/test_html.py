@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import base64
-import builtins
 import gzip
 import json
 import re
 from html.parser import HTMLParser
-from typing import Any
 
 import numpy as np
 import pytest
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.report import decimate, figure, plotly_renderer, replay_figures
 from pam_antagonist.report.document import (
     Columns,
@@ -116,19 +113,6 @@ def test_text_is_escaped_everywhere() -> None:
         bad,
     )
     assert not any(tag == "script" for tag, _ in Reader(render(document)).tags)
-
-
-def test_without_plotly_a_page_with_figures_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *arguments: Any, **keywords: Any) -> Any:
-        if name.startswith("plotly"):
-            raise ImportError(name)
-        return real(name, *arguments, **keywords)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(BadInput, match="--no-figures"):
-        render(Document("k", "t", (_figure(np.arange(10.0)),)))
 
 
 def test_a_trace_has_few_points_and_keeps_its_spike() -> None:

@@ -162,16 +162,9 @@ def test_a_replay_gives_the_bits_of_the_live_node(
     live = _live(rig, free, starts, 3000)
     equal = replay_recording(changed(free, estimate=live), rig)["live_equal"]
     assert equal == {
-        "compared": 3000 - starts[0],
-        "equal": 3000 - starts[0],
-        "only_live": 0,
-        "only_replay": 0,
-        "first_difference_ns": None,
-        "differing": {},
-        "not_compared": 0,
-        "why_not": [],
-        "apart_deg": None,
-    }
+        "compared": 3000 - starts[0], "equal": 3000 - starts[0], "only_live": 0, "only_replay": 0,
+        "first_difference_ns": None, "differing": {}, "not_compared": 0, "why_not": [], "apart_deg": None,
+    }  # fmt: skip
 
 
 def test_what_the_live_filter_went_without_is_left_out_here_as_well(

@@ -1,4 +1,4 @@
-"""Each rig file that the package writes is accepted by everything that reads rig files."""
+"""Each rig file that the package writes is accepted by everything that reads one, and has the laws of real joints."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.model_run import simulate_model
 from pam_antagonist.inference.free_parameters import base_directions, free_parameters, moved
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.flow import mass_flow
+from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
 from pam_antagonist.rig.physical import is_positive, varied
@@ -155,3 +157,51 @@ def test_bounds_of_fits_are_those_of_the_file(rig: Rig) -> None:
         for item in free_parameters(rig, free=[name]) if value else ():
             assert limits(item.name)[0] <= item.low < item.high <= limits(item.name)[1]
             assert item.low <= item.value(-1e3) and item.value(1e3) <= item.high
+
+
+WORDS = (
+    "--name elbow --kind pulley --radius 20mm --muscle DMSP-20 --nominal-length 250mm --length 225mm --supply 6bar "
+    "--drive valve --voltage 0:10 --inertia 0.03 --mass 1kg --shaft-radius 8mm --stop 40deg --sensor-range 10bar "
+    "--sensor-bits 12 --rate 100"
+)
+
+
+def made_of_words(path: Path, words: str) -> Rig:
+    assert new_rig.main(["--out", str(path), *WORDS.split(), *words.split()]) == 0
+    return load_rig(path)
+
+
+@pytest.fixture(scope="module")
+def elbow(tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    return made_of_words(tmp_path_factory.mktemp("rigs") / "elbow.yaml", "--valve MPYE-5-M5")
+
+
+@pytest.mark.parametrize(("words", "overlap"), [("", 0.5), ("--valve-centre open", 0.0)])
+def test_a_valve_of_no_name_has_a_closed_centre_unless_told(words: str, overlap: float, tmp_path: Path) -> None:
+    made = made_of_words(tmp_path / "rig.yaml", f"--valve own --valve-flow 50 {words}")
+    assert made.valve_1.overlap == overlap and made.valve_1.curve.open_rate == (0.0, 1.0)
+    # A closed centre holds a pressure, an open one does not.
+    flow = mass_flow(0, 0.5, 3e5, made.parameters())
+    assert (flow == 0.0) == (overlap == 0.5)
+
+
+def test_a_limb_that_was_told_pulls_and_one_that_was_not_widens_the_interval(elbow: Rig, tmp_path: Path) -> None:
+    told = made_of_words(
+        tmp_path / "rig.yaml", "--valve MPYE-5-M5 --limb-mass 1kg --limb-distance 15cm --limb-hanging=-60deg"
+    )
+    weight = told.effects["limb_weight"]
+    assert weight["torque"] == pytest.approx(9.81 * 0.15, rel=1e-4)
+    assert weight["hanging"] == pytest.approx(-math.pi / 3.0, rel=1e-4)
+    unknown = "effects.load_torque.constant"
+    assert "limb_weight" not in elbow.effects
+    # A body of this mass and inertia has its centre at most √(J/m) from the axis.
+    assert elbow.uncertainty[unknown] == pytest.approx(9.81 * math.sqrt(0.03 * 1.0), rel=1e-4)
+    assert told.uncertainty[unknown] < 0.25 * elbow.uncertainty[unknown]
+
+
+def test_a_force_map_of_the_paper_still_needs_its_coefficients(elbow: Rig, tmp_path: Path) -> None:
+    text = (config_dir() / "rigs" / "shin2022.yaml").read_text("utf-8")
+    (tmp_path / "half.yaml").write_text(text.replace("v2: -1.017e-3, ", "", 1), "utf-8")
+    with pytest.raises(BadInput, match=r"muscle_1\.force\.v2 is missing: the linear force map needs it"):
+        load_rig(tmp_path / "half.yaml")
+    assert elbow.muscle_1.force.v2 == 0.0, "another form does not"

@@ -64,16 +64,11 @@ def test_what_is_no_physics_leaves_it(laid: Laid, changes: str) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        "supply: {pressure: 710000.001}",
-        "sensors: {pressure_std: 601.0}",
-        "effects: {leak: {area_1: 1.0e-10}}",
-        "model: {friction: tondu}",
-        "geometry: {kind: pulley}",
-        "joint: {stop: null}",
-        "valve_2: {curve: {voltage: [0.0, 10.0], open_rate: [0.0, 1.0]}}",
-        "valves: {sealed: true}",
+        "supply: {pressure: 710000.001}", "sensors: {pressure_std: 601.0}", "effects: {leak: {area_1: 1.0e-10}}",
+        "model: {friction: tondu}", "geometry: {kind: pulley}", "joint: {stop: null}",
+        "valve_2: {curve: {voltage: [0.0, 10.0], open_rate: [0.0, 1.0]}}", "valves: {sealed: true}",
     ],
-)
+)  # fmt: skip
 def test_physics_changes_it(laid: Laid, changes: str) -> None:
     assert fingerprint(laid(changes)) != fingerprint(load_rig("shin2022"))
 

@@ -1,4 +1,4 @@
-"""How far a joint may go and where it rests, by its rig file: the paper's numbers belong to the paper's joint alone."""
+"""What a rig file says of its joint: how far it may go, where it rests, units for people, what intervals rest on."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import controller, plant
 from pam_antagonist.nodes.parameters import Parameter, by_rig
+from pam_antagonist.report.document import Comparison, in_first_lines
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.limits import angle_range
+from pam_antagonist.rig.units import readable, unit_of
 from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
@@ -134,3 +137,57 @@ def test_gains_of_voltages_are_refused_for_a_joint_without_them(rigs: dict[str, 
     assert law_of(load_rig("shin2022"), Mode.ANGLE, None) == "fast"
     assert law_of(load_rig("shin2022"), Mode.ANGLE, "published") == "published"
     assert law_of(rigs["lever"], Mode.ANGLE, "fast") == "fast"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "shown", "value"),
+    [
+        ("valve_1.inflow_area", "m²", "mm²", 0.05184),
+        ("supply.pressure", "Pa", "kPa", 710.0),
+        ("joint.stop", "rad", "°", 25.0),
+        ("friction.muscle", "N m Pa²", "N m kPa²", 400.0),
+        ("gas.polytropic_flow", "-", "-", 1.1),
+    ],
+)
+def test_a_parameter_is_shown_in_a_unit_for_people(name: str, unit: str, shown: str, value: float) -> None:
+    rig = load_rig("shin2022")
+    assert unit_of(rig, name) == unit
+    assert readable(unit).name == shown
+    assert rig.value(name) * readable(unit).scale == pytest.approx(value)
+
+
+def test_a_row_of_pressures_has_one_unit_in_which_its_smallest_can_be_read() -> None:
+    table = Comparison("", "UKF", "model alone")
+    table.pressures("RMSE", (0.0662, 412.0))
+    table.pressures("RMSE", (1520.0, None))
+    assert table.table().rows == (("RMSE [Pa]", "0.0662", "412"), ("RMSE [kPa]", "1.52", "–"))
+
+
+RIG = load_rig("shin2022")
+
+
+def test_what_a_file_claims_is_called_an_assumption() -> None:
+    text = assumption(RIG)
+    assert text is not None and text.startswith("Assumption: rig shin2022 was not identified.")
+    assert "friction.shaft ± 2.0 %" in text and "muscle_2.force.w2 ± 2.9 %" in text
+    assert "NIS tests the pressures only" in text
+    assert [block.text for block in in_first_lines(text)] == [text]
+
+
+@pytest.mark.parametrize(("tuning", "uncertainty"), [("published", RIG.uncertainty), ("default", {})])
+def test_a_filter_that_knows_of_no_uncertainty_claims_exact_parameters(tuning: str, uncertainty: dict) -> None:  # type: ignore[type-arg]
+    text = assumption(RIG.replaced(uncertainty=uncertainty), tuning)
+    assert text is not None and "known exactly" in text and "±" not in text
+
+
+def test_beside_an_identified_rig_it_is_said_of_which_rig_it_is() -> None:
+    text = assumption(RIG, identified=True)
+    assert text is not None and "As configured, its 95 % intervals" in text
+    assert "intervals of the identified rig follow from the recordings" in text
+    assert "As configured" not in (assumption(RIG) or "")
+
+
+def test_an_identified_rig_assumes_nothing() -> None:
+    assert load_rig("sealed_joint").identified
+    assert assumption(RIG.replaced(identified="free, locked")) is None
+    assert in_first_lines(None) == ()

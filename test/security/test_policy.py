@@ -19,32 +19,17 @@ POLICY = config_dir() / "security" / "policy.xml"
 NODES = ("plant", "bridge", "estimator", "monitor", "controller", "recorder")
 SOURCES = {"plant", "bridge"}
 PUBLISHERS = {
-    "pressure_1": SOURCES,
-    "pressure_2": SOURCES,
-    "valve_state": SOURCES,
-    "pressure_state": SOURCES,
-    "angle_sensor": SOURCES,
-    "measured_joint_states": SOURCES,
-    "measured_external_torque": SOURCES,
-    "valve_command": {"controller"},
-    "pressure_command": {"controller"},
-    "joint_estimate": {"estimator"},
-    "joint_states": {"estimator"},
-    "external_torque": {"estimator"},
-    "filter_checkpoint": {"estimator"},
-    "reference": {"operator"},
-    "rig": {*SOURCES, "estimator", "monitor", "controller"},
-    "health": {"monitor"},
+    "pressure_1": SOURCES, "pressure_2": SOURCES, "valve_state": SOURCES, "pressure_state": SOURCES,
+    "angle_sensor": SOURCES, "measured_joint_states": SOURCES, "measured_external_torque": SOURCES,
+    "valve_command": {"controller"}, "pressure_command": {"controller"}, "joint_estimate": {"estimator"},
+    "joint_states": {"estimator"}, "external_torque": {"estimator"}, "filter_checkpoint": {"estimator"},
+    "reference": {"operator"}, "rig": {*SOURCES, "estimator", "monitor", "controller"}, "health": {"monitor"},
     "diagnostics": set(NODES),
-}
+}  # fmt: skip
 SERVICES = {
-    "plant": {"stop", "clear_stop"},
-    "bridge": {"stop", "clear_stop", "measure_rest"},
-    "estimator": {"reset", "set_state"},
-    "monitor": set(),
-    "controller": {"clear_stop", "enable"},
-    "recorder": set(),
-}
+    "plant": {"stop", "clear_stop"}, "bridge": {"stop", "clear_stop", "measure_rest"},
+    "estimator": {"reset", "set_state"}, "monitor": set(), "controller": {"clear_stop", "enable"}, "recorder": set(),
+}  # fmt: skip
 COMMAND_LINE = "_ros2cli_requester_std_srvs_Trigger"  # as ros2 service calls its node; the others: _ros2cli_NUMBER
 Rules = dict[tuple[str, str], set[str]]
 

@@ -22,7 +22,7 @@ from pam_antagonist.__main__ import COMMANDS
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig
 
-COUNT, SEED = (int(os.environ.get(name, default)) for name, default in (("SWEEP_COUNT", "60"), ("SWEEP_SEED", "1")))
+COUNT, SEED = (int(os.environ.get(name, default)) for name, default in (("SWEEP_COUNT", "45"), ("SWEEP_SEED", "1")))
 
 BLAMED = re.compile(r"(--[a-z][a-z-]*)(?: [^:\s]+)?: ")
 """An option that an error gives as its reason."""
@@ -36,7 +36,7 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
     return write_rigs(tmp_path_factory.mktemp("rigs"))
 
 
-@pytest.mark.slow(150)
+@pytest.mark.slow(110)
 @pytest.mark.parametrize("case", cases(COUNT, SEED), ids=str)
 def test_no_command_crashes_or_says_what_is_not_so(
     case: Case, rigs: dict[str, Rig], tmp_path: Path, capfd: pytest.CaptureFixture[str]

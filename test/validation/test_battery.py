@@ -117,7 +117,7 @@ def test_recordings_are_like_those_of_a_laboratory() -> None:
 
 
 @pytest.mark.parametrize("size", [0.5, 16.0])
-@pytest.mark.parametrize("name", ["seeping", "dead time", "bristles", "smooth pushes", "worn edge"])
+@pytest.mark.parametrize("name", ["seeping", "dead time", "smooth pushes"])
 def test_sizes_are_exact(name: str, size: float) -> None:
     form = next(form for form in SINGLE if form.name == name)
     case = dataclasses.replace(case_of(form, size), exact=True)
@@ -350,8 +350,8 @@ SMALL = (
 
 
 @pytest.mark.slow
-# PAM_PROOF=1 takes all three, a minute or two more.
-@pytest.mark.parametrize("case", SMALL if os.environ.get("PAM_PROOF") else SMALL[:2], ids=lambda case: case.name)
+# PAM_PROOF=1 takes all three, two minutes or three more.
+@pytest.mark.parametrize("case", SMALL if os.environ.get("PAM_PROOF") else SMALL[:1], ids=lambda case: case.name)
 def test_small_battery_with_the_real_diagnosis(case: Case) -> None:
     """Large effects and full recordings: what is missed here is missed on any rig."""
     found = outcomes.judge(case, command.diagnosis(case, 2))

@@ -1,15 +1,18 @@
-"""Fresh rigs judge identify: what is counted, and by which interval."""
+"""Fresh rigs judge identify: what is counted, and by which interval; the frozen answers: what differs is said."""
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pam_antagonist.identification.unknowns import Fit, Unknown
+from validation import at_hand, oracle
 from validation.rigs import fresh, judge
 
 
@@ -47,3 +50,71 @@ def test_the_command_counts_a_rig_that_is_refused(tmp_path: Path, monkeypatch, c
     assert judge.main(["--out", str(tmp_path / "out.json"), "--first", "202", "--count", "1", "--declared"]) == 0
     assert json.loads((tmp_path / "out.json").read_text())[0]["refused"] == "it moves too little"
     assert "0 rigs of 1" in capsys.readouterr().out
+
+
+LEAK: dict[str, Any] = {
+    "case": "battery/000 leak 1", "truth": {"effects": [["leak", 1]]}, "verdict": "effect",
+    "effects": [{"name": "leak", "muscle": 1, "parameters": {"area_1": {"value": 1e-9, "std": 1e-11, "unit": "m2"}}}],
+    "calibration": [], "errors": {"extended": {"angle": {"rmse_deg": 0.01}, "torque": None}},
+    "cpu_s": 20.0,
+}  # fmt: skip
+NOTHING = {**LEAK, "case": "battery/003 none", "truth": {"effects": []}, "verdict": "none", "effects": []}
+UNKNOWN = {**LEAK, "case": "measured/x", "truth": None, "verdict": "unexplained", "effects": []}
+FOREIGN = {**UNKNOWN, "truth": {"effects": [["exchange", None]]}}
+
+
+def changed(entry: dict[str, Any], **others: Any) -> dict[str, Any]:
+    return {**copy.deepcopy(entry), **others}
+
+
+def effect(name: str, muscle: int | None = None, value: float = 1e-9) -> dict[str, Any]:
+    return {"name": name, "muscle": muscle, "parameters": {"area_1": {"value": value, "std": 1e-11, "unit": "m2"}}}
+
+
+@pytest.mark.parametrize(
+    ("old", "others", "said"),
+    [
+        (LEAK, {}, []),
+        (LEAK, {"verdict": "none", "effects": []}, ["worse: effect leak 1 is gone", "worse: verdict effect -> none"]),
+        (LEAK, {"effects": [effect("leak", 1, 1.02e-9)]}, []),
+        (LEAK, {"effects": [effect("leak", 1, 1.1e-9)]}, ["worse: leak 1 area_1 1e-09 +- 1e-11 -> 1.1e-09 +- 1e-11"]),
+        (LEAK, {"effects": [*LEAK["effects"], effect("creep")]}, ["worse: effect creep is new"]),
+        (LEAK, {"errors": {"extended": {"angle": {"rmse_deg": 0.02}}}},
+         ["worse: held-out angle rmse_deg 0.01 -> 0.02"]),
+        (LEAK, {"errors": {"extended": {"angle": {"rmse_deg": 0.001}}}},
+         ["better: held-out angle rmse_deg 0.01 -> 0.001"]),
+        (LEAK, {"cpu_s": 60.0}, ["worse: processor time 20 -> 60 s"]),
+        (NOTHING, {"verdict": "unexplained"}, ["worse: verdict none -> unexplained"]),
+        (NOTHING, {"calibration": [{"name": "angle_zero", "value": 1.0, "std": 0.1}]},
+         ["worse: calibration angle_zero is new"]),
+        (UNKNOWN, {"verdict": "none"}, ["worse: verdict unexplained -> none"]),
+        (FOREIGN, {"verdict": "effect", "effects": [effect("learned")]},
+         ["other: effect learned is new", "other: verdict unexplained -> effect"]),
+        (FOREIGN, {"verdict": "effect", "effects": [effect("leak", 1)]},
+         ["worse: effect leak 1 is new", "worse: verdict unexplained -> effect"]),
+        (changed(LEAK, verdict="unexplained", effects=[]), {"verdict": "effect", "effects": LEAK["effects"]},
+         ["better: effect leak 1 is new", "better: verdict unexplained -> effect"]),
+    ],
+)  # fmt: skip
+def test_what_differs_is_said(
+    old: dict[str, Any], others: dict[str, Any], said: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, entry in (("old", old), ("new", changed(old, **others))):
+        (tmp_path / name).write_text(json.dumps(entry) + "\n")
+    status = oracle.main([str(tmp_path / "new"), "--against", str(tmp_path / "old"), "--compare-only"])
+    lines = capsys.readouterr().out.splitlines()
+    worse = sum(line.startswith("worse") for line in said)
+    assert status == (1 if worse else 0)
+    assert [line.replace(f"{old['case']}: ", "") for line in lines[:-1]] == said
+    assert lines[-1] == f"1 of 1 cases compared: {worse} things are worse"
+
+
+def test_the_frozen_answers_are_whole_and_their_joints_can_be_made_again(capsys: pytest.CaptureFixture[str]) -> None:
+    frozen = Path(__file__).parents[1] / "diagnosis" / "oracle.jsonl"
+    entries = oracle.read(frozen)
+    joints = [oracle._case(entry["truth"]) for name, entry in entries.items() if name.startswith("battery/")]
+    assert len(joints) == 60 and sum(case.kind == "none" for case in joints) == 20
+    assert all(f"battery/{case.name}" in entries and hash(case) for case in joints)
+    assert set(at_hand.NAMES) == {name for name in entries if not name.startswith("battery/")}
+    assert oracle.main([str(frozen), "--against", str(frozen), "--compare-only"]) == 0
+    assert capsys.readouterr().out == f"{len(entries)} of {len(entries)} cases compared: 0 things are worse\n"

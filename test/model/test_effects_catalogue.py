@@ -1,7 +1,9 @@
-"""Effects in a rig file: read, refused with a hint, written and read again."""
+"""The catalogue of effects: what is at its neutral value is not there; rig files and docs/effects.md say the same."""
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +11,99 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import equilibrium, integration
+from pam_antagonist.model import equilibrium, integration, sensor
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.model.effects.page import page
+from pam_antagonist.model.effects.registry import catalogue
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation import excitation
+
+VOLTAGE = excitation.profile("steps", 8.0, 1e-3, seed=6)
+NAMES = (
+    "hysteresis", "leak", "supply_droop", "valve_lag", "valve_offset", "line_resistance", "pressure_sensor",
+    "load_torque", "friction", "creep", "thermal", "external_torque", "valve_play", "warm_up", "slack",
+    "friction_by_pressure", "friction_by_signal", "load_by_signal", "strength_by_signal", "regulator_limits",
+    "regulator_threshold", "regulator_dead_time", "regulator_lag", "limb_weight",
+    "learned",
+)  # fmt: skip
+"""As reports call them."""
+
+
+def run(p: np.ndarray, substeps: int = 1, start: np.ndarray | None = None):
+    if start is None:
+        start = equilibrium.initial_state(0.05, 430e3, 470e3, VOLTAGE[0], p)
+    return integration.simulate(start, VOLTAGE, p, 1e-3, substeps)
+
+
+def same(one, other) -> None:
+    for a, b in zip(one, other, strict=True):
+        assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("joint", ["free", "locked"])
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_sizes_of_zero_are_the_base_model_whatever_the_shapes(rig, name, joint):
+    shapes = {item.name: item.high for item in CATALOGUE[name].parameters if not item.is_size}
+    sizes = {item.name: 0.0 for item in CATALOGUE[name].parameters if item.is_size}
+    angle = 0.05 if joint == "locked" else 0.0
+    base = rig.parameters(joint, angle)
+    with_effect = rig.replaced(effects={name: {**shapes, **sizes}}).parameters(joint, angle)
+    assert int(with_effect[par.STATES]) == 4
+    whole = run(base)
+    assert np.ptp(whole[0][:, 2:], axis=0).min() > 100e3, "the valves did not move the pressures"
+    same(run(with_effect), whole)
+
+
+def test_sensors_show_the_pressure_itself(rig):
+    p = rig.parameters()
+    for pressure in np.random.default_rng(1).uniform(90e3, 720e3, 100):
+        for muscle in (0, 1):
+            assert sensor.reading(muscle, pressure, p) == pressure
+            assert sensor.pressure_behind(muscle, pressure, p) == pressure
+
+
+@pytest.mark.parametrize("joint", ["free", "locked"])
+def test_the_general_kernel_is_the_scalar_one(rig, joint):
+    """With a fifth state that does nothing, all goes through the general kernel, with the same bits."""
+    base = rig.parameters(joint, 0.05 if joint == "locked" else 0.0)
+    general = par.changed(base, {parameter_path("external_torque", "noise"): 0.1})
+    assert int(general[par.STATES]) == 5
+    states, torques, sigma = run(general, substeps=2)
+    assert np.all(states[:, 4] == 0.0)
+    same((states[:, :4], torques, sigma), run(base, substeps=2))
+
+
+def test_a_state_comes_with_its_size_and_goes_with_it(rig):
+    p = rig.parameters()
+    for effect in CATALOGUE.values():
+        for state in effect.states:
+            for switch in (state.switch, *state.further):
+                item = next(entry for entry in effect.parameters if entry.name == switch)
+                assert item.is_size
+                there = par.changed(p, {parameter_path(effect.name, item.name): item.scale})
+                brought = [s.name for s in effect.states if switch in (s.switch, *s.further)]
+                assert state.name in brought
+                assert par.added_states(there) == brought
+                assert int(there[par.STATES]) == 4 + len(brought)
+                assert np.array_equal(par.changed(there, {parameter_path(effect.name, item.name): 0.0}), p)
+
+
+def test_the_catalogue_is_whole():
+    assert tuple(CATALOGUE) == NAMES
+    for effect in CATALOGUE.values():
+        assert all((effect.meaning, effect.law, effect.source, effect.signature))
+        assert any(item.is_size for item in effect.parameters)
+        for item in effect.parameters:
+            assert item.low <= item.neutral <= item.high
+            assert item.low < item.scale < item.high
+            assert item.unit and item.meaning
+        names = {item.name for item in effect.parameters}
+        noises = [state.noise for state in effect.states]
+        assert all(noise in names if isinstance(noise, str) else noise >= 0.0 for noise in noises)
+        assert all(state.initial_std > 0.0 for state in effect.states)
+
 
 SINGLE_NUMBERS = {name: effect for name, effect in CATALOGUE.items() if not effect.of_tables}
 """Learned laws are tables: test/rig/test_learned.py."""
@@ -123,3 +212,29 @@ def test_what_is_written_is_what_was_there(tmp_path):
     # The estimator takes it as it is.
     row = Estimator(again).step(1, 450e3, 450e3, 450e3, 450e3)
     assert row is not None and np.isfinite(row["torque"])
+
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+
+
+def test_what_a_sealed_joint_shows():
+    paragraph = TEXT.split("**A sealed joint**")[1].split("\n\n")[0]
+    assert set(re.findall(r"`(\w+)`", paragraph)) == {name for name, item in CATALOGUE.items() if item.sealed.part}
+
+
+def test_the_page_is_up_to_date():
+    assert page(TEXT, CATALOGUE) == TEXT, "python -m pam_antagonist.model.effects.page --write docs/effects.md"
+
+
+def test_a_page_without_its_marks_is_refused():
+    with pytest.raises(BadInput, match="expected one part between <!-- begin effects -->"):
+        page(TEXT.replace("<!-- begin effects -->", ""), CATALOGUE)
+
+
+def test_a_loop_of_a_sealed_joint_names_parameters_of_its_effect() -> None:
+    friction = CATALOGUE["friction"]
+    assert friction.sealed.loop is not None
+    wrong = replace(friction.sealed, loop=replace(friction.sealed.loop, sizes=("coulombs",)))
+    with pytest.raises(BadInput, match=r"friction.*sealed\.loop.*coulomb"):
+        catalogue([replace(friction, sealed=wrong)])

@@ -1,0 +1,172 @@
+"""When an effect is taken, when effects are the explanation, and what the user is told beside the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pam_antagonist.diagnosis import models, warnings
+from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
+from pam_antagonist.diagnosis.checkpoint import Checkpoint, Kept
+from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
+from pam_antagonist.diagnosis.models import Model
+from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.inference.free_parameters import FreeEffectParameter
+from pam_antagonist.inference.point import Point
+from pam_antagonist.model.effects import CATALOGUE
+
+NO_MODEL = Model()
+
+
+def tried(number: int, bic: float, held: float, held_out: float = 20.0, share: float | None = None) -> TriedCandidate:
+    share = held if share is None else share
+    return TriedCandidate("leak", number, bic, bic, held_out, (held, held), NO_MODEL, None, share)
+
+
+def leader(candidates: list[TriedCandidate]) -> TriedCandidate | None:
+    return Ranking(NO_MODEL, NO_MODEL, tuple(candidates)).leader
+
+
+def test_evidence_without_held_out_gain_is_not_enough() -> None:
+    assert tried(1, 50.0, 0.8).is_worth_taking
+    assert not tried(1, 50.0, 0.04).is_worth_taking
+    assert not tried(1, 50.0, 0.8, held_out=1.0).is_worth_taking
+    assert not tried(1, 1.0, 0.8).is_worth_taking
+    assert not TriedCandidate("leak", 1, 50.0).is_worth_taking
+
+
+def test_what_hardly_pays_where_it_was_fitted_needs_more_held_out_evidence() -> None:
+    assert tried(1, 4.0, 0.8, held_out=8.0).is_worth_taking
+    assert not tried(1, 4.0, 0.8, held_out=7.0).is_worth_taking
+    assert not tried(1, 9.0, 0.8, held_out=4.0).is_worth_taking
+
+
+def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> None:
+    assert tried(2, 9.0, 0.25).is_worth_taking
+    assert not tried(2, 9.0, 0.25, held_out=-4.0).is_worth_taking
+    assert not tried(2, 1.0, 0.9).is_worth_taking
+    assert not tried(2, 9.0, 0.1).is_worth_taking
+
+
+def test_what_has_little_held_out_evidence_must_be_the_more_certain() -> None:
+    assert tried(1, 30.0, 0.4, held_out=4.0).is_worth_taking
+    assert not tried(1, 19.0, 0.4, held_out=4.0).is_worth_taking
+    assert not tried(1, 90.0, 0.4, held_out=1.0).is_worth_taking
+
+
+def test_a_further_effect_is_judged_by_both_parts_together() -> None:
+    assert tried(2, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
+    assert not tried(2, 24.0, 0.3, held_out=10.0, share=0.1).is_worth_taking
+    assert not tried(1, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
+
+
+@pytest.mark.parametrize(
+    ("share", "quiet", "explains", "in_part"),
+    [
+        (0.9, False, True, False), (0.5, False, True, True), (0.3, False, False, True), (-0.5, False, False, True),
+        (0.3, True, True, False),
+    ],
+)  # fmt: skip
+def test_effects_are_the_explanation_of_what_they_take_away(monkeypatch, share, quiet, explains, in_part) -> None:
+    monkeypatch.setattr(models, "share_of_all", lambda base, model: share)
+    monkeypatch.setattr(Model, "is_at_noise", quiet)
+    assert models.explains(NO_MODEL, Model(effects=("friction",))) is explains
+    assert models.explains_in_part(NO_MODEL, Model(effects=("friction",))) is in_part
+    assert not models.explains(NO_MODEL, NO_MODEL)
+
+
+def test_one_effect_that_leaves_much_leads_where_all_others_are_far_behind() -> None:
+    best = tried(1, 40.0, 0.3, held_out=30.0)
+    assert leader([tried(1, 20.0, 0.1, held_out=10.0), best, tried(2, 99.0, 0.9)]) is best
+    assert leader([best, tried(1, 30.0, 0.1, held_out=10.0)]) is None
+    assert leader([tried(1, 40.0, 0.1, held_out=30.0)]) is None
+    assert leader([tried(1, 60.0, 0.3, held_out=4.0)]) is None
+    assert leader([tried(1, 10.0, 0.3, held_out=8.0)]) is None
+    assert leader([]) is None
+
+
+def test_an_experiment_that_tells_is_named() -> None:
+    said = distinguishing_experiments(("leak",), ("valve_offset",), {"free"})
+    assert "close the valves" in said["valve_offset"]
+    assert "locked" in said["valve_offset"]
+
+
+@dataclass
+class Ended:
+    point: Point
+    free: tuple[FreeEffectParameter, ...]
+
+
+@dataclass
+class Recorded:
+    trial: SimpleNamespace
+
+
+def test_a_number_that_ends_at_its_bound_is_named() -> None:
+    items = {item.name: item for item in CATALOGUE["creep"].parameters}
+    values = {"time": items["time"].high, "share_1": items["share_1"].low, "share_2": 0.0, "stiffness": 700.0}
+    free = tuple(FreeEffectParameter((f"effects.creep.{name}",), items[name]) for name in values)
+    point = Point(np.zeros(0), {f"effects.creep.{name}": value for name, value in values.items()})
+    recorded = Recorded(SimpleNamespace(name="free"))
+    size, time = sorted(warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("creep",))))
+    assert size.startswith("creep.share_1 ends at its bound") and "in free" in size
+    assert time.startswith(f"creep.time ends at its bound, {values['time']:g} s") and "how much further" in time
+
+
+def test_a_small_leak_is_not_at_its_bound() -> None:
+    area = next(item for item in CATALOGUE["leak"].parameters if item.name == "area_1")
+    point = Point(np.zeros(0), {"effects.leak.area_1": 1e-9})
+    free = (FreeEffectParameter(("effects.leak.area_1",), area),)
+    recorded = Recorded(SimpleNamespace(name="free"))
+    assert warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("leak",))) == []
+
+
+def estimated(angle: float | None, torque: float) -> SimpleNamespace:
+    return SimpleNamespace(
+        angle=None if angle is None else ChannelErrors("deg", angle, angle, 0.1, None),
+        torque=ChannelErrors("nm", torque, torque, 0.1, None),
+    )
+
+
+def recording(name: str, before: SimpleNamespace, after: SimpleNamespace) -> Any:
+    """The entry of a recording with the estimator's errors as configured and extended."""
+    return SimpleNamespace(recording=name, ukf=SimpleNamespace(as_configured=before, extended=after))
+
+
+def test_an_estimator_that_got_worse_is_told_with_its_numbers() -> None:
+    worse = recording("free", estimated(0.07, 0.01), estimated(0.41, 0.011))
+    (said,) = warnings.estimator_worse([worse])
+    assert "0.41°" in said and "0.07°" in said and "free" in said
+    locked = recording("held", estimated(None, 0.02), estimated(None, 0.05))
+    assert "torque 0.05 N m" in warnings.estimator_worse([locked])[0]
+    better = recording("free", estimated(0.4, 0.03), estimated(0.01, 0.01))
+    fitted: Any = SimpleNamespace(recording="fitted", ukf=None)
+    assert warnings.estimator_worse([better, fitted]) == []
+
+
+def test_a_finished_candidate_is_found_again(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path / "kept")
+    point = Point(np.array([0.1, -0.2]), {"effects.leak.area_1": 1e-9})
+    checkpoint.save("a", Kept(point, 50.0, 12.5))
+    found = checkpoint.load("a")
+    assert found is not None
+    assert found.point.theta.tolist() == [0.1, -0.2]
+    assert found.point.effects == point.effects
+    assert (found.blocks_per_error, found.gain) == (50.0, 12.5)
+    assert checkpoint.load("b") is None
+
+
+@pytest.mark.parametrize("text", ["", "{", "{}", "[1]", '{"theta": [1], "effects": {}, "blocks_per_error": 1}'])
+def test_a_damaged_file_is_worked_out_anew(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    assert Checkpoint(tmp_path).load("a") is None
+
+
+def test_nothing_is_kept_without_a_folder() -> None:
+    Checkpoint().save("a", Kept(Point(np.zeros(1)), 1.0, 0.0))
+    assert Checkpoint().load("a") is None
