@@ -42,6 +42,7 @@ examples:
   {run} monitor_study --out DIR --rig bench --hours 2 --seeds 1 --docs figures.md
 """
 NOISES = (4.0, 8.0, 16.0)
+_MINUTES = 20
 WAYS = [(moving, encoder) for moving in (True, False) for encoder in (False, True)]
 WORDS = {True: "moving", False: "at rest"}, {False: "", True: ", encoder"}
 _ENCODER = Encoder(std=5e-4)
@@ -211,7 +212,11 @@ def parser() -> common.Parser:
     out.option("--out", "folder of the outcomes; may exist", Path, metavar="DIR", required=True)
     out.option("--rig", "a rig, or one of rehearse_new_rigs (default: shin2022)", str, "shin2022", "RIG")
     out.option(
-        "--hours", "with nothing wrong, moving and at rest each, one a seed (default: 4)", whole(0, 10_000), 4, "H"
+        "--hours",
+        "with nothing wrong, moving and at rest each, a joint for 20 minutes (default: 4)",
+        whole(0, 10_000),
+        4,
+        "H",
     )
     out.option("--seeds", "joints that get every effect, moving and at rest (default: 2)", whole(0, 10_000), 2, "N")
     out.option("--first-seed", "(default: 1)", SEED, 1, "S")
@@ -240,13 +245,15 @@ def _main(arguments: argparse.Namespace) -> int:
             write_json(path, work(rig, seed, moving, more))
         return json.loads(path.read_text(encoding="utf-8"))
 
+    joints, seeds = range(first, first + round(60 / _MINUTES * arguments.hours)), range(first, first + arguments.seeds)
+    ways = [(seed, moving) for seed in range(first, max(joints.stop, seeds.stop)) for moving in (True, False)]
     quiet, found = [], []
-    for seed in range(first, first + max(arguments.hours, arguments.seeds)):
-        for moving in (True, False):
-            if seed < first + arguments.hours:
-                quiet.append({"moving": moving, **kept("nothing", seed, moving, nothing, 60)})
-            if seed < first + arguments.seeds:
-                found += [{"moving": moving, **one} for one in kept("faults", seed, moving, trials, sizes)]
+    for seed, moving in ways:
+        if seed in joints:
+            quiet.append({"moving": moving, **kept("nothing", seed, moving, nothing, _MINUTES)})
+        for noises in NOISES if seed in seeds else ():
+            more = [one for one in sizes if one[1] == noises]
+            found += [{"moving": moving, **one} for one in kept(f"faults_{noises:g}", seed, moving, trials, more)]
     tables = [table for table in (alarms(quiet), detection(found)) if table.rows]
     print("\n\n".join(terminal.table(table, indent="") for table in tables))
     if arguments.docs is not None:

@@ -128,6 +128,8 @@ _ZERO = 5e-4
 _LARGEST_ZERO = 0.35
 _KNOWN_TO = 0.01
 """Relative standard deviation of a parameter for which the rig file gives none."""
+_CONVERTER = 1e-3
+"""[V] Standard deviation of what a valve gets beside its command, in its mean over a sample."""
 _CHAMBERS = {
     state.name for effect in CATALOGUE.values() if "chamber_pressure" in effect.hooks for state in effect.states
 }
@@ -183,6 +185,8 @@ def hypotheses(rig: Rig, encoder: bool) -> list[Watched]:
 def uncertain(rig: Rig) -> list[dict[str, float]]:
     """Changes of one standard deviation in which a joint may differ from its rig file from the start."""
     declared = considered(rig)
+    if rig.drive == "valve":
+        declared += [{parameter_path("valve_offset", f"voltage_{i}"): _CONVERTER} for i in (1, 2)]
     names = {name for step in declared for name in step}
     others = [each for each in base_directions(rig) if names.isdisjoint(each.changes)]
     return declared + [
