@@ -28,6 +28,7 @@ from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.model.parameters import STATES
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import varied
+from pam_antagonist.rig.schema import ENCODER_ZERO
 
 READINGS = 3
 """Both pressures and the angle."""
@@ -140,7 +141,7 @@ _CHAMBERS = {
 class Watched:
     """A hypothesis: a size of an effect, or the encoder's zero."""
 
-    name: str  # of the effect, or ``encoder_zero``
+    name: str  # of the effect, or ENCODER_ZERO
     muscle: int | None
     parameter: str
     unit: str
@@ -178,7 +179,7 @@ def hypotheses(rig: Rig, encoder: bool) -> list[Watched]:
                     item.low - present, item.high - present, paths,
                 )
             )  # fmt: skip
-    zero = Watched("encoder_zero", None, "angle", "rad", _ZERO, -_LARGEST_ZERO, _LARGEST_ZERO)
+    zero = Watched(ENCODER_ZERO, None, "angle", "rad", _ZERO, -_LARGEST_ZERO, _LARGEST_ZERO)
     return [*found, zero] if encoder else found
 
 
