@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,8 +30,8 @@ Floats = NDArray[np.float64]
 
 WINDOW = 120
 """Blocks that are searched for an onset."""
-_LIMIT = 4.5
-"""Evidence that a block gives at most: what happens once is no state of the joint."""
+_KNOCK, _LIMIT = 2, 4.5
+"""Blocks with the most evidence, and how much each of them gives at most: what happens once is no state of the joint."""
 _SMALL = 6.0
 """Evidence up to which that limit does not matter."""
 _HISTORY = 900
@@ -58,7 +58,7 @@ class Finding:
     """What a monitor says of a hypothesis at its best onset."""
 
     watched: Watched
-    evidence: float  # of which no block gives more than a limit
+    evidence: float  # of which no knock gives more than a limit; of the first, the largest of those alike
     full: float  # without that limit
     onset_ns: int
     onset_std: float  # [s]
@@ -161,7 +161,9 @@ class Blocks:
                     item.step * float(np.sqrt(inflation[b, k] / information[b, k])),
                 )
             )  # fmt: skip
-        return sorted(found, key=lambda one: -one.full)
+        found.sort(key=lambda one: -one.full)
+        near = [one.evidence for one in found if one.full >= _ALIKE * found[0].full]
+        return [replace(found[0], evidence=max([found[0].evidence, *near])), *found[1:]]
 
     def stds(self, blocks: int) -> Floats:
         """Standard deviation of the size that each hypothesis has had in the last blocks."""
@@ -197,7 +199,7 @@ class Blocks:
         return _Window(info, scores, roots, mean, bias, certainty, weights, score, information, inflation)
 
     def _limited(self, window: _Window, b: int, k: int, size: float) -> float:
-        """Evidence of hypothesis k since block b, of which no block gives more than a limit."""
+        """Evidence of hypothesis k since block b, of which no knock gives more than a limit."""
         known, weights, info = self._known, window.weights[b, :, k], window.info[b:]
         left = window.scores[b:] - info[:, :, known] @ window.mean[b] - window.bias[b] * window.roots[b:]
         score = left[:, k] - left[:, known] @ weights
@@ -205,7 +207,7 @@ class Blocks:
         own = own + np.einsum("n,bnm,m->b", weights, info[:, known][:, :, known], weights)
         prior = 0.5 * size**2 * float(weights @ window.certainty[b] @ weights)
         each = (size * score - 0.5 * size**2 * own - prior / len(own)) / window.inflation[b, k]
-        return float(np.minimum(each, _LIMIT).sum())
+        return float(each.sum() - np.maximum(np.sort(each)[-_KNOCK:] - _LIMIT, 0.0).sum())
 
 
 def _since(values: Floats) -> Floats:
