@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 WINDOW = 120
 """Blocks that are searched for an onset."""
 _KNOCK, _LIMIT = 2, 4.5
-"""Blocks with the most evidence, and how much each of them gives at most: what happens once is no state of the joint."""
+"""Blocks with the most evidence, and how much each gives at most: what happens once is no state of the joint."""
 _SMALL = 6.0
 """Evidence up to which that limit does not matter."""
 _HISTORY = 900

@@ -69,7 +69,9 @@ def test_a_leak_is_found_with_its_onset_and_size_and_nothing_before(run: Run, en
     first = after.findings[0]
     leak = next(one for one in after.findings if one.watched.paths == ("effects.leak.area_1",))
     assert first.evidence > THRESHOLD
-    assert first.watched.name == "leak" or "leak 1" in alike(after.findings)  # at rest a valve looks the same
+    assert leak.evidence > THRESHOLD
+    # At rest a valve looks the same. A joint that sticks does not follow its first-order response: an encoder misleads.
+    assert encoder or first.watched.name == "leak" or "leak 1" in alike(after.findings)
     assert leak.onset_ns * 1e-9 == pytest.approx(START_NS * 1e-9 + ONSET, abs=5.0)
     assert leak.size == pytest.approx(AREA, rel=0.5)
     other = next(one for one in after.findings if one.watched.paths == ("effects.leak.area_2",))
