@@ -102,23 +102,23 @@ def trials(rig: Rig, seed: int, moving: bool, sizes: Sequence[tuple[Fault, float
     """What each fault does to the same joint, in a process of its own; faults without a size are left out."""
     watched = Watched(rig, seed, moving)
     before = [watched.second() for _ in range(_WARM_UP)]
-    if max(value[k][0] for value in before for k in (0, 1)) >= THRESHOLD:
-        return []  # counts in the hours with nothing wrong
+    # A monitor that alarms before the fault cannot be judged by it; such alarms count in the hours with nothing wrong.
+    calm = {k for k in (0, 1) if max(value[k][0] for value in before) < THRESHOLD}
     done = []
     with counted(len(sizes), f"seed {seed}, {WORDS[0][moving]}") as advance:
         for fault, noises, size in sizes:
-            found = _forked(lambda fault=fault, size=size: _trial(watched, fault, size))
+            found = _forked(lambda fault=fault, size=size: _trial(watched, fault, size, calm)) if calm else []
             done += [{"fault": fault.label, "noises": noises, "size": size, **one} for one in found]
             advance(1)
     return done
 
 
-def _trial(watched: Watched, fault: Fault, size: float) -> list[dict[str, Any]]:
+def _trial(watched: Watched, fault: Fault, size: float, calm: set[int]) -> list[dict[str, Any]]:
     joint = watched.joint
     joint.change(fault.applied(joint.p, size))
     joint.misread = size * fault.misread
     out: list[dict[str, Any]] = [{"encoder": k == 1, "delay_s": None, "found": False} for k in (0, 1)]
-    waiting = {0, 1}
+    waiting = set(calm)
     for second in range(1, _LONGEST + 1):
         values = watched.second()
         for k in tuple(waiting):
@@ -133,7 +133,7 @@ def _trial(watched: Watched, fault: Fault, size: float) -> list[dict[str, Any]]:
                 waiting.discard(k)
         if not waiting:
             break
-    return out
+    return [out[k] for k in sorted(calm)]
 
 
 def _named(fault: Fault, findings: list[Any]) -> tuple[bool, str]:
