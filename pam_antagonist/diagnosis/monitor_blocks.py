@@ -180,19 +180,20 @@ class Blocks:
         own, cross = roots**2, info[:, known]
         # What all blocks before each onset say of the uncertain parameters, which may have moved since then.
         certainty = self._certainty + _before(cross[:, :, known])
-        mean = np.linalg.solve(certainty, (self._sums + _before(scores[:, known]))[..., None])[..., 0]
+        sums = self._sums + _before(scores[:, known])
+        mean: Floats = np.asarray(np.linalg.solve(certainty, sums[..., None])[..., 0], dtype=np.float64)
         moves = np.where(known >= len(self.watched), _MOVES**2, 0.0)
-        certainty = np.linalg.inv(np.linalg.inv(certainty) + np.diag(moves))
+        certainty = np.asarray(np.linalg.inv(np.linalg.inv(certainty) + np.diag(moves)))
         # The bias before each onset, and its variance.
         standard = (scores - np.einsum("bnh,n->bh", cross, mean[-1])) / roots
         inflation = _inflation(np.concatenate([self._standard, standard]))
-        sums = _before(scores / roots) - np.einsum("bnh,bn->bh", _before(cross / roots[:, None]), mean)
+        left = _before(scores / roots) - np.einsum("bnh,bn->bh", _before(cross / roots[:, None]), mean)
         blocks = len(self._standard) + np.arange(len(order))[:, None]
         variance = 1.0 / (1.0 / _BIAS**2 + blocks / inflation)
-        bias = variance * (self._standard.sum(axis=0) + sums) / inflation
+        bias = variance * (self._standard.sum(axis=0) + left) / inflation
         whole, total, since, crossed = (_since(values) for values in (scores, own, roots, cross))
         whole = whole - np.einsum("bnh,bn->bh", crossed, mean) - bias * since
-        weights = np.linalg.solve(crossed[:, :, known] + certainty, crossed)
+        weights: Floats = np.asarray(np.linalg.solve(crossed[:, :, known] + certainty, crossed), dtype=np.float64)
         information = np.maximum(total - np.einsum("bnh,bnh->bh", crossed, weights), 0.0) + _INEXACT * total
         score = whole - np.einsum("bnh,bn->bh", weights, whole[:, known])
         inflation = inflation + (variance + _DRIFT**2) * since**2 / total
