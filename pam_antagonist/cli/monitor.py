@@ -28,7 +28,7 @@ from pam_antagonist.report.terminal import render
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import rest_pressure, rest_voltage
 
-_SETTLING, _SECONDS = 35, 60
+_SETTLING, _SECONDS = 95, 60
 """[s] Before the minute that counts, and that minute."""
 _ENCODER = {"std": 5e-4}
 """Where the rig file has none."""
@@ -48,7 +48,7 @@ def smallest(rig: Rig, moving: bool, encoder: bool) -> dict[tuple[str, str], flo
     run = simulate(rig, voltage, duration=float(seconds), seed=1)
     monitor = Monitor(rig, encoder=encoder)
     monitor.add(run.stamp_ns, run.pressure, run.voltage, run.angle_sensor if encoder else None)
-    stds = monitor.blocks.stds()
+    stds = monitor.blocks.stds(_SECONDS)
     out = {}
     for item, std in zip(monitor.watched, stds, strict=True):
         size = math.sqrt(2.0 * THRESHOLD) * float(std)

@@ -49,20 +49,13 @@ class Monitor:
     """
 
     def __init__(self, rig: Rig, joint: str = "free", lock_angle: float = 0.0, encoder: bool = False) -> None:
-        self._every = max(1, round(1.0 / (RATE * rig.sample_period)))
-        self._dt, self._period_ns = self._every * rig.sample_period, rig.sample_period * 1e9
-        tuning = rig.tuning("default")
-        slower = tuning.replaced(
-            process=tuple(value * self._every for value in tuning.process),
-            states={name: (a, b * self._every) for name, (a, b) in tuning.states.items()},
-            measurement=tuple(value / self._every for value in tuning.measurement),
-            consider=False, gate=_GATE,
-        )  # fmt: skip
-        slow = rig.unchecked(sample_period=self._dt, tunings={**rig.tunings, "default": slower})
+        slow = slower(rig)
+        self._every, self._dt = round(slow.sample_period / rig.sample_period), slow.sample_period
+        self._period_ns = rig.sample_period * 1e9
         self._filter = Estimator(slow, "default", joint, lock_angle, "encoder" if encoder else "none")
         self._encoder = rig.encoder if encoder else None
         angle_variance = 1.0 if self._encoder is None else self._encoder.variance
-        self._variance = np.array([*slower.measurement, angle_variance])
+        self._variance = np.array([*slow.tuning("default").measurement, angle_variance])
         self._noise = self._filter.process_noise.copy()
         self._steps = max(1, math.ceil(self._dt / _LONGEST_STEP))
         self._p = slow.parameters(joint, lock_angle)
@@ -189,6 +182,19 @@ class Monitor:
         factor = math.sqrt(float(np.prod(noise[_PRESSURES] / given[_PRESSURES])))
         noise[_MOTION] = given[_MOTION] * min(factor, 1.0)
         self._products[:] = 0.0
+
+
+def slower(rig: Rig) -> Rig:
+    """The rig for means of samples at 100 Hz, or nearly: the noise of its filter, which considers nothing."""
+    every = max(1, round(1.0 / (RATE * rig.sample_period)))
+    tuning = rig.tuning("default")
+    noise = tuning.replaced(
+        process=tuple(value * every for value in tuning.process),
+        states={name: (a, b * every) for name, (a, b) in tuning.states.items()},
+        measurement=tuple(value / every for value in tuning.measurement),
+        consider=False, gate=_GATE,
+    )  # fmt: skip
+    return rig.unchecked(sample_period=every * rig.sample_period, tunings={**rig.tunings, "default": noise})
 
 
 def _means(values: Floats) -> Floats:

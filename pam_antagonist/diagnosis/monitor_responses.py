@@ -28,6 +28,7 @@ from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.model.parameters import STATES
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import varied
+from pam_antagonist.rig.schema import ENCODER_ZERO
 
 READINGS = 3
 """Both pressures and the angle."""
@@ -128,6 +129,8 @@ _ZERO = 5e-4
 _LARGEST_ZERO = 0.35
 _KNOWN_TO = 0.01
 """Relative standard deviation of a parameter for which the rig file gives none."""
+_CONVERTER = 1e-3
+"""[V] Standard deviation of what a valve gets beside its command, in its mean over a sample."""
 _CHAMBERS = {
     state.name for effect in CATALOGUE.values() if "chamber_pressure" in effect.hooks for state in effect.states
 }
@@ -138,7 +141,7 @@ _CHAMBERS = {
 class Watched:
     """A hypothesis: a size of an effect, or the encoder's zero."""
 
-    name: str  # of the effect, or ``encoder_zero``
+    name: str  # of the effect, or ENCODER_ZERO
     muscle: int | None
     parameter: str
     unit: str
@@ -176,13 +179,15 @@ def hypotheses(rig: Rig, encoder: bool) -> list[Watched]:
                     item.low - present, item.high - present, paths,
                 )
             )  # fmt: skip
-    zero = Watched("encoder_zero", None, "angle", "rad", _ZERO, -_LARGEST_ZERO, _LARGEST_ZERO)
+    zero = Watched(ENCODER_ZERO, None, "angle", "rad", _ZERO, -_LARGEST_ZERO, _LARGEST_ZERO)
     return [*found, zero] if encoder else found
 
 
 def uncertain(rig: Rig) -> list[dict[str, float]]:
     """Changes of one standard deviation in which a joint may differ from its rig file from the start."""
     declared = considered(rig)
+    if rig.drive == "valve":
+        declared += [{parameter_path("valve_offset", f"voltage_{i}"): _CONVERTER} for i in (1, 2)]
     names = {name for step in declared for name in step}
     others = [each for each in base_directions(rig) if names.isdisjoint(each.changes)]
     return declared + [

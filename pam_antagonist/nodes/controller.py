@@ -25,6 +25,7 @@ from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import drive_of
 from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
+from pam_antagonist.rig.schema import ENCODER_ZERO
 from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist_msgs.msg import Health as HealthMessage
 from pam_antagonist_msgs.msg import JointEstimate
@@ -314,7 +315,7 @@ class ControllerNode(PamNode):
 
 def stops_on(names: Sequence[str]) -> frozenset[str]:
     """Names of the parameter ``stop_on`` that the monitor may publish."""
-    given, known = frozenset(names) - {""}, (*CATALOGUE, "encoder_zero")
+    given, known = frozenset(names) - {""}, (*CATALOGUE, ENCODER_ZERO)
     if unknown := sorted(given - set(known)):
         raise BadInput(f"stop_on: no effect is called {unknown[0]!r}; expected some of {', '.join(known)}")
     return given

@@ -210,6 +210,10 @@ def _late(what: str) -> Any:
     return Field(default=0.0, ge=-1.0, le=1.0, description=f"by how much the stamps of the {what} are too early [s]")
 
 
+ENCODER_ZERO = "encoder_zero"
+"""Field of :class:`Calibration`; a hypothesis of the monitor has its name."""
+
+
 class Calibration(Strict):
     """Zeros, scale and clocks of the recordings, which are corrected by them while they are read; no node uses them."""
 

@@ -69,7 +69,9 @@ def test_a_leak_is_found_with_its_onset_and_size_and_nothing_before(run: Run, en
     first = after.findings[0]
     leak = next(one for one in after.findings if one.watched.paths == ("effects.leak.area_1",))
     assert first.evidence > THRESHOLD
-    assert first.watched.name == "leak" or "leak 1" in alike(after.findings)  # at rest a valve looks the same
+    assert leak.evidence > THRESHOLD
+    # At rest a valve looks the same. A joint that sticks does not follow its first-order response: an encoder misleads.
+    assert encoder or first.watched.name == "leak" or "leak 1" in alike(after.findings)
     assert leak.onset_ns * 1e-9 == pytest.approx(START_NS * 1e-9 + ONSET, abs=5.0)
     assert leak.size == pytest.approx(AREA, rel=0.5)
     other = next(one for one in after.findings if one.watched.paths == ("effects.leak.area_2",))
@@ -118,7 +120,8 @@ def test_nothing_usable_gives_no_findings_and_memory_stays_bounded(run: Run) -> 
 def test_feed_pairs_by_stamp_waits_a_second_for_a_topic_and_forgets_when_the_clock_is_set_back() -> None:
     from pam_antagonist.nodes.monitor_feed import Feed
 
-    feed, ms = Feed((0, 1, 2), seconds=2.0), 1_000_000
+    now = [0]
+    feed, ms = Feed((0, 1, 2), seconds=2.0, clock=lambda: now[0]), 1_000_000
     batch = {0: [(k * ms, 4e5 + k) for k in range(1, 5)], 1: [(k * ms, 3e5) for k in (1, 3)], 2: []}
     assert len(feed.add(batch)[0]) == 0  # no voltages yet
     stamps, rows, back = feed.add({0: [], 1: [], 2: [(k * ms, 5.0, 6.0) for k in range(1, 4)]})
@@ -127,8 +130,10 @@ def test_feed_pairs_by_stamp_waits_a_second_for_a_topic_and_forgets_when_the_clo
     assert np.isnan(rows[1, 1]) and rows[2, 2:4].tolist() == [5.0, 6.0]
     # one topic is lost: after a second its values count as missing
     many = {0: [(k * ms, 4e5) for k in range(5, 4000)], 1: [], 2: [(k * ms, 5.0, 6.0) for k in range(4, 4000)]}
-    stamps, rows, _ = feed.add(many)
-    assert stamps[-1] == 2999 * ms and np.isnan(rows[-1, 1])
+    assert len(feed.add(many)[0]) == 0
+    now[0] += 1_000_000_000
+    stamps, rows, _ = feed.add({0: [], 1: [], 2: []})
+    assert stamps[-1] == 2998 * ms and np.isnan(rows[-1, 1])
     assert feed.stamps[-1] - feed.stamps[0] <= 2 * 10**9  # two seconds are kept
     stamps, _, back = feed.add({0: [(10 * ms, 4e5)], 1: [(10 * ms, 3e5)], 2: [(10 * ms, 5.0, 6.0)]})
-    assert back and feed.jumps == 1 and stamps.tolist() == [10 * ms]
+    assert back and feed.jumps == 1 and stamps.tolist() == [10 * ms] and feed.stamps.tolist() == [10 * ms]

@@ -1,0 +1,264 @@
+"""``monitor_study``: what the monitor finds on simulated joints, how late, and how often it alarms for nothing."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pam_antagonist.cli import common
+from pam_antagonist.cli.numbers import SEED, whole
+from pam_antagonist.cli.progress import counted
+from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
+from pam_antagonist.diagnosis.monitor_blocks import alike
+from pam_antagonist.errors import BadInput
+from pam_antagonist.report import terminal
+from pam_antagonist.report.table import Table, markdown
+from pam_antagonist.rig import Encoder, Rig, load_rig
+from pam_antagonist.strict_json import write_json
+from validation.monitored import Fault, Joint, faults, size_of
+from validation.rigs.rehearsed import DESCRIBED, written
+
+_DESCRIPTION = """\
+Let the monitor watch simulated joints under sensor-less control, moving by steps and at rest, from pressures alone and
+with an encoder, faster than real time: nothing wrong for hours, then each effect that can come, after 90 s.
+
+A joint's parameters differ from the rig file by a percent. A size of n noises moves the pressure or the angle that it
+moves most by n standard deviations of a sample, root mean square over a minute of the moving joint under the same
+voltages. Found: when the search would begin, the effect is the first finding, or one that cannot be told from it.
+Alarms are those that would begin a search. DIR keeps each seed's outcome; the same command again goes on.
+"""
+_EXAMPLES = """\
+examples:
+  {run} monitor_study --out DIR --hours 10 --seeds 2
+  {run} monitor_study --out DIR --rig bench --hours 2 --seeds 1 --docs figures.md
+"""
+NOISES = (4.0, 8.0, 16.0)
+_MINUTES = 20
+WAYS = [(moving, encoder) for moving in (True, False) for encoder in (False, True)]
+WORDS = {True: "moving", False: "at rest"}, {False: "", True: ", encoder"}
+_ENCODER = Encoder(std=5e-4)
+_WARM_UP, _LONGEST, _DECIDES, _QUIET = 90, 120, 30, 120
+"""[s] Before a fault, after it, from an onset to the search, and without an alarm after one."""
+_TAIL = 0.1
+"""Share of the largest minutes from which the tail of the evidence is taken."""
+
+
+def rig_of(name: str, folder: Path) -> Rig:
+    """A rig with an encoder; one of ``rehearse_new_rigs`` as if its values were identified to a percent."""
+    if name not in DESCRIBED:
+        rig = load_rig(name, regulators=True)
+    else:
+        path = folder / f"{name}.yaml"
+        rig = load_rig(path, regulators=True) if path.exists() else written(name, path)
+        rig = rig.replaced(priors={}, uncertainty={}, directions={})
+    return rig if rig.encoder is not None else rig.replaced(encoder=_ENCODER)
+
+
+class Watched:
+    """A joint and its two monitors."""
+
+    def __init__(self, rig: Rig, seed: int, moving: bool) -> None:
+        self.joint = Joint(rig, seed, moving)
+        self.monitors = Monitor(rig), Monitor(rig, encoder=True)
+        self.joint.run(1)  # compiles
+        self.seconds = [0.0, 0.0]
+
+    def second(self) -> list[tuple[float, list[Any]]]:
+        """Evidence and findings of each monitor after the next second."""
+        samples, out = self.joint.run(1), []
+        for k, monitor in enumerate(self.monitors):
+            begun = time.process_time()
+            monitor.add(*samples[:3], samples.angle if k else None)
+            self.seconds[k] += time.process_time() - begun
+            out.append((monitor.findings[0].evidence if monitor.findings else 0.0, monitor.findings))
+        return out
+
+
+def nothing(rig: Rig, seed: int, moving: bool, minutes: int) -> dict[str, Any]:
+    """A joint with nothing wrong: the largest evidence of each minute, and alarms [s, name]."""
+    watched = Watched(rig, seed, moving)
+    largest: list[list[float]] = [[], []]
+    alarms: list[list[Any]] = [[], []]
+    for minute in range(minutes):
+        values = [watched.second() for _ in range(60)]
+        for k in (0, 1):
+            largest[k].append(max(value[k][0] for value in values))
+            for second, value in enumerate(values, 60 * minute):
+                if value[k][0] >= THRESHOLD and (not alarms[k] or second >= alarms[k][-1][0] + _QUIET):
+                    alarms[k].append((second, value[k][1][0].watched.label))
+    return {"minutes": minutes, "largest": largest, "alarms": alarms, "processor_s": watched.seconds}
+
+
+def trials(rig: Rig, seed: int, moving: bool, sizes: Sequence[tuple[Fault, float, float]]) -> list[dict[str, Any]]:
+    """What each fault does to the same joint, in a process of its own; faults without a size are left out."""
+    watched = Watched(rig, seed, moving)
+    before = [watched.second() for _ in range(_WARM_UP)]
+    # A monitor that alarms before the fault cannot be judged by it; such alarms count in the hours with nothing wrong.
+    calm = {k for k in (0, 1) if max(value[k][0] for value in before) < THRESHOLD}
+    done = []
+    with counted(len(sizes), f"seed {seed}, {WORDS[0][moving]}") as advance:
+        for fault, noises, size in sizes:
+            found = _forked(lambda fault=fault, size=size: _trial(watched, fault, size, calm)) if calm else []
+            done += [{"fault": fault.label, "noises": noises, "size": size, **one} for one in found]
+            advance(1)
+    return done
+
+
+def _trial(watched: Watched, fault: Fault, size: float, calm: set[int]) -> list[dict[str, Any]]:
+    joint = watched.joint
+    joint.change(fault.applied(joint.p, size))
+    joint.misread = size * fault.misread
+    out: list[dict[str, Any]] = [{"encoder": k == 1, "delay_s": None, "found": False} for k in (0, 1)]
+    waiting = set(calm)
+    for second in range(1, _LONGEST + 1):
+        values = watched.second()
+        for k in tuple(waiting):
+            evidence, findings = values[k]
+            if evidence < THRESHOLD:
+                continue
+            if out[k]["delay_s"] is None:
+                out[k] |= {"delay_s": second, "at_once": _named(fault, findings)[0]}
+            newest = findings[0].onset_ns * 1e-9 + _DECIDES <= 1e9 + joint.time
+            if newest or second == _LONGEST:
+                out[k]["found"], out[k]["first"] = _named(fault, findings)
+                waiting.discard(k)
+        if not waiting:
+            break
+    return [out[k] for k in sorted(calm)]
+
+
+def _named(fault: Fault, findings: list[Any]) -> tuple[bool, str]:
+    first, label = findings[0].watched, f"{fault.name} {fault.muscle}" if fault.muscle else fault.name
+    right = (first.name, first.muscle) == (fault.name, fault.muscle) or label in alike(findings)
+    return right, first.label
+
+
+def _forked(work: Callable[[], Any]) -> Any:
+    context = get_context("fork")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=lambda: there.send(work()))
+    process.start()
+    out = here.recv()
+    process.join()
+    return out
+
+
+def detection(done: Sequence[dict[str, Any]]) -> Table:
+    """Share found and median delay, by fault."""
+    cells: dict[tuple[str, bool, bool, float], list[dict[str, Any]]] = defaultdict(list)
+    for one in done:
+        cells[one["fault"], one["moving"], one["encoder"], one["noises"]].append(one)
+    rows = []
+    for fault in dict.fromkeys(one["fault"] for one in done):
+        row = [fault]
+        for moving, encoder in WAYS:
+            each = [cells.get((fault, moving, encoder, noises), []) for noises in NOISES]
+            row.append(" · ".join(_cell(one) for one in each))
+        rows.append(tuple(row))
+    heads = ("fault", *(WORDS[0][moving] + WORDS[1][encoder] for moving, encoder in WAYS))
+    return Table(heads, tuple(rows), "found of tried, and median delay of an alarm, at 4 · 8 · 16 noises")
+
+
+def _cell(trials: Sequence[dict[str, Any]]) -> str:
+    if not trials:
+        return "–"
+    delays = [one["delay_s"] for one in trials if one["delay_s"] is not None]
+    late = f" ({np.median(delays):.0f} s)" if delays else ""
+    return f"{sum(one['found'] for one in trials)}/{len(trials)}{late}"
+
+
+def alarms(hours: Sequence[dict[str, Any]]) -> Table:
+    """Alarms per hour with nothing wrong, and the tail of the evidence."""
+    from scipy.stats import chi2
+
+    rows = []
+    for moving, encoder in WAYS:
+        mine = [one for one in hours if one["moving"] == moving]
+        total = sum(one["minutes"] for one in mine) / 60.0
+        if not total:
+            continue
+        count = sum(len(one["alarms"][encoder]) for one in mine)
+        low, high = (chi2.ppf(0.025, 2 * count) if count else 0.0), chi2.ppf(0.975, 2 * count + 2)
+        cost = sum(one["processor_s"][encoder] for one in mine) / (3600.0 * total)
+        rows.append((
+            WORDS[0][moving] + WORDS[1][encoder], f"{total:.1f}", str(count), f"{count / total:.2g}",
+            f"{low / 2 / total:.2g} to {high / 2 / total:.2g}",
+            f"{once_in(np.concatenate([one['largest'][encoder] for one in mine]), 6000.0):.1f}", f"{cost:.1%}",
+        ))  # fmt: skip
+    heads = ("joint", "hours", "alarms", "an hour", "95 % interval", "evidence once in 100 h", "of a core")
+    return Table(heads, tuple(rows), "nothing wrong")
+
+
+def once_in(largest: np.ndarray, minutes: float) -> float:
+    """Evidence that one of so many minutes reaches, by the exponential tail of the largest values of minutes."""
+    ordered = np.sort(largest)
+    count = max(2, round(_TAIL * len(ordered)))
+    base = float(ordered[-min(count, len(ordered))])
+    return base + float(np.mean(ordered[-count:] - base)) * math.log(minutes * count / len(ordered))
+
+
+def parser() -> common.Parser:
+    """The arguments."""
+    out = common.Parser("monitor_study", _DESCRIPTION, _EXAMPLES)
+    out.option("--out", "folder of the outcomes; may exist", Path, metavar="DIR", required=True)
+    out.option("--rig", "a rig, or one of rehearse_new_rigs (default: shin2022)", str, "shin2022", "RIG")
+    out.option(
+        "--hours",
+        "with nothing wrong, moving and at rest each, a joint for 20 minutes (default: 4)",
+        whole(0, 10_000),
+        4,
+        "H",
+    )
+    out.option("--seeds", "joints that get every effect, moving and at rest (default: 2)", whole(0, 10_000), 2, "N")
+    out.option("--first-seed", "(default: 1)", SEED, 1, "S")
+    out.option("--docs", "write the tables as Markdown; FILE is replaced", Path, metavar="FILE")
+    return out
+
+
+def _main(arguments: argparse.Namespace) -> int:
+    folder: Path = arguments.out
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from None
+    rig, first = rig_of(arguments.rig, folder), arguments.first_seed
+    minute = Joint(rig, 0, True, 0.0).run(60) if arguments.seeds else None
+    sizes = [
+        (fault, noises, size)
+        for fault in (faults(rig) if minute else ())
+        for noises in NOISES
+        if minute and (size := size_of(fault, noises, rig, minute)) is not None
+    ]
+
+    def kept(what: str, seed: int, moving: bool, work: Callable[..., Any], more: object) -> Any:
+        path = folder / f"{what}_{WORDS[0][moving].replace(' ', '_')}_{seed}.json"
+        if not path.exists():
+            write_json(path, work(rig, seed, moving, more))
+        return json.loads(path.read_text(encoding="utf-8"))
+
+    joints, seeds = range(first, first + round(60 / _MINUTES * arguments.hours)), range(first, first + arguments.seeds)
+    ways = [(seed, moving) for seed in range(first, max(joints.stop, seeds.stop)) for moving in (True, False)]
+    quiet, found = [], []
+    for seed, moving in ways:
+        if seed in joints:
+            quiet.append({"moving": moving, **kept("nothing", seed, moving, nothing, _MINUTES)})
+        for noises in NOISES if seed in seeds else ():
+            more = [one for one in sizes if one[1] == noises]
+            found += [{"moving": moving, **one} for one in kept(f"faults_{noises:g}", seed, moving, trials, more)]
+    tables = [table for table in (alarms(quiet), detection(found)) if table.rows]
+    print("\n\n".join(terminal.table(table, indent="") for table in tables))
+    if arguments.docs is not None:
+        common.write_text(arguments.docs, "\n".join(line for one in tables for line in (*markdown(one), "")))
+    return common.DONE
+
+
+main = common.command(parser, _main)
