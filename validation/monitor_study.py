@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.numbers import SEED, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
 from pam_antagonist.diagnosis.monitor_blocks import alike
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
-from pam_antagonist.report.table import Table, markdown
+from pam_antagonist.report.document import Table, markdown
 from pam_antagonist.rig import Encoder, Rig, load_rig
 from pam_antagonist.strict_json import write_json
 from validation.monitored import Fault, Joint, faults, size_of
@@ -214,12 +213,14 @@ def parser() -> common.Parser:
     out.option(
         "--hours",
         "with nothing wrong, moving and at rest each, a joint for 20 minutes (default: 4)",
-        whole(0, 10_000),
+        common.whole(0, 10_000),
         4,
         "H",
     )
-    out.option("--seeds", "joints that get every effect, moving and at rest (default: 2)", whole(0, 10_000), 2, "N")
-    out.option("--first-seed", "(default: 1)", SEED, 1, "S")
+    out.option(
+        "--seeds", "joints that get every effect, moving and at rest (default: 2)", common.whole(0, 10_000), 2, "N"
+    )
+    out.option("--first-seed", "(default: 1)", common.SEED, 1, "S")
     out.option("--docs", "write the tables as Markdown; FILE is replaced", Path, metavar="FILE")
     return out
 
