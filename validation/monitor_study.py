@@ -8,6 +8,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ NOISES = (4.0, 8.0, 16.0)
 _MINUTES = 20
 WAYS = [(moving, encoder) for moving in (True, False) for encoder in (False, True)]
 WORDS = {True: "moving", False: "at rest"}, {False: "", True: ", encoder"}
-_ENCODER = Encoder(std=5e-4)
+_ENCODER = Encoder(std=5e-4, step=0.0, offset=0.0)
 _WARM_UP, _LONGEST, _DECIDES, _QUIET = 90, 120, 30, 120
 """[s] Before a fault, after it, from an onset to the search, and without an alarm after one."""
 _TAIL = 0.1
@@ -106,7 +107,7 @@ def trials(rig: Rig, seed: int, moving: bool, sizes: Sequence[tuple[Fault, float
     done = []
     with counted(len(sizes), f"seed {seed}, {WORDS[0][moving]}") as advance:
         for fault, noises, size in sizes:
-            found = _forked(lambda fault=fault, size=size: _trial(watched, fault, size, calm)) if calm else []
+            found = _forked(partial(_trial, watched, fault, size, calm)) if calm else []
             done += [{"fault": fault.label, "noises": noises, "size": size, **one} for one in found]
             advance(1)
     return done

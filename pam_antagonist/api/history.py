@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.api.check import CheckResult
-from pam_antagonist.api.identify import IdentifyResult
+from pam_antagonist.api.identify import EpisodesIdentifyResult, IdentifyResult
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.identification.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash
+from pam_antagonist.report import episodes
 from pam_antagonist.report.history import FORCE, HistoryResult, Limit, values_of
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig, load_rig
@@ -28,6 +29,8 @@ __all__ = ["HistoryResult", "Limit", "history", "log"]
 _STEP = 0.05
 """Of a fitted value, for a slope, in standard deviations of its prior."""
 _ROUND = 0.5e5  # [Pa]
+_WIDTH = 2.0 * 1.96
+"""Of a 95 % interval, in standard deviations."""
 
 
 def history(
@@ -119,6 +122,8 @@ def entry(command: str, recordings: Sequence[Recording], rig: Rig, result: objec
 def _content(result: object) -> dict[str, Any]:
     if isinstance(result, IdentifyResult):
         return _identified(result)
+    if isinstance(result, EpisodesIdentifyResult):
+        return _of_episodes(result)
     if isinstance(result, CheckResult):
         worst = result.findings[0]
         return {"verdict": worst.status, "said": worst.text}
@@ -147,6 +152,20 @@ def _identified(result: IdentifyResult) -> dict[str, Any]:
     # What the data do not determine follows the prior, which says nothing of a change.
     values |= {item.name: (item.value, item.std, item.unit) for item in result.parameters if item.determined}
     return out | {"values": measured(values), "covariance": tuple(blocks)}
+
+
+def _of_episodes(result: EpisodesIdentifyResult) -> dict[str, Any]:
+    """Values by episode: a standard error is that of a normal distribution with the same 95 % interval."""
+    if result.rejected:
+        return {"verdict": "rejected", "said": f"rejected: {result.rejected}"}
+    rig, values = result.rig, {}
+    for name, interval in result.found.values.items():
+        unit, factor = episodes.unit(rig, name)
+        std = factor * (interval.high - interval.low) / _WIDTH
+        values[episodes.value_name(rig, name)] = (factor * interval.value, std, unit)
+    errs = result.found.errors["identified"][0].value
+    said = f"the model's angle errs by {errs:.2g}° on later episodes"
+    return {"verdict": "identified", "said": said, "values": measured(values)}
 
 
 def _forces(rig: Rig, fit: Fit) -> dict[str, tuple[float, float, str]]:

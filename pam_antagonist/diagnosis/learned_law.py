@@ -153,7 +153,7 @@ def with_laws(
             corrected, also = learned.corrected(fitted), learned.corrected(others)
             after = now
             if may_be_better(now, learned):
-                after = _on_parts_of(now, diagnose(corrected, learned.rig, held_out=also, first=now.recalibrated))
+                after = diagnose(corrected, learned.rig, held_out=also, first=now.recalibrated)
         except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             return _saying(now, f"No law was looked for: {reason}.")
@@ -164,25 +164,6 @@ def with_laws(
             return _saying(now, f"{_likely_place(learned.search)} {words}")
         now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
     return now
-
-
-def _on_parts_of(before: Diagnosis, after: Diagnosis) -> Diagnosis:
-    """A diagnosis whose models are judged on the parts that were held out before; what begins late has others."""
-
-    def judged(model: Model) -> Model:
-        experiments = tuple(
-            replace(one, fitted=old.fitted, split=old.split, judged=old.judged)
-            for one, old in zip(model.experiments, before.experiments, strict=True)
-        )
-        if all(a.split is b.split for a, b in zip(experiments, model.experiments, strict=True)):
-            return model
-        return replace(model, experiments=experiments).map(
-            lambda experiment, fitted: refit(
-                experiment, fitted.point, fitted.free, rounds=0, blocks_per_error=fitted.scale.blocks_per_error
-            )
-        )
-
-    return replace(after, recalibrated=judged(after.recalibrated), extended=judged(after.extended))
 
 
 def _saying(found: Diagnosis, why: str) -> Diagnosis:

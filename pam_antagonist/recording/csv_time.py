@@ -72,8 +72,7 @@ def timing(where: str, time: Time, table: Table, sampled: NDArray[np.bool_]) -> 
         )
     # Subtract before scaling: a time since 1970 in ns has more digits than a float.
     since = np.rint((cells[keep] - cells[keep[0]]) * UNITS["time"][time.unit] * 1e9).astype(np.int64)
-    epoch = _FIRST_EPOCH <= seconds[0] and seconds[-1] <= _LAST_EPOCH
-    stamp_ns = (round(float(seconds[0]) * 1e6) * 1000 if epoch else START_NS) + since
+    stamp_ns = _begin(seconds) + since
     if np.any(np.diff(stamp_ns) <= 0):
         raise BadInput(f"{where}: {table.labels['time']} has steps of less than a nanosecond")
     _judge_intervals(where, time, table, keep[sample], since[sample], issues)
@@ -116,11 +115,18 @@ def _of_episodes(where: str, time: Time, table: Table) -> Timing:
             _check_period(where, table.labels["time"], time.unit, part.values["time"][rows])
             seconds = part.values["time"][rows] * UNITS["time"][time.unit]
             since = np.rint((seconds - seconds[0]) * 1e9).astype(np.int64)
+            start = start if begins else _begin(seconds)
         begins.append(start)
         stamps.append(start + since)
         keep.append(begin + rows)
         start = int(stamps[-1][-1]) + PAUSE_NS
     return Timing(np.concatenate(stamps), np.concatenate(keep), tuple(issues), np.array(begins, np.int64))
+
+
+def _begin(seconds: NDArray[np.float64]) -> int:
+    """Stamp [ns] of the first of some times [s], which count from 1970 or from anywhere."""
+    epoch = _FIRST_EPOCH <= seconds[0] and seconds[-1] <= _LAST_EPOCH
+    return round(float(seconds[0]) * 1e6) * 1000 if epoch else START_NS
 
 
 def even_grid(stamp_ns: Stamps, rate: float) -> Stamps:

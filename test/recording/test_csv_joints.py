@@ -91,16 +91,32 @@ def test_metadata_of_another_kind_holds_no_notes(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- episodes and regulators
 
 
-def episodes(lab: Lab, lengths: tuple[int, ...] = (12, 20, 15), drive: str = "regulator", **changes: object) -> Lab:
+def episodes(
+    lab: Lab, lengths: tuple[int, ...] = (12, 20, 15), drive: str = "regulator", begin: float = 0.0, **changes: object
+) -> Lab:
     """Episodes whose time begins anew, of a joint with regulators; the map's plain entries are ``changes``."""
     names = ("episode", "t", "p1", "p2", "q", "a", "row", "s1", "s2")
     rows = [
-        (number, k * PERIOD, 300 + number, 500 - k, 400 + k, 10 * number, 100 * number + k, 2 + 0.1 * k, 4 - 0.1 * k)
+        (
+            number,
+            begin + k * PERIOD,
+            300 + number,
+            500 - k,
+            400 + k,
+            10 * number,
+            100 * number + k,
+            2 + 0.1 * k,
+            4 - 0.1 * k,
+        )
         for number, length in enumerate(lengths)
         for k in range(length)
     ]
     entries = {"valve_1": None, "valve_2": None, "drive": drive, "episode": "episode", **changes}
     return lab.rows(rows, names).entries(**entries)
+
+
+def test_episodes_keep_the_date_of_the_first(lab: Lab) -> None:
+    assert episodes(lab, begin=1.5e9).read().stamp_ns[0] == 1_500_000_000 * 10**9
 
 
 def test_episodes_and_further_signals_come_back_from_a_bag(lab: Lab, tmp_path: Path) -> None:
