@@ -101,7 +101,8 @@ def _of_episodes(where: str, time: Time, table: Table) -> Timing:
             f"{where}: {table.labels['episode']} makes {len(long)} episodes of {LEAST_ROWS} rows or more, expected two "
             "at least; is it the column that counts the rows?"
         )
-    start, keep, begins = START_NS, [], []
+    start, keep = START_NS, []
+    begins: list[int] = []
     stamps = []
     for begin, end in long:
         part = replace(table, values={"time": table.values["time"][begin:end]}) if time.rate is None else None
