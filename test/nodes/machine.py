@@ -17,6 +17,13 @@ ENOUGH = 0.5  # of round trips in time: two idle cores gave 0.90 to 0.98, with s
 TRIES = 3
 
 
+def keeps_up() -> bool:
+    """Whether pipelines can be tested here; says so."""
+    share = max(round_trips_in_time() for _ in range(TRIES))
+    print(f"This machine brings {share:.0%} of bare messages at 1 kHz back in time; {ENOUGH:.0%} are needed.")
+    return share >= ENOUGH
+
+
 def round_trips_in_time() -> float:
     """Share of the messages of a timer at 1 kHz that two relays bring back in time."""
     environment = {**os.environ, "ROS_DOMAIN_ID": "101", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -74,6 +81,4 @@ if __name__ == "__main__":
         case ["measure"]:
             print(_measure())
         case _:
-            share = max(round_trips_in_time() for _ in range(TRIES))
-            print(f"This machine brings {share:.0%} of bare messages at 1 kHz back in time; {ENOUGH:.0%} are needed.")
-            sys.exit(share < ENOUGH)
+            sys.exit(not keeps_up())
