@@ -183,7 +183,7 @@ def equations(
         static[k, :, 1] = motions(shown, acceleration, direction, q) - needed
         static[k, ~has_torque, 1] -= static[k, ~has_torque, 0]
     valve = rig.drive == "valve" and not rig.valves.sealed
-    places = _places(columns, slope, step, by_pressure, by_angle, shown, p, direction, has_torque, valve)
+    places = _places(columns, slope, step, by_pressure, by_angle, shown, reference, p, direction, has_torque, valve)
     arguments = _arguments(reference, blocks, columns, p, valve)
     return Equations(
         blocks["time"], step, fresh, slope, residual, jumps, noise, (changes, static), places, arguments, amounts
@@ -224,13 +224,14 @@ def _noise(
 
 
 def _places(
-    columns: Floats, slope: Floats, step: float, by_pressure: Floats, by_angle: Floats, shown: Floats, p: Floats,
-    direction: Floats, has_torque: NDArray[np.bool_], valve: bool,
+    columns: Floats, slope: Floats, step: float, by_pressure: Floats, by_angle: Floats, shown: Floats,
+    reference: Floats, p: Floats, direction: Floats, has_torque: NDArray[np.bool_], valve: bool,
 ) -> dict[str, tuple[Floats, Floats]]:  # fmt: skip
     """What one unit at each place does: over a block (K, 2), and to the residuals (K, 4).
 
     ``columns`` are those of the air (K, 2, 8), ``by_pressure`` and ``by_angle`` the torque's slopes [N m/Pa, N m/rad],
-    ``shown`` states with measured pressures and motion; ``valve``: whether valves drive the joint.
+    ``shown`` states with measured pressures and motion, ``reference`` likewise with those of the observer; ``valve``:
+    whether valves drive the joint.
     """
     zero, one = np.zeros(len(shown)), np.ones(len(shown))
     arm = np.cos(shown[:, ANGLE]) if p[par.PULLEY] == 0.0 else one
@@ -262,7 +263,8 @@ def _places(
             place(f"passage_{n}", own(c * passed[:, i]))
             place(f"line_{n}", own(c * by_own[:, i]), own(one), -by_pressure[:, i], pulled=True)
         # With e' = e + k2 P φ no derivative of φ is needed.
-        share = p[par.POLYTROPIC_VOLUME] * shown[:, PRESSURE_1 + i]
+        # The observer's pressure: a measured one holds the noise that it would explain.
+        share = p[par.POLYTROPIC_VOLUME] * reference[:, PRESSURE_1 + i]
         place(f"volume_{n}", own((1.0 - slope[:, i]) * share - c * passed[:, i]), own(-share))
         place(f"force_{n}", torque=lever[:, i], motion=shaft, pulled=True)
         scaled = pressure_force[:, i]

@@ -74,7 +74,7 @@ def _without_consider(rig: Rig, change: float = 0.0) -> Rig:
 )
 def test_equals_filterpy_over_a_whole_recording(tuning: str, joint: str, change: float) -> None:
     rig = _without_consider(load_rig("shin2022"), change)
-    recording = trial(5.0, seed=4, joint=joint)
+    recording = trial(10.0, seed=4, joint=joint)
     states, covariances = _oracle(rig, tuning, recording, joint)
     run = Estimator(rig, tuning, joint).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
     ours = np.column_stack([run["angle"], run["velocity"], run["pressure"]])
