@@ -147,6 +147,7 @@ def _forked(work: Callable[[], Any]) -> Any:
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=lambda: there.send(work()))
     process.start()
+    there.close()  # else a child that ends in an error is waited for without end
     out = here.recv()
     process.join()
     return out

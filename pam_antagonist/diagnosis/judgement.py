@@ -93,7 +93,7 @@ class Case:
 
 def _begins_or_ends(case: Case) -> Judged | None:
     if case.ranking.start is not None:
-        # What a table's form leaves comes and goes, as the motion does.
+        # What a table cannot follow comes and goes with the motion. It looks like an effect that begins and ends.
         return None
     found = onset.begin_and_end(case.group, case.ranking, case.work)
     if found is None or not explains(found.base, found.model):

@@ -158,10 +158,10 @@ def with_laws(
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             return _saying(now, f"No law was looked for: {reason}.")
         if learned.law is None:
-            return _saying(now, place_in_words(learned.search))
+            return _saying(now, place_in_words(learned.search, ", by nothing that was measured"))
         if after is now or not is_better(now, after.extended):
             words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
-            return _saying(now, f"{_likely_place(learned.search)} {words}")
+            return _saying(now, f"{place_in_words(learned.search)} {words}".strip())
         now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
     return now
 
@@ -226,19 +226,13 @@ def _is_a_torque_alone(found: Diagnosis) -> bool:
     return [one.name for one in found.effects] == [DISTURBANCE]
 
 
-def place_in_words(found: LawSearch) -> str:
-    """Where the model errs by nothing that was measured; empty if that is not known."""
-    likely = _likely_place(found)
-    return likely and likely.removesuffix(".") + ", by nothing that was measured."
-
-
-def _likely_place(found: LawSearch) -> str:
-    """Where the model errs most likely, whatever that depends on; empty if that is not known."""
+def place_in_words(found: LawSearch, reason: str = "") -> str:
+    """Where the model errs most likely, with a reason; empty if that is not known."""
     place = found.places[0] if found.places else None
     if place is None or place.gain < LEAST_GAIN:
         return ""
     group = Group(place.name)
-    return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}."
+    return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}{reason}."
 
 
 def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:

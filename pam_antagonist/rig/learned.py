@@ -26,6 +26,8 @@ _KEYS = ("place", "muscle", "argument", "operator", "time", "width", "nodes", "v
 OPERATORS = ("none", "lag", "high_pass", "play", "stop")
 OWN = ("pressure", "other_pressure", "length", "length_rate")
 _PASSED = {**dict.fromkeys(("flow", "leak", "passage"), ("open_rate", "valve_flow")), "valve": ("open_rate",)}
+_ONLY: Mapping[str, tuple[str, ...]] = {"sensor": ("pressure",), "volume": ("pressure", "length")}
+"""All that a law at these places may depend on, and without an operator."""
 EVERYWHERE = (
     "none", "pressure_1", "pressure_2", "pressure_difference", "pressure_sum", "angle", "velocity", "speed", "time"
 )  # fmt: skip
@@ -154,16 +156,16 @@ class Law:
 
     def _arguments(self, signals: Sequence[str]) -> list[str]:
         """What a law at this place may depend on."""
-        if self.place in ("sensor", "volume"):
-            return ["pressure", *(["length"] if self.place == "volume" else [])]
+        if self.place in _ONLY:
+            return list(_ONLY[self.place])
         own = ["draw"] if self.place in learned.OF_JOINT else [*OWN, *_PASSED.get(self.place, ())]
         return [*EVERYWHERE, *own, *(name for name in signals if name not in learned.ARGUMENTS)]
 
     def _wrong_operator(self) -> str:
         if self.operator not in OPERATORS:
             return f"operator: {unknown(str(self.operator), OPERATORS)}; expected one of {', '.join(OPERATORS)}"
-        if self.operator != "none" and (self.place in ("sensor", "volume") or self.argument in ("none", "time")):
-            what = f"the place {self.place}" if self.place in ("sensor", "volume") else f"the argument {self.argument}"
+        if self.operator != "none" and (self.place in _ONLY or self.argument in ("none", "time")):
+            what = f"the place {self.place}" if self.place in _ONLY else f"the argument {self.argument}"
             return f"operator: {self.operator}, expected none with {what}"
         if self.argument == "draw" and self.operator != "lag":
             return f"operator: {self.operator}, expected lag with the argument draw"
