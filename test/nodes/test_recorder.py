@@ -175,7 +175,7 @@ def test_rosbag2_subscribes_as_record_does() -> None:
         "durability": ours.durability.name.lower(),
     }
     latched = {**expected, "depth": qos.LATCHED.depth, "durability": qos.LATCHED.durability.name.lower()}
-    assert profiles.pop("/pam/rig") == latched and profiles.pop("/pam/filter_checkpoint") == latched
+    assert all(profiles.pop(f"/pam/{name}") == latched for name in ("rig", "filter_checkpoint", "health"))
     assert all(profile == expected for profile in profiles.values())
 
 
