@@ -5,26 +5,32 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import tempfile
 import time
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections import defaultdict, deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from pam_antagonist.cli import common
+from pam_antagonist.cli.monitor import search as searched
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
-from pam_antagonist.diagnosis.monitor_blocks import alike
+from pam_antagonist.diagnosis.monitor import Monitor
+from pam_antagonist.diagnosis.monitor_alarm import Alarms, Conclusion
+from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding, alike
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
 from pam_antagonist.report.document import Table, markdown
 from pam_antagonist.rig import Encoder, Rig, load_rig
+from pam_antagonist.rig.write import write_rig
 from pam_antagonist.strict_json import write_json
-from validation.monitored import Fault, Joint, faults, size_of
+from validation.monitored import Fault, Joint, Samples, faults, size_of
 from validation.rigs.rehearsed import DESCRIBED, written
 
 _DESCRIPTION = """\
@@ -34,7 +40,8 @@ with an encoder, faster than real time: nothing wrong for hours, then each effec
 A joint's parameters differ from the rig file by a percent. A size of n noises moves the pressure or the angle that it
 moves most by n standard deviations of a sample, root mean square over a minute of the moving joint under the same
 voltages. Found: when the search would begin, the effect is the first finding, or one that cannot be told from it.
-Alarms are those that would begin a search. DIR keeps each seed's outcome; the same command again goes on.
+With --search each of them is carried out, as the node does: then false alarms are findings that it confirms, and a
+fault is found if it is confirmed. DIR keeps each seed's outcome; the same command again goes on.
 """
 _EXAMPLES = """\
 examples:
@@ -46,8 +53,9 @@ _MINUTES = 20
 WAYS = [(moving, encoder) for moving in (True, False) for encoder in (False, True)]
 WORDS = {True: "moving", False: "at rest"}, {False: "", True: ", encoder"}
 _ENCODER = Encoder(std=5e-4, step=0.0, offset=0.0)
-_WARM_UP, _LONGEST, _DECIDES, _QUIET = 90, 120, 30, 120
-"""[s] Before a fault, after it, from an onset to the search, and without an alarm after one."""
+_WARM_UP, _LONGEST = 90, 120
+"""[s] Before a fault, and after it."""
+_NOTHING: dict[str, Any] = {"verdict": "none", "effects": [], "calibration": [], "ambiguous_with": []}
 _TAIL = 0.1
 """Share of the largest minutes from which the tail of the evidence is taken."""
 
@@ -64,46 +72,77 @@ def rig_of(name: str, folder: Path) -> Rig:
 
 
 class Watched:
-    """A joint and its two monitors."""
+    """A joint, its two monitors, and what a node would do with what they say."""
 
-    def __init__(self, rig: Rig, seed: int, moving: bool) -> None:
+    def __init__(self, rig: Rig, seed: int, moving: bool, searches: Path | None) -> None:
         self.joint = Joint(rig, seed, moving)
         self.monitors = Monitor(rig), Monitor(rig, encoder=True)
+        self.alarms = Alarms(), Alarms()
         self.joint.run(1)  # compiles
-        self.seconds = [0.0, 0.0]
+        self.seconds, self.searches, self._kept = [0.0, 0.0], searches, deque[Samples](maxlen=WINDOW)
 
-    def second(self) -> list[tuple[float, list[Any]]]:
-        """Evidence and findings of each monitor after the next second."""
-        samples, out = self.joint.run(1), []
+    def second(self) -> list[list[Finding]]:
+        """What each monitor finds after the next second."""
+        samples = self.joint.run(1)
+        self._kept.append(samples)
         for k, monitor in enumerate(self.monitors):
             begun = time.process_time()
             monitor.add(*samples[:3], samples.angle if k else None)
             self.seconds[k] += time.process_time() - begun
-            out.append((monitor.findings[0].evidence if monitor.findings else 0.0, monitor.findings))
-        return out
+        return [monitor.findings for monitor in self.monitors]
+
+    def due(self, k: int) -> bool:
+        """Whether a node would search now."""
+        return self.alarms[k].due(self.monitors[k].findings, int(self._kept[-1].stamps[-1]), self.joint.time)
+
+    def conclude(self, k: int) -> Conclusion | None:
+        """What a node would say after its search; None: nothing, as without searches."""
+        found: Mapping[str, Any] | None = _NOTHING
+        if self.searches is not None:
+            with tempfile.TemporaryDirectory() as folder, suppress(BadInput):
+                found = None
+                found = searched(self._order(k, Path(folder)))
+        said = self.alarms[k].concluded(self.monitors[k].findings, found, self.joint.time)
+        if said is not None and said.confirmed:
+            self.monitors[k].blocks.accept(said.finding)
+        return said
+
+    def _order(self, k: int, folder: Path) -> dict[str, Any]:
+        angle = (np.concatenate([one.angle if k else np.full(len(one.angle), np.nan) for one in self._kept]),)
+        stamps, pressure, voltage = (np.concatenate([one[column] for one in self._kept]) for column in range(3))
+        np.savez(folder / "buffer.npz", stamps=stamps, rows=np.column_stack([pressure, voltage, *angle]))
+        begin = self.monitors[k].findings[0].onset_ns
+        return {
+            "buffer": str(folder / "buffer.npz"), "rig": str(self.searches), "begin_ns": begin, "folder": "",
+            "log": False, "namespace": "/pam", "joint": "free", "lock_angle": 0.0,
+        }  # fmt: skip
 
 
-def nothing(rig: Rig, seed: int, moving: bool, minutes: int) -> dict[str, Any]:
-    """A joint with nothing wrong: the largest evidence of each minute, and alarms [s, name]."""
-    watched = Watched(rig, seed, moving)
-    largest: list[list[float]] = [[], []]
+def nothing(rig: Rig, seed: int, moving: bool, searches: Path | None, minutes: int) -> dict[str, Any]:
+    """A joint with nothing wrong: the largest evidence of each minute, and each search [s, suspect, what is said]."""
+    watched = Watched(rig, seed, moving, searches)
+    largest: list[list[float]] = [[0.0] * minutes, [0.0] * minutes]
     alarms: list[list[Any]] = [[], []]
-    for minute in range(minutes):
-        values = [watched.second() for _ in range(60)]
-        for k in (0, 1):
-            largest[k].append(max(value[k][0] for value in values))
-            for second, value in enumerate(values, 60 * minute):
-                if value[k][0] >= THRESHOLD and (not alarms[k] or second >= alarms[k][-1][0] + _QUIET):
-                    alarms[k].append((second, value[k][1][0].watched.label))
+    for second in range(60 * minutes):
+        for k, findings in enumerate(watched.second()):
+            evidence = findings[0].evidence if findings else 0.0
+            largest[k][second // 60] = max(largest[k][second // 60], evidence)
+            if watched.due(k):
+                suspect, said = findings[0].watched.label, watched.conclude(k)
+                alarms[k].append((second, suspect, *_in_short(said)))
     return {"minutes": minutes, "largest": largest, "alarms": alarms, "processor_s": watched.seconds}
 
 
-def trials(rig: Rig, seed: int, moving: bool, sizes: Sequence[tuple[Fault, float, float]]) -> list[dict[str, Any]]:
+def trials(
+    rig: Rig, seed: int, moving: bool, searches: Path | None, sizes: Sequence[tuple[Fault, float, float]]
+) -> list[dict[str, Any]]:
     """What each fault does to the same joint, in a process of its own; faults without a size are left out."""
-    watched = Watched(rig, seed, moving)
-    before = [watched.second() for _ in range(_WARM_UP)]
-    # A monitor that alarms before the fault cannot be judged by it; such alarms count in the hours with nothing wrong.
-    calm = {k for k in (0, 1) if max(value[k][0] for value in before) < THRESHOLD}
+    watched = Watched(rig, seed, moving, searches)
+    calm = {0, 1}
+    for _ in range(_WARM_UP):
+        watched.second()
+        # A monitor that alarms before the fault cannot be judged by it; such alarms count in the hours of nothing.
+        calm -= {k for k in calm if watched.due(k)}
     done = []
     with counted(len(sizes), f"seed {seed}, {WORDS[0][moving]}") as advance:
         for fault, noises, size in sizes:
@@ -120,26 +159,34 @@ def _trial(watched: Watched, fault: Fault, size: float, calm: set[int]) -> list[
     out: list[dict[str, Any]] = [{"encoder": k == 1, "delay_s": None, "found": False} for k in (0, 1)]
     waiting = set(calm)
     for second in range(1, _LONGEST + 1):
-        values = watched.second()
-        for k in tuple(waiting):
-            evidence, findings = values[k]
-            if evidence < THRESHOLD:
-                continue
-            if out[k]["delay_s"] is None:
-                out[k] |= {"delay_s": second, "at_once": _named(fault, findings)[0]}
-            newest = findings[0].onset_ns * 1e-9 + _DECIDES <= 1e9 + joint.time
-            if newest or second == _LONGEST:
-                out[k]["found"], out[k]["first"] = _named(fault, findings)
-                waiting.discard(k)
+        watched.second()
+        for k in [k for k in waiting if watched.due(k)]:
+            findings = watched.monitors[k].findings
+            out[k] |= {"delay_s": second, "first": findings[0].watched.label, "found": _named(fault, findings)}
+            if watched.searches:
+                said = watched.conclude(k)
+                right = said is not None and said.confirmed and _is(fault, said.finding.watched)
+                out[k] |= {"said": _in_short(said), "found": right}
+            waiting.discard(k)
         if not waiting:
             break
     return [out[k] for k in sorted(calm)]
 
 
-def _named(fault: Fault, findings: list[Any]) -> tuple[bool, str]:
-    first, label = findings[0].watched, f"{fault.name} {fault.muscle}" if fault.muscle else fault.name
-    right = (first.name, first.muscle) == (fault.name, fault.muscle) or label in alike(findings)
-    return right, first.label
+def _in_short(said: Conclusion | None) -> tuple[str, str]:
+    """Whether a search found something, and what."""
+    if said is None:
+        return "nothing", ""
+    return "confirmed" if said.confirmed else "suspected", said.sentence
+
+
+def _is(fault: Fault, item: Any) -> bool:
+    return (item.name, item.muscle) == (fault.name, fault.muscle)
+
+
+def _named(fault: Fault, findings: list[Finding]) -> bool:
+    label = f"{fault.name} {fault.muscle}" if fault.muscle else fault.name
+    return _is(fault, findings[0].watched) or label in alike(findings)
 
 
 def _forked(work: Callable[[], Any]) -> Any:
@@ -178,24 +225,26 @@ def _cell(trials: Sequence[dict[str, Any]]) -> str:
 
 
 def alarms(hours: Sequence[dict[str, Any]]) -> Table:
-    """Alarms per hour with nothing wrong, and the tail of the evidence."""
-    from scipy.stats import chi2
-
+    """What is found with nothing wrong, and the tail of the evidence."""
     rows = []
     for moving, encoder in WAYS:
         mine = [one for one in hours if one["moving"] == moving]
         total = sum(one["minutes"] for one in mine) / 60.0
         if not total:
             continue
-        count = sum(len(one["alarms"][encoder]) for one in mine)
+        outcomes = [alarm[2] for one in mine for alarm in one["alarms"][encoder]]
+        count = outcomes.count("confirmed")
         low, high = (chi2.ppf(0.025, 2 * count) if count else 0.0), chi2.ppf(0.975, 2 * count + 2)
         cost = sum(one["processor_s"][encoder] for one in mine) / (3600.0 * total)
         rows.append((
-            WORDS[0][moving] + WORDS[1][encoder], f"{total:.1f}", str(count), f"{count / total:.2g}",
-            f"{low / 2 / total:.2g} to {high / 2 / total:.2g}",
+            WORDS[0][moving] + WORDS[1][encoder], f"{total:.1f}", str(len(outcomes)), str(outcomes.count("suspected")),
+            str(count), f"{low / 2 / total:.2g} to {high / 2 / total:.2g}",
             f"{once_in(np.concatenate([one['largest'][encoder] for one in mine]), 6000.0):.1f}", f"{cost:.1%}",
         ))  # fmt: skip
-    heads = ("joint", "hours", "alarms", "an hour", "95 % interval", "evidence once in 100 h", "of a core")
+    heads = (
+        "joint", "hours", "searches", "suspected", "found", "found in an hour, 95 %", "evidence once in 100 h",
+        "of a core",
+    )  # fmt: skip
     return Table(heads, tuple(rows), "nothing wrong")
 
 
@@ -223,6 +272,7 @@ def parser() -> common.Parser:
         "--seeds", "joints that get every effect, moving and at rest (default: 2)", common.whole(0, 10_000), 2, "N"
     )
     out.option("--first-seed", "(default: 1)", common.SEED, 1, "S")
+    out.flag("--search", "carry out the searches, each of a minute or two of processor time")
     out.option("--docs", "write the tables as Markdown; FILE is replaced", Path, metavar="FILE")
     return out
 
@@ -234,6 +284,11 @@ def _main(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise BadInput(f"{folder}: cannot be made: {error.strerror}") from None
     rig, first = rig_of(arguments.rig, folder), arguments.first_seed
+    searches = None
+    if arguments.search:
+        searches = folder / "rig_file.yaml"
+        if not searches.exists():
+            write_rig(rig, searches)
     minute = Joint(rig, 0, True, 0.0).run(60) if arguments.seeds else None
     sizes = [
         (fault, noises, size)
@@ -243,9 +298,10 @@ def _main(arguments: argparse.Namespace) -> int:
     ]
 
     def kept(what: str, seed: int, moving: bool, work: Callable[..., Any], more: object) -> Any:
-        path = folder / f"{what}_{WORDS[0][moving].replace(' ', '_')}_{seed}.json"
+        name = f"{what}_{WORDS[0][moving].replace(' ', '_')}_{seed}{'' if searches is None else '_searched'}.json"
+        path = folder / name
         if not path.exists():
-            write_json(path, work(rig, seed, moving, more))
+            write_json(path, work(rig, seed, moving, searches, more))
         return json.loads(path.read_text(encoding="utf-8"))
 
     joints, seeds = range(first, first + round(60 / _MINUTES * arguments.hours)), range(first, first + arguments.seeds)

@@ -37,7 +37,7 @@ class CheckResult(Checked):
 
     assumption: str | None = None
 
-    def as_dict(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """The result as plain values: ``assumption``, ``joint``, command line ``options``, and ``findings``."""
         return {
             "assumption": self.assumption,
@@ -72,14 +72,14 @@ class CheckResult(Checked):
             BadInput: the file cannot be written.
         """
         try:
-            write_json(Path(path), self.as_dict())
+            write_json(Path(path), self.to_json())
         except OSError as error:
             raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
         return Path(path)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each finding: ``status``, ``text``, ``options``, ``leave_out`` (needs pandas)."""
-        return frame_of(self.as_dict()["findings"], ["status", "text", "options", "leave_out"])
+        return frame_of(self.to_json()["findings"], ["status", "text", "options", "leave_out"])
 
 
 def check(

@@ -18,7 +18,7 @@ from pam_antagonist.identification.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash
-from pam_antagonist.report import episodes
+from pam_antagonist.report import episodes_tables as episodes
 from pam_antagonist.report.history import FORCE, HistoryResult, Limit, values_of
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig, load_rig

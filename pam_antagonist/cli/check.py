@@ -66,7 +66,7 @@ def _main(arguments: argparse.Namespace) -> int:
         command = "identify" if measured and not rig.identified else "replay"
         print(f"\n{common.next_command(command, arguments.bags, options)}")
     if arguments.json:
-        content = {bag: checked.as_dict() for bag, checked in results.items()}
+        content = {bag: checked.to_json() for bag, checked in results.items()}
         common.give_json(arguments.json, dumps(content) + "\n")
     return common.BAD_INPUT if any(checked.wrong for checked in results.values()) else common.DONE
 

@@ -29,7 +29,7 @@ Where the catalogue leaves a clear excess, :mod:`learned_law` measures the law t
 :mod:`arguments` offers, then :mod:`law_simulation`. :mod:`law_kernels` holds what is compiled.
 
 :mod:`monitor` tests a running joint: :mod:`monitor_responses` is what each hypothesis would change in the innovations,
-:mod:`monitor_blocks` the evidence for it and for its onset.
+:mod:`monitor_blocks` the evidence for it and for its onset, :mod:`monitor_alarm` when a search begins and what is said.
 """
 
 from pam_antagonist.diagnosis.pipeline import diagnose

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import json
-import math
 import os
 import subprocess
 import sys
@@ -18,10 +17,10 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
-from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding, alike
+from pam_antagonist.diagnosis.monitor import Monitor
+from pam_antagonist.diagnosis.monitor_alarm import Alarms, Conclusion
+from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, judged
 from pam_antagonist.nodes.monitor_feed import Feed
@@ -57,8 +56,6 @@ PARAMETERS = (
 )
 
 _POLL = 0.2  # [s] between two reads of the samples
-_SINCE = 30.0  # [s] that a joint has to be another one before it is searched
-_REST = (120.0, 3600.0)  # [s] without an alarm after a search, at first and at most; doubled where it finds nothing
 
 
 class Search:
@@ -109,6 +106,7 @@ class MonitorNode(PamNode):
     """Feeds a :class:`Monitor`, starts searches, and publishes what they find."""
 
     _search: Search | None = None
+    _said = ""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("monitor", PARAMETERS, **options)
@@ -130,8 +128,7 @@ class MonitorNode(PamNode):
             PRESSURE_1: pressure, PRESSURE_2: pressure, VALVES: wire.Incoming(wire.VALVES), ANGLE: angle,
         }  # fmt: skip
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
-        self._samples, self._rate, self._rest, self._quiet_until = 0, Rate(), _REST[0], -math.inf
-        self._last, self._suspect, self._complaint = HealthMessage(), list[Finding](), ""
+        self._samples, self._rate, self._suspect, self._complaint = 0, Rate(), list[Finding](), ""
         self._health = self.create_publisher(HealthMessage, TOPICS["health"].relative, qos.LATCHED)
         announce(self, rig)
 
@@ -139,6 +136,7 @@ class MonitorNode(PamNode):
     def activate(self) -> None:
         self._feed.reset()
         self._monitor.reset()
+        self._alarms, self._said = Alarms(), ""
         self._topics = {
             place: self.collect(wire.message_class(name), TOPICS[name].relative, qos.RECORD)
             for place, name in self._inputs.items()
@@ -175,15 +173,11 @@ class MonitorNode(PamNode):
             self._conclude(*done)
 
     def _look(self) -> None:
-        """Start a search where the evidence is strong, and the joint has been another one for long enough."""
+        """Start a search where one is due."""
         findings = self._monitor.findings
-        now = time.monotonic()
-        if not findings or findings[0].evidence < THRESHOLD or now < self._quiet_until:
+        if not findings or not self._alarms.due(findings, int(self._feed.stamps[-1]), time.monotonic()):
             return
-        first, newest = findings[0], int(self._feed.stamps[-1])
-        if newest - first.onset_ns < _SINCE * 1e9:
-            return
-        self._suspect = findings
+        self._suspect, first = findings, findings[0]
         values = self.values
         began = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         folder = Path(values["folder"]).expanduser().absolute() / self.get_namespace().strip("/") / began
@@ -202,20 +196,28 @@ class MonitorNode(PamNode):
         self._complaint = complaint
         if complaint:
             self.get_logger().warning(f"search: {complaint.splitlines()[-1]}")
-        said = concluded(self._suspect, found)
-        confirmed = said is not None
-        self._rest = _REST[0] if confirmed else min(2.0 * self._rest, _REST[1])
-        self._quiet_until = time.monotonic() + self._rest
+        said = self._alarms.concluded(self._suspect, found, time.monotonic())
+        self._said = "" if said is None else said.sentence
         if said is None:
-            self.get_logger().debug(f"not confirmed: {sentence(self._suspect[0])}")
+            self.get_logger().debug(f"not confirmed: {self._suspect[0].watched.label}")
             return
-        first, message = said
-        self._monitor.blocks.accept(first)
-        wire.set_stamp(message.header.stamp, int(self._feed.stamps[-1]) if len(self._feed.stamps) else first.onset_ns)
+        self.get_logger().warning(said.sentence)
+        if said.confirmed:
+            self._monitor.blocks.accept(said.finding)
+            self._publish(said)
+
+    def _publish(self, said: Conclusion) -> None:
+        item = said.finding.watched
+        message = HealthMessage(
+            name=item.name, muscle=item.muscle or 0, onset_std=said.finding.onset_std, parameter=item.parameter,
+            unit=item.unit, size=said.size, std=said.std, evidence=said.finding.full,
+            ambiguous_with=list(said.ambiguous_with), sentence=said.sentence,
+        )  # fmt: skip
+        stamps = self._feed.stamps
+        wire.set_stamp(message.header.stamp, int(stamps[-1]) if len(stamps) else said.finding.onset_ns)
+        wire.set_stamp(message.since, said.finding.onset_ns)
         message.header.frame_id = self.values["frame_id"]
-        self._last = message
         self._health.publish(message)
-        self.get_logger().warning(message.sentence)
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
@@ -226,67 +228,13 @@ class MonitorNode(PamNode):
         }  # fmt: skip
         if findings:
             values |= {"nearest": findings[0].watched.name, "its evidence": f"{findings[0].evidence:.1f}"}
-        found = self._last.sentence
         joint = judged(
             values,
             "as its rig file" if self._monitor.blocks.count else "not known yet",
-            (found, Level.WARN, found),
+            (self._said, Level.WARN, self._said),
             (rate == 0.0 or not self._samples, Level.WARN, "no samples"),
         )
         return {"joint": joint}
-
-
-def concluded(suspect: Sequence[Finding], found: Mapping[str, Any] | None) -> tuple[Finding, HealthMessage] | None:
-    """What is said after a search: the hypothesis and the message; None where the search found nothing.
-
-    `suspect`: the hypotheses when it began. `found`: its result; None: it could not be searched for.
-    """
-    first, others, confirmed = suspect[0], alike(suspect), False
-    size, std = first.size, first.std
-    if found is not None:
-        effects = [one for one in found["effects"] or () if one["name"] in CATALOGUE]
-        zeros = [one for one in found["calibration"] or () if one["name"] == first.watched.name]
-        if zeros and not effects:
-            size, std, confirmed = zeros[0]["value"], zeros[0]["std"] or std, True
-        elif effects:
-            effect = effects[0]
-            of_it = [one for one in suspect if one.watched.name == effect["name"]]
-            same = [one for one in of_it if effect["muscle"] in (None, one.watched.muscle)] or of_it
-            if not same:
-                return None
-            first, others, confirmed = same[0], list(found["ambiguous_with"] or ()), True
-            size, std = first.size, first.std
-            for name, value in effect["parameters"].items():
-                if name in (first.watched.parameter, f"{first.watched.parameter}_{first.watched.muscle}"):
-                    size, std = value["value"], value["std"] or std
-        elif found["verdict"] == "none":
-            return None
-    message = HealthMessage(
-        name=first.watched.name, muscle=first.watched.muscle or 0, onset_std=first.onset_std,
-        parameter=first.watched.parameter, unit=first.watched.unit, size=float(size), std=float(std),
-        evidence=first.full, confirmed=confirmed, ambiguous_with=others,
-    )  # fmt: skip
-    wire.set_stamp(message.since, first.onset_ns)
-    message.sentence = sentence(first, float(size), float(std), others, confirmed)
-    return first, message
-
-
-def sentence(
-    finding: Finding, size: float | None = None, std: float | None = None, others: Sequence[str] = (),
-    confirmed: bool = True,
-) -> str:  # fmt: skip
-    """A finding in words."""
-    item = finding.watched
-    since = datetime.datetime.fromtimestamp(finding.onset_ns * 1e-9).strftime("%H:%M:%S")
-    what = "the encoder's zero is wrong"
-    if item.name in CATALOGUE:
-        what = CATALOGUE[item.name].in_words(item.muscle, {item.parameter: finding.size})
-    size, std, unit = finding.size if size is None else size, finding.std if std is None else std, item.unit
-    if unit == "m2":
-        size, std, unit = size * 1e6, std * 1e6, "mm2"
-    text = f"{what} since {since} ± {finding.onset_std:.0f} s, {size:.2g} ± {std:.1g} {unit}"
-    text += f"; it cannot be told from {', '.join(others)}" if others else ""
-    return text if confirmed else f"{text}; no search was possible"
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -14,15 +14,8 @@ from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Document, Finding, Findings, Table, Text, background, note, number, warn
-from pam_antagonist.report.episodes import (
-    about_episodes,
-    interval,
-    intervals_frame,
-    removes,
-    shown,
-    times,
-    units_findings,
-)
+from pam_antagonist.report.episodes import units_findings
+from pam_antagonist.report.episodes_tables import about_episodes, interval, intervals_frame, removes, shown, times
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import write_rig, write_unread

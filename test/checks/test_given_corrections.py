@@ -104,5 +104,5 @@ def test_commands_say_so(free: Recording, tmp_path: Path, capsys: pytest.Capture
 
 
 def test_findings_as_values_have_it(free: Recording, rig: Rig) -> None:
-    found = check(free, rig, corrections=Corrections(flip_angle=True)).as_dict()
+    found = check(free, rig, corrections=Corrections(flip_angle=True)).to_json()
     assert found["findings"][0]["leave_out"] == ["--flip-angle"] and found["findings"][0]["options"] == []

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from sent import MS, estimate, refer
 
+from pam_antagonist.diagnosis.monitor_alarm import Alarms
+
 pytestmark = pytest.mark.ros
 
 ONSET_NS = 1_000_000_000_000_000_000
@@ -55,9 +57,7 @@ def searched(node: Any) -> None:
     node._conclude(*done)
 
 
-def test_what_cannot_be_searched_for_is_said_with_what_it_cannot_be_told_from(
-    node: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_searched_for_is_a_suspicion_and_no_finding(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     # Beside other work a search at the lowest priority takes minutes to start.
     given: list[int] = []
     monkeypatch.setattr("os.sched_setscheduler", lambda pid, policy, parameters: given.append(policy))
@@ -65,14 +65,11 @@ def test_what_cannot_be_searched_for_is_said_with_what_it_cannot_be_told_from(
     node._monitor.findings = leak()
     searched(node)  # valves that never move allow no search
     assert given == [os.SCHED_IDLE]
-    (message,) = node.heard
-    assert (message.name, message.muscle, message.confirmed) == ("leak", 1, False)
-    assert message.ambiguous_with == ["valve_offset 1"]
-    assert message.since.sec == ONSET_NS // 10**9 and message.onset_std == 2.0
-    assert "air leaks from muscle 1 since" in message.sentence and "3.1e-09" not in message.sentence
-    assert "0.0031 ± 0.0002 mm2" in message.sentence
-    assert node.health(1)["joint"].message == message.sentence
-    # no storm: known from now on, and quiet for a while
+    assert node.heard == []
+    said = node.health(1)["joint"].message
+    assert said.startswith("air leaks from muscle 1 since") and "0.0031 ± 0.0002 mm2" in said
+    assert said.endswith("it cannot be told from valve_offset 1; only a suspicion: no search was possible")
+    # no storm: quiet for a while
     node._monitor.findings = leak()
     node._look()
     assert node._search is None
@@ -84,13 +81,25 @@ def test_what_cannot_be_searched_for_is_said_with_what_it_cannot_be_told_from(
 
 def test_a_search_that_finds_nothing_is_silent_and_the_next_one_comes_later(node: Any) -> None:
     node._suspect = leak()
-    rest = node._rest
-    node._conclude({"verdict": "none", "effects": [], "calibration": [], "ambiguous_with": []}, "")
-    assert node.heard == [] and node._rest == 2.0 * rest
-    size = {"area_2": {"value": 2e-9, "std": 1e-10, "unit": "m2"}}
-    effects = [{"name": "leak", "muscle": 1, "parameters": {"area_1": {**size["area_2"], "value": 2.5e-9}}}]
+    nothing = {"verdict": "none", "effects": [], "calibration": [], "ambiguous_with": []}
+    node._conclude(nothing, "")
+    assert node.heard == [] and node._said == ""
+    alarms = Alarms()
+    assert alarms.due(leak(), ONSET_NS + 30 * 10**9, 0.0) and not alarms.due(leak(), ONSET_NS + 29 * 10**9, 0.0)
+    alarms.concluded(leak(), nothing, 0.0)  # the next search comes after four minutes, one after a finding after two
+    assert [alarms.due(leak(), ONSET_NS + 10**12, now) for now in (239.0, 240.0)] == [False, True]
+    alarms.concluded(leak(), None, 240.0)
+    assert [alarms.due(leak(), ONSET_NS + 10**12, now) for now in (359.0, 360.0)] == [False, True]
+    size = {"area_1": {"value": 2.5e-9, "std": 1e-10, "unit": "m2"}}
+    effects = [{"name": "leak", "muscle": 1, "parameters": size}]
     node._conclude({"verdict": "effect", "effects": effects, "calibration": [], "ambiguous_with": ["thermal"]}, "")
-    assert node.heard[0].confirmed and node.heard[0].size == 2.5e-9 and node.heard[0].ambiguous_with == ["thermal"]
+    (message,) = node.heard
+    assert (message.name, message.muscle, message.size, message.ambiguous_with) == ("leak", 1, 2.5e-9, ["thermal"])
+    assert message.since.sec == ONSET_NS // 10**9 and message.onset_std == 2.0
+    assert node.health(1)["joint"].message == message.sentence and "0.0025 ± 0.0001 mm2" in message.sentence
+    node._suspect = leak()
+    node._conclude({"verdict": "unexplained", "effects": [], "calibration": [], "ambiguous_with": []}, "")
+    assert len(node.heard) == 1 and node._said.endswith("only a suspicion: the search says unexplained")
 
 
 def test_no_space_for_the_buffer_is_a_warning(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +110,7 @@ def test_no_space_for_the_buffer_is_a_warning(node: Any, monkeypatch: pytest.Mon
     node._monitor.findings = leak()
     node._look()
     assert "No space left" in node._complaint
-    assert len(node.heard) == 1 and not node.heard[0].confirmed
+    assert node.heard == [] and node._said.endswith("only a suspicion: no search was possible")
 
 
 def test_search_keeps_the_buffer_as_a_bag_and_a_folder_that_cannot_be_written_is_no_end(

@@ -36,12 +36,13 @@ def test_the_joint_follows_its_steps_and_a_size_is_counted_in_noises() -> None:
 
 def test_alarms_have_their_poisson_interval_and_the_tail_is_exponential() -> None:
     largest = np.random.default_rng(1).exponential(2.0, 6000).tolist()
-    hours = [{"moving": True, "minutes": 6000, "largest": [largest, largest], "alarms": [[[5, "x"]], []],
+    searches = [[5, "leak", "confirmed", "x"], [500, "leak", "nothing", ""]]
+    hours = [{"moving": True, "minutes": 6000, "largest": [largest, largest], "alarms": [searches, []],
               "processor_s": [3600.0, 7200.0]}]  # fmt: skip
     first, second = study.alarms(hours).rows
-    assert first[:4] == ("moving", "100.0", "1", "0.01") and first[4] == "0.00025 to 0.056" and first[6] == "1.0%"
-    assert second[2] == "0" and second[4] == "0 to 0.037"
-    assert float(first[5]) == pytest.approx(2.0 * np.log(6000.0), rel=0.1)
+    assert first[:6] == ("moving", "100.0", "2", "0", "1", "0.00025 to 0.056") and first[7] == "1.0%"
+    assert second[2:6] == ("0", "0", "0", "0 to 0.037")
+    assert float(first[6]) == pytest.approx(2.0 * np.log(6000.0), rel=0.1)
 
 
 def test_a_fault_is_found_if_it_is_first_or_among_those_alike() -> None:
@@ -51,7 +52,7 @@ def test_a_fault_is_found_if_it_is_first_or_among_those_alike() -> None:
     )
     found = [Finding(item, 60.0, full, 0, 1.0, 1.0, 0.1) for item, full in ((offset, 60.0), (leak, 58.0), (lag, 30.0))]
     by_label = {fault.label: fault for fault in faults(RIG)}
-    right = [study._named(by_label[item.label], found)[0] for item in (offset, leak, lag)]
+    right = [study._named(by_label[item.label], found) for item in (offset, leak, lag)]
     assert right == [True, True, False]
     one = {"fault": "leak 1, area", "noises": 8.0, "moving": True, "encoder": False, "found": True, "delay_s": 7}
     (row,) = study.detection([one, {**one, "delay_s": None, "found": False}]).rows
