@@ -148,6 +148,7 @@ def with_laws(
         if not leaves_excess(now):
             break
         zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
+        learned = None
         try:
             learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
             corrected, also = learned.corrected(fitted), learned.corrected(others)
@@ -156,7 +157,9 @@ def with_laws(
                 after = diagnose(corrected, learned.rig, held_out=also, first=now.recalibrated)
         except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
-            return _saying(now, f"No law was looked for: {reason}.")
+            if learned is None or learned.law is None:
+                return _saying(now, f"No law was looked for: {reason}.")
+            return _saying(now, f"A law was learned ({learned.law.in_words()}), but it cannot be tried: {reason}.")
         if learned.law is None:
             return _saying(now, place_in_words(learned.search, ", by nothing that was measured"))
         if after is now or not is_better(now, after.extended):

@@ -16,6 +16,7 @@ from pam_antagonist.diagnosis.arguments import Group
 from pam_antagonist.diagnosis.law_simulation import Simulation, Subject
 from pam_antagonist.diagnosis.learned_law import Learned, is_better, joined, learn, leaves_excess, refusal
 from pam_antagonist.diagnosis.result import FoundEffect
+from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.report import html
 from pam_antagonist.report.close_loop import DiagnoseResult
@@ -178,6 +179,20 @@ def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
     found = learned_law.with_laws(lambda *_a, **_b: first, [recorded()], [], rig(), 1.0 / 3.0, "auto", None, print)
     assert (found.verdict, found.effects) == ("unexplained", ())
     assert "does not hold on data that no fit used" in found.sentence
+
+
+def test_a_law_that_cannot_be_tried_is_said(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = exchange.diagnoses[0]
+
+    def diagnosis(*_args: Any, **options: Any) -> Diagnosis:
+        if "first" in options:
+            raise BadInput("too short with it")
+        return first
+
+    monkeypatch.setattr(learned_law, "learn", lambda *_: exchange.learned[0])
+    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), 1.0 / 3.0, "auto", None, print)
+    assert "A law was learned" in found.sentence and "cannot be tried: too short with it." in found.sentence
+    assert found.verdict == first.verdict == "unexplained"
 
 
 def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
