@@ -16,6 +16,8 @@ SINCE = 30.0
 """[s] that a joint has to be another one before it is searched."""
 _REST = (120.0, 3600.0)
 """[s] without a search after one, at first and at most; doubled where it names nothing."""
+_STRONGER = 2.0
+"""A search that named nothing does not hold up one with so many times its evidence."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +54,17 @@ class Alarms:
     """Decides when to search. Times are those of one clock [s], which may be any."""
 
     def __init__(self) -> None:
-        self._rest, self._quiet_until = _REST[0], -math.inf
+        self._rest, self._in_vain = _REST[0], 0.0
+        self._none_until = self._few_until = -math.inf
 
     def due(self, findings: Sequence[Finding], newest_ns: int, now: float) -> bool:
         """Whether a search begins.
 
         `newest_ns`: stamp of the newest sample.
         """
-        if not findings or findings[0].evidence < THRESHOLD or now < self._quiet_until:
+        if not findings or findings[0].evidence < THRESHOLD or now < self._none_until:
+            return False
+        if now < self._few_until and findings[0].evidence < _STRONGER * self._in_vain:
             return False
         return newest_ns - findings[0].onset_ns >= SINCE * 1e9
 
@@ -75,7 +80,8 @@ class Alarms:
             said = _suspected(suspect, f"the search says {found['verdict']}")
         in_vain = found is not None and (said is None or not said.confirmed)
         self._rest = min(2.0 * self._rest, _REST[1]) if in_vain else _REST[0]
-        self._quiet_until = now + self._rest
+        self._in_vain = suspect[0].evidence if in_vain else 0.0
+        self._none_until, self._few_until = now + _REST[0], now + self._rest
         return said
 
 

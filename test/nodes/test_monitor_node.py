@@ -88,6 +88,7 @@ def test_a_search_that_finds_nothing_is_silent_and_the_next_one_comes_later(node
     assert alarms.due(leak(), ONSET_NS + 30 * 10**9, 0.0) and not alarms.due(leak(), ONSET_NS + 29 * 10**9, 0.0)
     alarms.concluded(leak(), nothing, 0.0)  # the next search comes after four minutes, one after a finding after two
     assert [alarms.due(leak(), ONSET_NS + 10**12, now) for now in (239.0, 240.0)] == [False, True]
+    assert [alarms.due(leak(evidence), ONSET_NS + 10**12, 120.0) for evidence in (119.0, 120.0)] == [False, True]
     alarms.concluded(leak(), None, 240.0)
     assert [alarms.due(leak(), ONSET_NS + 10**12, now) for now in (359.0, 360.0)] == [False, True]
     size = {"area_1": {"value": 2.5e-9, "std": 1e-10, "unit": "m2"}}
