@@ -106,7 +106,7 @@ class MonitorNode(PamNode):
     """Feeds a :class:`Monitor`, starts searches, and publishes what they find."""
 
     _search: Search | None = None
-    _said = ""
+    _found = _suspicion = ""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("monitor", PARAMETERS, **options)
@@ -136,7 +136,7 @@ class MonitorNode(PamNode):
     def activate(self) -> None:
         self._feed.reset()
         self._monitor.reset()
-        self._alarms, self._said = Alarms(), ""
+        self._alarms, self._found, self._suspicion = Alarms(), "", ""
         self._topics = {
             place: self.collect(wire.message_class(name), TOPICS[name].relative, qos.RECORD)
             for place, name in self._inputs.items()
@@ -145,6 +145,7 @@ class MonitorNode(PamNode):
 
     @override
     def deactivate(self) -> None:
+        """End the search."""
         if self._search is not None:
             self._search.end()
             self._search = None
@@ -162,7 +163,7 @@ class MonitorNode(PamNode):
         if back:
             self.get_logger().warning("the stamps jumped backwards: all before is forgotten")
             self._monitor.reset()
-            self._suspect = []
+            self.deactivate()
         if len(stamps):
             self._samples += len(stamps)
             self._monitor.add(stamps, rows[:, :2], rows[:, 2:4], rows[:, 4] if ANGLE in self._inputs else None)
@@ -197,12 +198,13 @@ class MonitorNode(PamNode):
         if complaint:
             self.get_logger().warning(f"search: {complaint.splitlines()[-1]}")
         said = self._alarms.concluded(self._suspect, found, time.monotonic())
-        self._said = "" if said is None else said.sentence
+        self._suspicion = "" if said is None or said.confirmed else said.sentence
         if said is None:
             self.get_logger().debug(f"not confirmed: {self._suspect[0].watched.label}")
             return
         self.get_logger().warning(said.sentence)
         if said.confirmed:
+            self._found = said.sentence
             self._monitor.blocks.accept(said.finding)
             self._publish(said)
 
@@ -231,7 +233,7 @@ class MonitorNode(PamNode):
         joint = judged(
             values,
             "as its rig file" if self._monitor.blocks.count else "not known yet",
-            (self._said, Level.WARN, self._said),
+            (self._found or self._suspicion, Level.WARN, self._found or self._suspicion),
             (rate == 0.0 or not self._samples, Level.WARN, "no samples"),
         )
         return {"joint": joint}

@@ -83,7 +83,7 @@ def test_a_search_that_finds_nothing_is_silent_and_the_next_one_comes_later(node
     node._suspect = leak()
     nothing = {"verdict": "none", "effects": [], "calibration": [], "ambiguous_with": []}
     node._conclude(nothing, "")
-    assert node.heard == [] and node._said == ""
+    assert node.heard == [] and node._suspicion == ""
     alarms = Alarms()
     assert alarms.due(leak(), ONSET_NS + 30 * 10**9, 0.0) and not alarms.due(leak(), ONSET_NS + 29 * 10**9, 0.0)
     alarms.concluded(leak(), nothing, 0.0)  # the next search comes after four minutes, one after a finding after two
@@ -100,7 +100,17 @@ def test_a_search_that_finds_nothing_is_silent_and_the_next_one_comes_later(node
     assert node.health(1)["joint"].message == message.sentence and "0.0025 ± 0.0001 mm2" in message.sentence
     node._suspect = leak()
     node._conclude({"verdict": "unexplained", "effects": [], "calibration": [], "ambiguous_with": []}, "")
-    assert len(node.heard) == 1 and node._said.endswith("only a suspicion: the search says unexplained")
+    assert len(node.heard) == 1 and node._suspicion.endswith("only a suspicion: the search says unexplained")
+    assert node.health(1)["joint"].message == message.sentence  # what was found stays
+
+
+def test_a_clock_that_is_set_back_ends_the_search(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    node._monitor.findings = leak()
+    node._look()
+    assert node._search is not None
+    monkeypatch.setattr(node._feed, "add", lambda _: (np.zeros(0, dtype=np.int64), np.zeros((0, 5)), True))
+    node._poll()
+    assert node._search is None and node._monitor.findings == [] and node._suspicion == ""
 
 
 def test_no_space_for_the_buffer_is_a_warning(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,7 +121,7 @@ def test_no_space_for_the_buffer_is_a_warning(node: Any, monkeypatch: pytest.Mon
     node._monitor.findings = leak()
     node._look()
     assert "No space left" in node._complaint
-    assert node.heard == [] and node._said.endswith("only a suspicion: no search was possible")
+    assert node.heard == [] and node._suspicion.endswith("only a suspicion: no search was possible")
 
 
 def test_search_keeps_the_buffer_as_a_bag_and_a_folder_that_cannot_be_written_is_no_end(
