@@ -215,7 +215,8 @@ class HistoryResult(Result):
             out.append(note(f"A trend needs {FEWEST} entries at different times: {few} values have fewer."))
         return tuple(out)
 
-    def _table(self) -> Table:
+    def values_table(self) -> Table:
+        """Each value at first and at last, with its spread and its change."""
         rows = []
         for course in self.courses:
             line = course.line
@@ -249,7 +250,7 @@ class HistoryResult(Result):
         )
         blocks: list[Block] = [Text(lede, "lede"), Findings(self.findings())]
         if self.courses:
-            blocks.append(self._table())
+            blocks.append(self.values_table())
         if figures and self.courses:
             drawn = tuple(self._figure(course) for course in self.courses)
             count = max(len(changed), 4)

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from pam_antagonist.recording.csv_import import read_csv
+from pam_antagonist.recording.csv_map import load_map
+from validation.pamy import day, page
 from validation.pamy.command import main
 
 EPISODES, ROWS, PERIOD = 60, 70, 0.01
@@ -75,3 +78,14 @@ def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     assert (
         "What the model lacks is constant (Coulomb) friction" in text and "| static map of the two pressures |" in text
     )
+
+
+def test_the_log_book_has_an_entry_for_each_part_of_the_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = read_csv(arm(tmp_path), load_map("pamy_joint0"))
+    assert day.by_parts(recording, print, 1) is None  # too few episodes for eight parts
+    monkeypatch.setattr(day, "PARTS", 2)
+    book = day.by_parts(recording, print, 1)
+    assert book is not None
+    spans = [span for entry in book.book.entries for span in entry.recordings]
+    assert [Path(span.name).name for span in spans] == ["part_1", "part_2"]
+    assert "| joint.stiffness | 1/s² | 2 |" in page.of_the_day(book)

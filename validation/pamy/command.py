@@ -24,6 +24,7 @@ from pam_antagonist.report import episodes as report
 from pam_antagonist.report import html
 from pam_antagonist.rig import load_rig
 from validation.pamy import baselines, network, page
+from validation.pamy.day import by_parts
 
 _DESCRIPTION = """\
 Apply close_loop to the recording of a real arm, compare it with models without physics, and show drift and regulators.
@@ -104,4 +105,5 @@ def analysed(recording: Recording, jobs: int) -> page.ArmResult:
     if available("torch"):
         progress("the recurrent network")
         beside = network.row(joint.take(held.pool), later, joint.take(held.interleaved))
-    return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, 0.0, beside)
+    book = by_parts(recording, progress, jobs)
+    return page.ArmResult(found, joint, rows, available("sklearn"), commanded, regulators, 0.0, beside, book)

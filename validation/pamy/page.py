@@ -14,6 +14,7 @@ from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report import episodes_tables as tables
 from pam_antagonist.report.document import Table, number, percent
+from pam_antagonist.report.history import HistoryResult
 from pam_antagonist.report.identify_episodes import regulators_sentences, regulators_table
 from validation.pamy import network
 
@@ -74,6 +75,7 @@ class ArmResult:
         regulators: fitted to the episodes that may be fitted.
         took: seconds.
         network: the recurrent network; None without torch.
+        book: the log book of the parts of the day.
     """
 
     found: EpisodeDiagnosis
@@ -84,6 +86,7 @@ class ArmResult:
     regulators: RegulatorsFound
     took: float
     network: Row | None = None
+    book: HistoryResult | None = None
 
 
 def markdown(result: ArmResult) -> str:
@@ -108,6 +111,7 @@ def markdown(result: ArmResult) -> str:
         f"{values.caption}.", _table(values),
         "Scores of all candidates, numbers and errors by part of the recording, and forecasts are in `report.html` and "
         "`report.json`.",
+        *(() if result.book is None else ("## The day in eight parts", of_the_day(result.book))),
         "## The regulators", _regulators(result), _RULES,
         f"The command took {result.took:.0f} s.",
     ]  # fmt: skip
@@ -141,6 +145,20 @@ def _beside_the_network(result: ArmResult) -> str:
 
 def _with_rows(diagnosis: EpisodeDiagnosis, rows: Sequence[Row]) -> EpisodeDiagnosis:
     return replace(diagnosis, rows=tuple(rows))
+
+
+def of_the_day(book: HistoryResult) -> str:
+    """What the log book says."""
+    said = " ".join(item.text for item in book.findings())
+    table = book.values_table()
+    return f"""\
+`identify` of each eighth of the episodes, one after the other, with friction by pressure as the only effect: what
+[`history`](how-to/history.md) says of the log book.
+
+{_table(table)}
+{table.caption}.
+
+{said} The file has no times of day, so the episodes are taken to follow each other without a pause."""
 
 
 def _regulators(result: ArmResult) -> str:
