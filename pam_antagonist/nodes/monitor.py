@@ -202,8 +202,8 @@ class MonitorNode(PamNode):
         if said is None:
             self.get_logger().debug(f"not confirmed: {self._suspect[0].watched.label}")
             return
-        self.get_logger().warning(said.sentence)
         if said.confirmed:
+            self.get_logger().warning(said.sentence)
             self._found = said.sentence
             self._monitor.blocks.accept(said.finding)
             self._publish(said)
@@ -228,12 +228,14 @@ class MonitorNode(PamNode):
             "rate [Hz]": f"{rate:.1f}", "blocks": self._monitor.blocks.count, "jumps backwards": self._feed.jumps,
             "searching": self._search is not None, "last search": self._complaint or "no complaint",
         }  # fmt: skip
+        if self._suspicion:
+            values["suspicion"] = self._suspicion
         if findings:
             values |= {"nearest": findings[0].watched.name, "its evidence": f"{findings[0].evidence:.1f}"}
         joint = judged(
             values,
             "as its rig file" if self._monitor.blocks.count else "not known yet",
-            (self._found or self._suspicion, Level.WARN, self._found or self._suspicion),
+            (self._found, Level.WARN, self._found),
             (rate == 0.0 or not self._samples, Level.WARN, "no samples"),
         )
         return {"joint": joint}

@@ -66,7 +66,8 @@ def test_what_cannot_be_searched_for_is_a_suspicion_and_no_finding(node: Any, mo
     searched(node)  # valves that never move allow no search
     assert given == [os.SCHED_IDLE]
     assert node.heard == []
-    said = node.health(1)["joint"].message
+    said, message = node._suspicion, node.health(1)["joint"].message
+    assert "leaks" not in message and dict(node.health(1)["joint"].values)["suspicion"] == said
     assert said.startswith("air leaks from muscle 1 since") and "0.0031 ± 0.0002 mm2" in said
     assert said.endswith("it cannot be told from valve_offset 1; only a suspicion: no search was possible")
     # no storm: quiet for a while
