@@ -272,6 +272,7 @@ def parser() -> common.Parser:
         "--seeds", "joints that get every effect, moving and at rest (default: 2)", common.whole(0, 10_000), 2, "N"
     )
     out.option("--first-seed", "(default: 1)", common.SEED, 1, "S")
+    out.option("--only", "only effects whose name contains this (default: all)", str, "", "TEXT")
     out.flag("--search", "carry out the searches, each of a minute or two of processor time")
     out.option("--docs", "write the tables as Markdown; FILE is replaced", Path, metavar="FILE")
     return out
@@ -293,13 +294,14 @@ def _main(arguments: argparse.Namespace) -> int:
     sizes = [
         (fault, noises, size)
         for fault in (faults(rig) if minute else ())
+        if arguments.only in fault.label
         for noises in NOISES
         if minute and (size := size_of(fault, noises, rig, minute)) is not None
     ]
 
     def kept(what: str, seed: int, moving: bool, work: Callable[..., Any], more: object) -> Any:
-        name = f"{what}_{WORDS[0][moving].replace(' ', '_')}_{seed}{'' if searches is None else '_searched'}.json"
-        path = folder / name
+        parts = what, WORDS[0][moving], str(seed), "" if searches is None else "searched"
+        path = folder / f"{'_'.join(part for part in parts if part).replace(' ', '_')}.json"
         if not path.exists():
             write_json(path, work(rig, seed, moving, searches, more))
         return json.loads(path.read_text(encoding="utf-8"))
@@ -312,7 +314,8 @@ def _main(arguments: argparse.Namespace) -> int:
             quiet.append({"moving": moving, **kept("nothing", seed, moving, nothing, _MINUTES)})
         for noises in NOISES if seed in seeds else ():
             more = [one for one in sizes if one[1] == noises]
-            found += [{"moving": moving, **one} for one in kept(f"faults_{noises:g}", seed, moving, trials, more)]
+            name = f"{arguments.only}_faults_{noises:g}".lstrip("_")
+            found += [{"moving": moving, **one} for one in kept(name, seed, moving, trials, more)]
     tables = [table for table in (alarms(quiet), detection(found)) if table.rows]
     print("\n\n".join(terminal.table(table, indent="") for table in tables))
     if arguments.docs is not None:
