@@ -13,6 +13,7 @@ from pam_antagonist.output import output_folder
 from pam_antagonist.report import html, plotly_renderer, terminal
 from pam_antagonist.report.document import Document, figures_of
 from pam_antagonist.shown import Shown
+from pam_antagonist.strict_json import plain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -34,8 +35,8 @@ class Result(Shown):
 
     @cached_property
     def report(self) -> Any:
-        """The numbers of ``report.json``."""
-        return self.to_json()
+        """The content of ``report.json``, as numbers, texts, lists and dictionaries."""
+        return plain(self.to_json())
 
     def summary(self) -> str:
         """The tables that the command prints."""

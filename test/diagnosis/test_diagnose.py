@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 from pam_antagonist import simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
+from pam_antagonist.api.history import entry
 from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out, warnings
 from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.errors import Errors, RigErrors
@@ -22,7 +24,6 @@ from pam_antagonist.report.close_loop_findings import calibration_findings
 from pam_antagonist.report.document import Tiles
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.write import write_rig
-from pam_antagonist.strict_json import plain
 
 
 @pytest.fixture(scope="module")
@@ -205,12 +206,20 @@ def test_recordings_with_different_faults_get_a_rig_each(result, tmp_path) -> No
     assert "the filter's torque error in one recording" in uneven.choice.no_common
 
 
+def test_the_log_book_keeps_the_size_of_an_effect_and_a_monitor_can_be_told(rig, result) -> None:
+    (size,) = [
+        size for name, size in entry("close_loop", [], rig, result).values.items() if name.startswith("leak: area")
+    ]
+    leak = json.loads(json.dumps(result.report))["effects"][0]
+    assert leak["name"] == "leak" and size.unit == "m2"
+    assert size.value == next(iter(leak["parameters"].values()))["value"] > 0.0
+
+
 def test_a_report_says_what_to_do_next(rig, result) -> None:
     (repair,) = result.next_steps
     assert repair.startswith("Next: repair the joint and record again, or use rig_extended.yaml,")
     assert " ".join(result.summary().split()).endswith(repair)
-    assert plain(result.report)["next_steps"] == [repair]
-    assert plain(result.report)["next_rig"] == "rig_extended.yaml"
+    assert result.report["next_steps"] == [repair] and result.report["next_rig"] == "rig_extended.yaml"
     undecided = dataclasses.replace(result, ambiguous_with=["valve_offset", "encoder_zero"])
     decide, _ = undecided.next_steps
     assert decide.startswith("Next: record once more, to decide between leak and valve offset.")

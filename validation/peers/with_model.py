@@ -73,8 +73,8 @@ def extended(joint: Joint) -> tuple[Rig, str, int]:
 def arm(joint: Joint) -> tuple[float, float, int, str]:
     """Ours on held-out episodes, from their pressures: errors [deg] as configured and extended, numbers, effects."""
     found: Any = diagnose(joint.fit[0], joint.rig, held_out=joint.held[0][0], also=joint.also, jobs=1)
-    first, *_, last = (float(row.forecast.value) for row in found.report["errors_deg"])
-    return first, last, len(found.report["values"]), ", ".join(found.effects)
+    first, *_, last = (float(row.forecast.value) for row in found.found.rows)
+    return first, last, len(found.found.values), ", ".join(found.effects)
 
 
 Filter = Callable[["Model", Recording], tuple[Floats, Floats]]
