@@ -149,8 +149,12 @@ def test_what_never_came_is_counted(recording: tuple[Any, Process], tmp_path: Pa
     def last() -> dict[str, str]:
         return {value.key: value.value for value in statuses()[-1].values}
 
+    def counted() -> bool:
+        lost, kept = int(last()["never came"]), int(last()["/pam/pressure_1"])
+        return lost > 0 and lost + kept == 200 + sent + 100
+
     try:
-        probe.until(lambda: int(last()["never came"]) > 0, 10.0, "a count of what was lost")
+        probe.until(counted, 20.0, "a count of what was lost")
     except AssertionError as error:
         log = process.log.read_text()
         raise AssertionError(f"{error}: {len(statuses())} reports, the last {last()}, log {log}") from None
