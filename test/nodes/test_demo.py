@@ -83,18 +83,25 @@ def test_torque_demo_ends_with_tables_and_reports(tmp_path: Path, domain: None) 
 @pytest.mark.ros
 @pytest.mark.realtime
 def test_a_joint_that_is_pushed_yields_as_a_spring_and_damper(tmp_path: Path, domain: None) -> None:
-    out = tmp_path / "out"
-    process = start("--mode", "impedance", "--duration", "6", "--no-figures", "--out", str(out))
-    said, errors = process.communicate(timeout=120)
-    assert process.returncode == 0, errors
-    assert "spring and damper" in said
-    report = json.loads((out / "report.json").read_text())
+    # A machine that stalls loses samples of the recording, and only what was recorded can be replayed.
+    for attempt in range(3):
+        out = tmp_path / f"out_{attempt}"
+        process = start("--mode", "impedance", "--duration", "6", "--no-figures", "--out", str(out))
+        said, errors = process.communicate(timeout=120)
+        assert process.returncode == 0, errors
+        assert "spring and damper" in said
+        report = json.loads((out / "report.json").read_text())
+        lost = report["demo"]["pipeline"]["lost"]
+        if not any(lost.values()):
+            break
+    assert not any(lost.values()), lost
     yielding, live = report["demo"]["yielding"], report["live_equal"]
     assert yielding["moved_deg"] > 4.0
     assert yielding["rmse_deg"] < 0.4 * yielding["moved_deg"]
     assert live["equal"] == live["compared"] > 5000, live
     recording = read_bag(out / "bag")
-    assert recording.external_torque is not None and set(recording.external_torque) == {0.0, 1.0}
+    pushes = recording.external_torque
+    assert pushes is not None and set(pushes[np.isfinite(pushes)]) == {0.0, 1.0}
 
 
 @pytest.mark.ros
