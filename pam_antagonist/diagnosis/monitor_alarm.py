@@ -12,7 +12,7 @@ from pam_antagonist.diagnosis.monitor import THRESHOLD
 from pam_antagonist.diagnosis.monitor_blocks import Finding, alike
 from pam_antagonist.model.effects import CATALOGUE
 
-SINCE = 30.0
+_SINCE = 30.0
 """[s] that a joint has to be another one before it is searched."""
 _REST = (120.0, 3600.0)
 """[s] without a search after one, at first and at most; doubled where it names nothing."""
@@ -66,7 +66,7 @@ class Alarms:
             return False
         if now < self._few_until and findings[0].evidence < _STRONGER * self._in_vain:
             return False
-        return newest_ns - findings[0].onset_ns >= SINCE * 1e9
+        return newest_ns - findings[0].onset_ns >= _SINCE * 1e9
 
     def concluded(self, suspect: Sequence[Finding], found: Mapping[str, Any] | None, now: float) -> Conclusion | None:
         """What is said after a search; None where it found nothing.
@@ -86,7 +86,6 @@ class Alarms:
 
 
 def _named(suspect: Sequence[Finding], found: Mapping[str, Any]) -> Conclusion | None:
-    first = suspect[0]
     for effect in found["effects"] or ():
         of_it = [one for one in suspect if one.watched.name == effect["name"]]
         same = [one for one in of_it if effect["muscle"] in (None, one.watched.muscle)] or of_it
@@ -97,6 +96,7 @@ def _named(suspect: Sequence[Finding], found: Mapping[str, Any]) -> Conclusion |
             if name in (item.parameter, f"{item.parameter}_{item.muscle}"):
                 size, std = value["value"], value["std"] or std
         return Conclusion(same[0], float(size), float(std), tuple(found["ambiguous_with"] or ()))
+    first = suspect[0]
     for zero in found["calibration"] or ():
         if zero["name"] == first.watched.name:
             return Conclusion(first, float(zero["value"]), float(zero["std"] or first.std), tuple(alike(suspect)))

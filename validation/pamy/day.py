@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ def by_parts(recording: Recording, progress: Callable[[str], None], jobs: int) -
         file = Path(folder) / "arm.yaml"
         file.write_text(_RIG, encoding="utf-8")
         rig = load_rig(file, regulators=True)
-        for k, (low, high) in enumerate(zip(bounds, bounds[1:]), 1):  # noqa: B905
+        for k, (low, high) in enumerate(pairwise(bounds), 1):
             progress(f"part {k} of {PARTS}")
             part = recording.take(np.flatnonzero((recording.stamp_ns >= low) & (recording.stamp_ns < high)))
             later = _DATE_NS - int(recording.stamp_ns[0])
