@@ -90,17 +90,11 @@ class Group:
         return operated(values, self.operator, self.amount, one.step, one.fresh)
 
     def nodes(self, recordings: Sequence[Equations]) -> Floats:
-        """Nodes of its table: between even ones and such with as many values each; one for a constant."""
+        """Nodes of its table; one for a constant."""
         if self.argument == "none":
             return np.zeros(1)
         seen = [self.argument_of(one, muscle) for one in recordings for at, muscle in self.sides if at in one.places]
-        values = np.concatenate(seen)
-        low, high = np.quantile(values, [0.003, 0.997])
-        if not high - low > 1e-9 * max(abs(high), 1e-12):
-            return np.zeros(1)
-        even = np.linspace(low, high, self.number)
-        often = np.quantile(np.clip(values, low, high), np.linspace(0.0, 1.0, self.number))
-        return np.asarray(0.5 * (even + often))
+        return nodes_of(np.concatenate(seen), self.number)
 
     def columns(self, one: Equations, nodes: Floats) -> tuple[Floats, Floats]:
         """Columns of its values, over a block (N, K, 2) and to the channels (N, K, 4)."""
@@ -133,6 +127,16 @@ def operated(values: Floats, operator: str, amount: float, step: float, fresh: N
         return values
     held = lagged(values, step / amount, fresh) if operator in ("lag", "high_pass") else played(values, amount, fresh)
     return held if operator in ("lag", "play") else values - held
+
+
+def nodes_of(values: Floats, number: int) -> Floats:
+    """Nodes of a table, between even ones and such with as many values each; one if the values do not move."""
+    low, high = np.quantile(values, [0.003, 0.997])
+    if not high - low > 1e-9 * max(abs(high), 1e-12):
+        return np.zeros(1)
+    even = np.linspace(low, high, number)
+    often = np.quantile(np.clip(values, low, high), np.linspace(0.0, 1.0, number))
+    return np.asarray(0.5 * (even + often))
 
 
 def hats(values: Floats, nodes: Floats) -> Floats:

@@ -64,7 +64,8 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     remaining = tuple(item for j in judged if j.verdict != "none" for item in describe_remaining(j.model))
     timings.end("remaining residual")
     verdict, share = _overall(judged)
-    extended = _all(j.model for j in judged)
+    as_prepared = sorted(judged, key=lambda j: [group.name for group in prepared.groups].index(j.group.name))
+    extended = _all(j.model for j in as_prepared)
     ranking = tuple(_ranked(j, tried) for j in judged for tried in j.ranking.tried)
     reference = held_out.static_map(prepared)
     return Diagnosis(
@@ -115,7 +116,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         rig_extended=rigs["extended"],
         own=_own_rigs(prepared, compared, tunings),
         base_friction_removed=prepared.friction_removed,
-        recalibrated=_all(j.base for j in judged),
+        recalibrated=_all(j.base for j in as_prepared),
         extended=extended,
         compared=compared,
         seconds=timings.seconds,

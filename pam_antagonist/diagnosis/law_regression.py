@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 WALKS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Intensities of the channels' random walks; the first is none."""
 FOLDS = 8
-_SMOOTH = 1e-4
+SMOOTH = 1e-4
 """Precision of the second differences of a table, as a share of what the data know of its values."""
 
 
@@ -91,7 +91,7 @@ class Grams:
         prior = np.eye(total)
         if count:
             known = np.trace(matrix[-count:, -count:]) / count
-            prior[-count:, -count:] = _SMOOTH * known * roughness(count) + 1e-6 * np.eye(count) * max(known, 1e-9)
+            prior[-count:, -count:] = SMOOTH * known * roughness(count) + 1e-6 * np.eye(count) * max(known, 1e-9)
         matrix += prior
         return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64), matrix
 

@@ -43,6 +43,7 @@ class LawSearch:
     alternatives: tuple[Simulated, ...]  # laws that simulate as well
     gain: float  # of the taken law, or of the best one, on held-out blocks [nats]
     share: float  # of what the base leaves that it removes in the simulation
+    least_gain: float = LEAST_GAIN  # that says something
 
 
 def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None], number: int = 1) -> LawSearch:

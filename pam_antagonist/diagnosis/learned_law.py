@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import found_calibrations, law_simulation, thresholds
+from pam_antagonist.diagnosis import driven_law, found_calibrations, law_simulation, thresholds
 from pam_antagonist.diagnosis.arguments import Group
 from pam_antagonist.diagnosis.description import change_in_words
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
-from pam_antagonist.diagnosis.law_search import LEAST_GAIN, LawSearch, law_search
+from pam_antagonist.diagnosis.law_search import LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
 from pam_antagonist.diagnosis.models import (
     Model,
@@ -78,11 +78,6 @@ class Learned:
 
 def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
     """Why no law can be looked for; empty if one can."""
-    if rig.valves.sealed:
-        return (
-            "in a sealed joint the pressures place an effect in the air and the torque places it in joint and muscles, "
-            "but angle and both pressures move together, so nothing tells what it depends on"
-        )
     if any(one.sample_period_s > _SLOWEST_S for one in recordings):
         return f"a law is looked for in recordings with {1.0 / _SLOWEST_S:g} samples a second at least"
     if rig.units.pressure != "pascal":
@@ -125,7 +120,11 @@ def learn(
     if not subjects:
         raise BadInput(f"a law is looked for in recordings of {_SHORTEST_S:g} s at least")
     number = len(laws_of(rig)) + 1
-    found = law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number)
+    return _with_law(law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number), rig)
+
+
+def _with_law(found: LawSearch, rig: Rig) -> Learned:
+    """A rig with the law that was found, if one was."""
     if found.found is None or found.found.law is None:
         return Learned(found, None, rig)
     covariance = found.found.covariance
@@ -150,7 +149,11 @@ def with_laws(
         zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
         learned = None
         try:
-            learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
+            if rig.valves.sealed:
+                _refuse_few_sweeps(now)
+                learned = _with_law(driven_law.search(now.extended, len(laws_of(rig)) + 1, progress), rig)
+            else:
+                learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
             corrected, also = learned.corrected(fitted), learned.corrected(others)
             after = now
             if may_be_better(now, learned):
@@ -162,11 +165,21 @@ def with_laws(
             return _saying(now, f"A law was learned ({learned.law.in_words()}), but it cannot be tried: {reason}.")
         if learned.law is None:
             return _saying(now, place_in_words(learned.search, ", by nothing that was measured"))
-        if after is now or not is_better(now, after.extended):
+        if after is now or not is_better(now, after.extended, learned.law):
             words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
             return _saying(now, f"{place_in_words(learned.search)} {words}".strip())
         now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
     return now
+
+
+def _refuse_few_sweeps(found: Diagnosis) -> None:
+    """Refuse recordings of a sealed joint in which it hardly moves: all samples of a sweep have nearly one error."""
+    for part, words in (("fitted", "what is fitted"), ("held_out", "what is held out")):
+        count = sum(entry.sweeps[part] for entry in found.by_recording if entry.sweeps)
+        if count < thresholds.FEW_SWEEPS:
+            raise BadInput(
+                f"in {words} the joint slides {count} times to or fro, expected at least {thresholds.FEW_SWEEPS} times"
+            )
 
 
 def _saying(found: Diagnosis, why: str) -> Diagnosis:
@@ -186,6 +199,8 @@ def leaves_excess(found: Diagnosis) -> bool:
         return False
     if _is_a_torque_alone(found):
         return True
+    if any(one.law_places for one in found.experiments):
+        return any(part.has_significant_excess for part in driven_law.parts(found.extended))
     left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
     return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
 
@@ -197,19 +212,23 @@ def may_be_better(before: Diagnosis, learned: Learned) -> bool:
         # Of what was recorded wrongly, only a diagnosis of the corrected recordings tells.
         return law is not None
 
+    covariance = learned.search.found.covariance if learned.search.found is not None else None
+
     def with_it(model: Model) -> Model:
-        return replace(model, experiments=tuple(one.of_rig(learned.rig) for one in model.experiments))
+        # A sealed joint is diagnosed about what was identified of it, and not about the rig as configured.
+        own = (one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in model.experiments)
+        return replace(model, experiments=tuple(own))
 
     alone = recalibrated(with_it(before.recalibrated).experiments, before.recalibrated)
-    if is_better(before, alone):
+    if is_better(before, alone, law):
         return True
     beside = bool(before.effects) and not _is_a_torque_alone(before)
     return beside and is_better(before, with_it(before.extended).map(lambda experiment, fitted: refit(
         experiment, fitted.point, fitted.free
-    )))  # fmt: skip
+    )), law)  # fmt: skip
 
 
-def is_better(before: Diagnosis, model: Model) -> bool:
+def is_better(before: Diagnosis, model: Model, law: Law) -> bool:
     """Whether a model with a law does better where nothing was fitted, by the rules of a further effect.
 
     A law that predicts held-out data comes before a torque of any course, if the law is the explanation.
@@ -218,10 +237,15 @@ def is_better(before: Diagnosis, model: Model) -> bool:
         before = replace(before, extended=before.recalibrated)
         if share_of_all(before.recalibrated, model) < thresholds.EXPLAINED:
             return False
-    pairs = zip(before.extended.pairs, model.pairs, strict=True)
+    base, now, model = (driven_law.acting(law, one) for one in (before.recalibrated, before.extended, model))
+    pairs = zip(now.pairs, model.pairs, strict=True)
     gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
-    share = further_share(before.recalibrated, before.extended, model)
-    return gain >= thresholds.STRONG and share >= thresholds.FURTHER_SHARE
+    if model.experiments[0].law_places:
+        # Most of the excess of a sealed joint is its Coulomb friction, which was taken out of the base model.
+        removes_enough = share_of_all(now, model) >= thresholds.EXPLAINED
+    else:
+        removes_enough = further_share(base, now, model) >= thresholds.FURTHER_SHARE
+    return gain >= thresholds.STRONG and removes_enough
 
 
 def _is_a_torque_alone(found: Diagnosis) -> bool:
@@ -232,7 +256,7 @@ def _is_a_torque_alone(found: Diagnosis) -> bool:
 def place_in_words(found: LawSearch, reason: str = "") -> str:
     """Where the model errs most likely, with a reason; empty if that is not known."""
     place = found.places[0] if found.places else None
-    if place is None or place.gain < LEAST_GAIN:
+    if place is None or place.gain < found.least_gain:
         return ""
     group = Group(place.name)
     return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}{reason}."
@@ -252,7 +276,8 @@ def _effect(before: Diagnosis, after: Diagnosis, learned: Learned, share: float)
     """A learned law as an effect of a diagnosis; each of its numbers has its price in the evidence."""
     law = learned.law
     assert law is not None
-    pairs = list(zip(before.recalibrated.fits, after.extended.fits, strict=True))
+    base, model = (driven_law.acting(law, one) for one in (before.recalibrated, after.extended))
+    pairs = list(zip(base.fits, model.fits, strict=True))
     gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
     gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
     sizes = {
@@ -269,7 +294,8 @@ def _effect(before: Diagnosis, after: Diagnosis, learned: Learned, share: float)
 
 def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it."""
-    share = held_share(before.recalibrated, after.extended)
+    assert learned.law is not None
+    share = held_share(*(driven_law.acting(learned.law, one) for one in (before.recalibrated, after.extended)))
     effect = _effect(before, after, learned, share)
     again = {one.name for one in after.effects}
     first = [one for one in before.effects if one.law is not None]
@@ -287,12 +313,16 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     assert errors is not None
     taken = {one.name for one in (*named, *earlier)}
     ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
-    part = share_of_all(before.recalibrated, after.extended) < thresholds.EXPLAINED_WELL
-    notes = ("the law explains the recordings in part only",) if part else ()
+    shown = [one.trial.name for one in driven_law.acting(learned.law, after.extended).experiments]
+    here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
+    with_law = zip(after.parts, here, strict=True)
+    parts = [replace(part, verdict="effect", share=share) if acts else part for part, acts in with_law]
+    in_part = share_of_all(before.recalibrated, after.extended) < thresholds.EXPLAINED_WELL
+    notes = ("the law explains the recordings in part only",) if in_part else ()
     return replace(
         after, verdict="effect", sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
         effects=(*named, *earlier, effect, *after.effects), by_recording=entries,
-        share=share, parts=tuple(replace(part, verdict="effect", share=share) for part in after.parts),
+        share=share, parts=tuple(parts),
         ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
         warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
         of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},

@@ -11,7 +11,7 @@ from pam_antagonist.diagnosis.description import describe
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.judgement import judge
 from pam_antagonist.diagnosis.models import Model
-from pam_antagonist.diagnosis.preparation import Prepared, Settings, Timings, prepare
+from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings, prepare
 from pam_antagonist.diagnosis.result import Diagnosis, Judged
 from pam_antagonist.diagnosis.search import hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
@@ -57,8 +57,16 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Mo
         base = by_itself_or_in_turn(group)
         check_same_rig(group.held_out, base)
         timings.end("recalibration")
-        ranking = search(base, Work(settings.about(group), settings.store), hypotheses(), first=first)
+        ranking = search(base, Work(settings.about(group), settings.store), hypotheses(), first=_of_group(first, group))
         timings.end("selection")
         judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.store)))
         timings.end("judgement")
     return sorted(judged, key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))
+
+
+def _of_group(model: Model | None, group: Group) -> Model | None:
+    """What of a model of all groups belongs to one of them."""
+    if model is None:
+        return None
+    names = {experiment.trial.name for experiment in group.experiments}
+    return model.of([k for k, experiment in enumerate(model.experiments) if experiment.trial.name in names])

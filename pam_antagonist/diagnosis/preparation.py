@@ -293,8 +293,8 @@ def base_without_friction(
             f"model.friction of rig {rig.name} is {rig.model.friction}; expected kikuuwe, since the rig is sealed"
         )
     trials: list[SealedTrial] = [sealed_trial(recording, name, 1.0 - holdout) for recording, name in recordings]
-    # Effects that noise drives stay. Other effects that a sealed rig declares have to be found.
-    kept = random_part(rig.effects)
+    # Effects that noise drives and learned laws stay. Other effects that a sealed rig declares have to be found.
+    kept = random_part(rig.effects) | {name: own for name, own in rig.effects.items() if name == "learned"}
     # Free viscous friction would imitate the Coulomb friction that is removed.
     without = {"friction.shaft": 0.0, "friction.muscle": 0.0, "joint.viscous_friction": 0.0}
     # A parameter that is removed is not uncertain either.

@@ -294,20 +294,27 @@ def _arguments(
     reference: Floats, blocks: Mapping[str, Floats], columns: Floats, p: Floats, valve: bool
 ) -> dict[str, Floats]:
     """What a law may depend on (K,), by name; of a muscle with its number."""
-    first, second = reference[:, PRESSURE_1], reference[:, PRESSURE_2]
-    angle, speed = blocks["angle"], reference[:, VELOCITY]
+    out = measured_arguments(reference[:, PRESSURE_1 : PRESSURE_2 + 1], blocks["angle"], reference[:, VELOCITY], p)
+    out["time"] = blocks["time"]
+    out["draw"] = columns[:, 0, 4] + columns[:, 1, 4]
+    for i in (1, 2):
+        out[f"valve_flow_{i}"] = columns[:, i - 1, 3]
+        if valve:
+            out[f"open_rate_{i}"] = columns[:, i - 1, 7]
+    return out
+
+
+def measured_arguments(pressure: Floats, angle: Floats, velocity: Floats, p: Floats) -> dict[str, Floats]:
+    """What a law of any joint may depend on (K,), by name: of pressures (K, 2) [Pa] and motion (K,) [rad, rad/s]."""
+    first, second = pressure.T
     sine = np.sin(angle) if p[par.PULLEY] == 0.0 else angle
     arm = np.cos(angle) if p[par.PULLEY] == 0.0 else np.ones(len(angle))
     out = {
         "pressure_1": first, "pressure_2": second,
         "pressure_difference": first - second, "pressure_sum": first + second,
-        "angle": angle, "velocity": speed, "speed": np.abs(speed), "time": blocks["time"],
-        "draw": columns[:, 0, 4] + columns[:, 1, 4],
+        "angle": angle, "velocity": velocity, "speed": np.abs(velocity),
     }  # fmt: skip
     for i, side in ((1, -1.0), (2, 1.0)):
         out[f"length_{i}"] = p[par.LENGTH] + side * p[par.RADIUS] * sine
-        out[f"length_rate_{i}"] = side * p[par.RADIUS] * arm * speed
-        out[f"valve_flow_{i}"] = columns[:, i - 1, 3]
-        if valve:
-            out[f"open_rate_{i}"] = columns[:, i - 1, 7]
+        out[f"length_rate_{i}"] = side * p[par.RADIUS] * arm * velocity
     return out

@@ -33,6 +33,9 @@ Floats = NDArray[np.float64]
 AIR, BALANCE = "air", "balance"
 """Parts of a driven joint. The catalogue has for each effect which part shows it."""
 
+JOINT_PLACES = ("force_1", "force_2", "strength_1", "strength_2", "strength_both", "torque", "friction")
+AIR_PLACES = ("flow_1", "flow_2", "flow_both", "exchange", "volume_1", "volume_2")
+"""Where laws may stand in joint and muscles, and in their chambers."""
 _CORNER_HZ = 3.0
 _STEP_S = 4e-3
 """[s] Longest step: a motion that is filtered at 3 Hz hardly changes within it."""
@@ -290,6 +293,17 @@ class AngleDriven(Experiment):
     @override
     def judged_channels(self) -> tuple[int, ...]:
         return (ANGLE, TORQUE, PRESSURE_1, PRESSURE_2) if self.trial.has(TORQUE) else (PRESSURE_1, PRESSURE_2)
+
+    @property
+    @override
+    def law_places(self) -> tuple[str, ...]:
+        return JOINT_PLACES if self.part == BALANCE else AIR_PLACES
+
+    @property
+    @override
+    def for_laws(self) -> AngleDriven:
+        # Where the joint sticks, friction may be anything up to its bound: that says nothing of a law.
+        return replace(self, resolved=True) if self.part == BALANCE and not self.resolved else self
 
     @property
     @override

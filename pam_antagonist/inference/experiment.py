@@ -168,6 +168,21 @@ class Experiment(Driven):
         return self.channels
 
     @property
+    def law_places(self) -> tuple[str, ...]:
+        """Where a law may stand that measured inputs show by derivatives; none of a model that runs by itself."""
+        return ()
+
+    @property
+    def laws_keep(self) -> bool:
+        """Whether such a law may remember: not where the model starts anew."""
+        return True
+
+    @property
+    def for_laws(self) -> Experiment:
+        """The recording as laws are judged on it."""
+        return self
+
+    @property
     def slides(self) -> NDArray[np.bool_] | None:
         """Where the joint slides (N,), None where that makes no difference to the model."""
         return None

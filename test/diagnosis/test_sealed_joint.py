@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pam_antagonist import diagnose as with_laws
 from pam_antagonist.cli.close_loop import main as close_loop
 from pam_antagonist.diagnosis import Diagnosis, diagnose
 from pam_antagonist.diagnosis.preparation import base_without_friction, cut, driven_trial
@@ -24,7 +25,9 @@ from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.notes import write_notes
 from pam_antagonist.replays import replay
+from pam_antagonist.report.close_loop import DiagnoseResult
 from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig.learned import Law, laws_of, with_law
 
 FILE = Path(__file__).parents[3] / "shared" / "data" / "measured" / "sealed_joint" / "sealed_joint.csv"
 measured_only = pytest.mark.skipif(not FILE.exists(), reason="no ../shared/data/measured beside the project")
@@ -40,9 +43,12 @@ def joint() -> Rig:
 def recorded(joint: Rig) -> Callable[..., Recording]:
     """Records a simulated joint without friction of its own, with effects, driven to and fro."""
 
-    def make(effects: dict[str, dict[str, float]], seconds: float = 18.0, seed: int = 3) -> Recording:
-        rig = moved(joint, PLAIN)
-        rig = rig.replaced(effects=effects)
+    def make(
+        effects: dict[str, dict[str, float]], seconds: float = 18.0, seed: int = 3, law: Law | None = None
+    ) -> Recording:
+        known = {name: std for name, std in joint.uncertainty.items() if name not in PLAIN}
+        rig = moved(joint, PLAIN).replaced(effects=effects, uncertainty=known)
+        rig = rig if law is None else with_law(rig, law)
         rng = np.random.default_rng(seed)
         time = np.arange(int(seconds * 1000)) * 1e-3
         external = (0.9 + 0.3 * np.sin(2 * np.pi * 0.031 * time)) * np.sin(2 * np.pi * 0.3 * time)
@@ -106,6 +112,31 @@ def test_a_wide_hysteresis_is_not_called_friction(recorded, joint) -> None:
     assert [effect.name for effect in found.effects] == ["hysteresis"]
     assert found.effects[0].parameters["width"][0] == pytest.approx(4e-4, rel=0.3)
     assert "friction" not in found.ambiguous_with, found.ambiguities
+
+
+RUBBING = Law("friction", (-0.1, 0.0, 0.1), (0.0, 0.1, 0.2), None, "angle")
+
+
+@pytest.mark.slow(20)
+def test_friction_in_a_form_that_nobody_wrote_is_learned(recorded, joint) -> None:
+    recording = recorded({"friction": {"coulomb": 0.1}}, seconds=24.0, law=RUBBING)
+    found = with_laws([recording], joint, profiles=False, estimator=False)
+    assert isinstance(found, DiagnoseResult)
+    (law,) = (effect.law for effect in found.effects if effect.law is not None)
+    assert (law.place, law.argument) == ("friction", "angle")
+    assert law.value(0.08) - law.value(-0.08) == pytest.approx(RUBBING.value(0.08) - RUBBING.value(-0.08), rel=0.15)
+    assert "friction, in another form than the catalogue's law" in found.sentence
+    assert any("depends on P1" in other for other in found.effects[-1].alternatives), "it moves with the angle"
+    before, after = (model.sliding.rmse_sliding_nm for model in found.errors.all[1:])
+    assert after < 0.1 * before
+    assert {part.name: part.verdict for part in found.parts} == {"torque": "effect", "pressures": "none"}
+    assert laws_of(found.rig_extended)[1].values == law.values
+
+
+def test_no_law_is_learned_from_a_few_sweeps(recorded, joint) -> None:
+    recording = recorded({"friction": {"coulomb": 0.1}}, seconds=12.0, law=RUBBING)
+    found = with_laws([recording], joint, profiles=False, estimator=False)
+    assert [effect.name for effect in found.effects] == ["friction"]
 
 
 def test_a_joint_with_nothing_wrong_has_no_effect(recorded, joint) -> None:

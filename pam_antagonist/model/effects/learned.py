@@ -403,6 +403,6 @@ EFFECT = Effect(
     of_tables=True,
     sentence="a law that was learned from the recordings acts on the joint (learned)",
     experiment="repeat the recording over a wider range of what the law depends on: outside of it the law is constant",
-    sealed=SealedJoint(part=None, reason="laws are learned from joints with valves"),
+    sealed=SealedJoint(part=None, reason="a law is looked for where the catalogue leaves an excess"),
     tested_with=(),
 )

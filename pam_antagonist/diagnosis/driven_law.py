@@ -1,0 +1,267 @@
+"""The missing law of a model that measured inputs drive: every table at every place, by derivatives of the model.
+
+Such models are those of a sealed joint, which its measured angle drives, and the parts of a rig of data sheets. They do
+not drift away, so what they leave is nearly linear in the values of a table, and no residual equations are needed. A
+law is judged on stretches of the fitted part that its values were not fitted to.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import arguments, thresholds
+from pam_antagonist.diagnosis.arguments import Group, hats, nodes_of
+from pam_antagonist.diagnosis.law_regression import FOLDS, SMOOTH, roughness
+from pam_antagonist.diagnosis.law_search import LawSearch
+from pam_antagonist.diagnosis.law_simulation import Simulated
+from pam_antagonist.diagnosis.models import Model, likelier, without
+from pam_antagonist.diagnosis.place_search import Place
+from pam_antagonist.diagnosis.residual_equations import measured_arguments
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.point import Point
+from pam_antagonist.model.effects import parameter_path
+from pam_antagonist.rig.learned import Law, numbers_of
+
+Floats = NDArray[np.float64]
+
+_FINER = 4
+"""So many of the best laws are tried with a finer table."""
+_WITH_MEMORY = 3
+"""At so many of the best places laws with memory are tried."""
+_ROUNDS = 2
+"""Solutions of a law, each weighed by what the one before leaves."""
+_MOST_ALTERNATIVES = 3
+_FIRST = ("angle", "velocity", "speed", "length", "length_rate", "time")
+"""Of arguments that move together, those that are named first."""
+_UNITS = {
+    "flow": 1e-9, "exchange": 1e-9, "volume": 1e-3, "valve": 1e-3, "passage": 1e-3, "supply": 1e-3,
+    "force": 0.1, "strength": 1e-3, "torque": 1e-3, "friction": 1e-3,
+}  # fmt: skip
+"""Steps of the values at which derivatives are taken, in the units of the places."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """A part of a joint in a recording, about the model as it is."""
+
+    experiment: Experiment
+    fitted: Fitted
+    base: Floats  # derivatives of the residual by the base coordinates (B, C, K)
+    course: Mapping[str, Floats]  # what a law may depend on, block means of the fitted part (B,), by name
+
+    def weight(self, left: Floats) -> Floats:
+        """Of each channel (C,): one over the variance of what is left (B, C) and the blocks of a counted value."""
+        scale = self.fitted.scale
+        return np.asarray(1.0 / (scale.variances(left) * scale.blocks_per_error))
+
+    @property
+    def folds(self) -> NDArray[np.int64]:
+        """Number of the stretch that a block belongs to (B,)."""
+        return np.arange(len(self.fitted.residual)) * FOLDS // len(self.fitted.residual)
+
+    def argument_of(self, group: Group, muscle: int) -> Floats:
+        """What a law depends on at a muscle (B,), with its memory."""
+        number = 3 - muscle if group.argument == "other_pressure" else muscle
+        name = group.argument.replace("other_", "")
+        values = self.course.get(f"{name}_{number}", self.course.get(name, np.zeros(len(self.folds))))
+        first = np.arange(len(values)) == 0
+        return arguments.operated(values, group.operator, group.amount, self.experiment.trial.block_s, first)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A law, linear about the model as it is."""
+
+    group: Group
+    law: Law
+    gain: float  # evidence on stretches that it was not fitted to, twice the log likelihood ratio
+    covariance: Floats  # of its values (N, N)
+
+
+def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
+    """Look for one law that a model lacks; it gets a number in the rig.
+
+    `model`: all parts of all recordings, with what was found so far.
+    """
+    progress("a law that nobody wrote: every place of the model")
+    tried: list[_Tried] = []
+    for own in parts(model):
+        if own.has_significant_excess:
+            tried += _tried(_prepared(own), number)
+    tried.sort(key=lambda one: -one.gain)
+    places: dict[str, float] = {}
+    for one in tried:
+        places.setdefault(one.group.place, one.gain)
+    found = LawSearch(
+        tuple(Place(*item) for item in places.items()), _simulated(None, np.zeros((0, 0))), None, (),
+        tried[0].gain if tried else 0.0, 0.0, thresholds.STRONG,
+    )  # fmt: skip
+    if not tried or tried[0].gain < thresholds.STRONG:
+        return found
+    as_good = [one for one in tried if tried[0].gain - one.gain < thresholds.STRONG]
+    as_good.sort(key=_simplicity)
+    best, others = as_good[0], {(one.law.at, one.law.argument): one for one in reversed(as_good)}
+    others.pop((best.law.at, best.law.argument))
+    best = _with_friction(best, model, number)
+    simplest = list(others.values())[::-1][:_MOST_ALTERNATIVES]
+    alternatives = tuple(_simulated(one.law, one.covariance) for one in simplest)
+    return replace(found, found=_simulated(best.law, best.covariance), alternatives=alternatives)
+
+
+def _with_friction(best: _Tried, model: Model, number: int) -> _Tried:
+    """A law of friction with the constant friction that was found: a friction below zero would be none."""
+    if best.law.place != "friction" or "friction" not in model.effects:
+        return best
+    balance = acting(best.law, without(model, "effects.friction."))
+    return _fitted(_prepared(balance), best.group, number) or best
+
+
+def _simplicity(one: _Tried) -> tuple[bool, int, int, float]:
+    """Order of laws that data cannot tell apart: without memory, with a short table, by what is seen of the motion."""
+    group = one.group
+    rank = _FIRST.index(group.argument) if group.argument in _FIRST else len(_FIRST)
+    return group.operator != "none", group.number, rank, -one.gain
+
+
+def _simulated(law: Law | None, covariance: Floats) -> Simulated:
+    return Simulated(law, np.zeros((0, 4)), 0.0, (), covariance)
+
+
+def parts(model: Model) -> list[Model]:
+    """The parts of a model that is driven by measured inputs, as laws are judged; none of another model."""
+    out = []
+    for places in dict.fromkeys(one.law_places for one in model.experiments if one.law_places):
+        pairs = [_for_laws(e, f) for e, f in model.pairs if e.law_places == places]
+        out.append(Model(tuple(one for one, _ in pairs), tuple(fit for _, fit in pairs), model.effects))
+    return out
+
+
+def acting(law: Law, model: Model) -> Model:
+    """The part in which a law acts, as laws are judged; all of a model that runs by itself."""
+    here = [one for one in parts(model) if any(Group(at).kind == law.place for at in one.experiments[0].law_places)]
+    return here[0] if here else model
+
+
+def _for_laws(experiment: Experiment, fitted: Fitted) -> tuple[Experiment, Fitted]:
+    clear = experiment.for_laws
+    return clear, fitted if clear is experiment else refit(clear, fitted.point, fitted.free)
+
+
+def _prepared(model: Model) -> list[_Recording]:
+    return [_about(experiment, fitted) for experiment, fitted in model.pairs]
+
+
+def _about(experiment: Experiment, fitted: Fitted) -> _Recording:
+    residual = fitted.residual
+    shown = experiment.signals(fitted.point)
+    pressure = np.column_stack([shown["pressure 1"], shown["pressure 2"]])
+    course = measured_arguments(pressure, shown["angle"], shown["velocity"], experiment.parameters(fitted.point))
+    if experiment.laws_keep:
+        course["time"] = np.asarray(np.arange(0.5, len(residual)) * experiment.trial.block_s, dtype=np.float64)
+    rows = {name: experiment.fitted_rows(values[: len(residual)]) for name, values in course.items()}
+    return _Recording(experiment, fitted, experiment.jacobian(fitted.point, residual), rows)
+
+
+def _tried(here: Sequence[_Recording], number: int) -> list[_Tried]:
+    """All laws of a part, those with memory at its best places."""
+    experiment = here[0].experiment
+    plain = arguments.plain_groups(experiment.law_places)
+    found = [one for group in plain if (one := _fitted(here, group, number))]
+    found.sort(key=lambda one: -one.gain)
+    groups = [replace(one.group, number=arguments.FINE) for one in found[:_FINER] if one.group.argument != "none"]
+    places = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
+    groups += _with_memory(here, places) if experiment.laws_keep else ()
+    return found + [one for group in groups if (one := _fitted(here, group, number))]
+
+
+def _with_memory(here: Sequence[_Recording], places: Sequence[str]) -> Iterator[Group]:
+    def span(group: Group) -> float:
+        return float(max(np.ptp(one.argument_of(group, muscle)) for one in here for _, muscle in group.sides))
+
+    return arguments.groups_with_memory(places, span)
+
+
+def _fitted(here: Sequence[_Recording], group: Group, number: int) -> _Tried | None:
+    """A law's values, base parameters fitted beside them; None if its argument does not move or it shows nowhere."""
+    seen = np.concatenate([one.argument_of(group, muscle) for one in here for _, muscle in group.sides])
+    nodes = np.zeros(1) if group.argument == "none" else nodes_of(seen, group.number)
+    if len(nodes) == 1 and group.argument != "none":
+        return None
+    zero = group.law(nodes, np.zeros(len(nodes)))
+    if replace(zero, values=tuple(np.ones(len(nodes)))).complaint():
+        return None
+    unit = _UNITS[group.kind]
+    columns = [_columns(one, group, zero, unit, number) for one in here]
+    if not any(item.any() for item in columns):
+        return None
+    values, covariance, after = _solved(here, columns)
+    _, _, before = _solved(here, [item[:, :, :0] for item in columns])
+    gain = sum(
+        likelier(one.fitted.scale, one.experiment.fitted_rows(b), one.experiment.fitted_rows(a))
+        for one, b, a in zip(here, before, after, strict=True)
+    )
+    if not values.any():
+        return None
+    law = group.law(nodes, values * unit)
+    return _Tried(group, law, gain, covariance * unit**2)
+
+
+def _columns(one: _Recording, group: Group, zero: Law, unit: float, number: int) -> Floats:
+    """Derivatives of the residual by a law's values, in units (B, C, N)."""
+    count = len(zero.nodes)
+
+    def with_values(values: Floats) -> Point:
+        numbers = numbers_of(replace(zero, values=tuple(values)), number).items()
+        effects = {parameter_path("learned", name): value for name, value in numbers}
+        return Point(one.fitted.point.theta, {**one.fitted.point.effects, **effects})
+
+    residual = one.fitted.residual
+    moved = [with_values(unit * row) for row in np.eye(count)]
+    out = np.stack(one.experiment.differences(one.fitted.point, residual, moved), axis=2)
+    if group.rests_at_zero:
+        at_rest = hats(np.zeros(1), np.array(zero.nodes))[:, 0]
+        out = out - out.sum(axis=2, keepdims=True) * at_rest
+    return np.asarray(out)
+
+
+def _solved(here: Sequence[_Recording], columns: Sequence[Floats]) -> tuple[Floats, Floats, list[Floats]]:
+    """Values of a law in units (N,), their covariance (N, N), and what each recording's stretches leave (B, C).
+
+    A stretch is left by values and base parameters that were fitted to the others.
+    """
+    count = columns[0].shape[2]
+    ends = np.cumsum([0, *(one.base.shape[2] for one in here)])
+    total = int(ends[-1]) + count
+    wheres = [np.r_[begin:end, total - count : total] for begin, end in itertools.pairwise(ends)]
+    each = [np.concatenate([one.base, own], axis=2) for one, own in zip(here, columns, strict=True)]
+    left = [one.fitted.residual for one in here]
+    for _ in range(_ROUNDS):
+        gram, right = np.zeros((FOLDS, total, total)), np.zeros((FOLDS, total))
+        prior, pulled = np.zeros((total, total)), np.zeros(total)
+        for one, both, where, now in zip(here, each, wheres, left, strict=True):
+            weighted = both * one.weight(now)[None, :, None]
+            for fold in range(FOLDS):
+                rows = one.folds == fold
+                gram[fold][np.ix_(where, where)] += np.einsum("bcn,bcm->nm", weighted[rows], both[rows])
+                right[fold][where] -= np.einsum("bcn,bc->n", weighted[rows], one.fitted.residual[rows])
+            own = where[: len(where) - count]
+            prior[own, own] = one.experiment.prior
+            pulled[own] = -one.experiment.prior * one.fitted.point.theta
+        if count:
+            known = float(np.trace(gram.sum(axis=0)[-count:, -count:])) / count
+            prior[-count:, -count:] = SMOOTH * known * roughness(count) + 1e-6 * max(known, 1e-30) * np.eye(count)
+        matrix = gram.sum(axis=0) + prior
+        step = np.linalg.solve(matrix, right.sum(axis=0) + pulled)
+        left = [one.fitted.residual + both @ step[where] for one, both, where in zip(here, each, wheres, strict=True)]
+    for fold in range(FOLDS):
+        other = np.linalg.solve(matrix - gram[fold], (right.sum(axis=0) - right[fold]) + pulled)
+        for one, both, where, now in zip(here, each, wheres, left, strict=True):
+            rows = one.folds == fold
+            now[rows] = one.fitted.residual[rows] + both[rows] @ other[where]
+    return step[total - count :], np.linalg.inv(matrix)[total - count :, total - count :], left
