@@ -1,8 +1,8 @@
 """The missing law of a model that measured inputs drive: every table at every place, by derivatives of the model.
 
-Such models are those of a sealed joint, which its measured angle drives, and the parts of a rig of data sheets. They do
-not drift away, so what they leave is nearly linear in the values of a table, and no residual equations are needed. A
-law is judged on stretches of the fitted part that its values were not fitted to.
+Such a model is that of a sealed joint, which its measured angle drives. It does not drift away, so what it leaves is
+nearly linear in the values of a table, and no residual equations are needed. A law is judged on stretches of the fitted
+part that its values were not fitted to.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from pam_antagonist.diagnosis.arguments import Group, hats, nodes_of
 from pam_antagonist.diagnosis.law_regression import FOLDS, SMOOTH, roughness
 from pam_antagonist.diagnosis.law_search import LawSearch
 from pam_antagonist.diagnosis.law_simulation import Simulated
-from pam_antagonist.diagnosis.models import Model, likelier, without
+from pam_antagonist.diagnosis.models import Model, further_share, likelier, share_of_all, without
 from pam_antagonist.diagnosis.place_search import Place
 from pam_antagonist.diagnosis.residual_equations import measured_arguments
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.gauss_newton import Fitted, held_residual, refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import parameter_path
 from pam_antagonist.rig.learned import Law, numbers_of
@@ -40,8 +40,7 @@ _MOST_ALTERNATIVES = 3
 _FIRST = ("angle", "velocity", "speed", "length", "length_rate", "time")
 """Of arguments that move together, those that are named first."""
 _UNITS = {
-    "flow": 1e-9, "exchange": 1e-9, "volume": 1e-3, "valve": 1e-3, "passage": 1e-3, "supply": 1e-3,
-    "force": 0.1, "strength": 1e-3, "torque": 1e-3, "friction": 1e-3,
+    "flow": 1e-9, "exchange": 1e-9, "volume": 1e-3, "force": 0.1, "strength": 1e-3, "torque": 1e-3, "friction": 1e-3,
 }  # fmt: skip
 """Steps of the values at which derivatives are taken, in the units of the places."""
 
@@ -142,6 +141,22 @@ def parts(model: Model) -> list[Model]:
     return out
 
 
+def is_better(base: Model, before: Model, after: Model, law: Law) -> bool:
+    """Whether a model with a law does better where nothing was fitted, by the rules of a further effect.
+
+    `base`: without effects. `before`: with what was found without the law.
+    """
+    base, before, after = (acting(law, one) for one in (base, before, after))
+    pairs = zip(before.pairs, after.pairs, strict=True)
+    gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
+    if after.experiments[0].law_places:
+        # What drives such a model keeps it near, and most of the excess of a sealed joint is its Coulomb friction.
+        removes_enough = share_of_all(before, after) >= thresholds.EXPLAINED
+    else:
+        removes_enough = further_share(base, before, after) >= thresholds.FURTHER_SHARE
+    return gain >= thresholds.STRONG and removes_enough
+
+
 def acting(law: Law, model: Model) -> Model:
     """The part in which a law acts, as laws are judged; all of a model that runs by itself."""
     here = [one for one in parts(model) if any(Group(at).kind == law.place for at in one.experiments[0].law_places)]
@@ -162,21 +177,21 @@ def _about(experiment: Experiment, fitted: Fitted) -> _Recording:
     shown = experiment.signals(fitted.point)
     pressure = np.column_stack([shown["pressure 1"], shown["pressure 2"]])
     course = measured_arguments(pressure, shown["angle"], shown["velocity"], experiment.parameters(fitted.point))
-    if experiment.laws_keep:
-        course["time"] = np.asarray(np.arange(0.5, len(residual)) * experiment.trial.block_s, dtype=np.float64)
+    course["time"] = np.asarray(np.arange(0.5, len(residual)) * experiment.trial.block_s, dtype=np.float64)
     rows = {name: experiment.fitted_rows(values[: len(residual)]) for name, values in course.items()}
     return _Recording(experiment, fitted, experiment.jacobian(fitted.point, residual), rows)
 
 
 def _tried(here: Sequence[_Recording], number: int) -> list[_Tried]:
     """All laws of a part, those with memory at its best places."""
-    experiment = here[0].experiment
-    plain = arguments.plain_groups(experiment.law_places)
+    plain = arguments.plain_groups(here[0].experiment.law_places)
     found = [one for group in plain if (one := _fitted(here, group, number))]
     found.sort(key=lambda one: -one.gain)
-    groups = [replace(one.group, number=arguments.FINE) for one in found[:_FINER] if one.group.argument != "none"]
+    # What rubs or engages somewhere on the way does so within a short part of it.
+    finer = [one for k, one in enumerate(found) if k < _FINER or one.group.argument == "angle"]
+    groups = [replace(one.group, number=arguments.FINE) for one in finer if one.group.argument != "none"]
     places = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
-    groups += _with_memory(here, places) if experiment.laws_keep else ()
+    groups += _with_memory(here, places)
     return found + [one for group in groups if (one := _fitted(here, group, number))]
 
 

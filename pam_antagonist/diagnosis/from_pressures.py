@@ -37,7 +37,6 @@ from pam_antagonist.identification.from_pressures import (
 from pam_antagonist.identification.parts import is_guessed
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
-from pam_antagonist.inference.angle_driven import AIR_PLACES, JOINT_PLACES
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, FreeEffectParameter
 from pam_antagonist.inference.point import Channel, Point
@@ -155,11 +154,6 @@ class _Part(Experiment):
     def runs_by_itself(self) -> bool:
         return False
 
-    @property
-    @override
-    def laws_keep(self) -> bool:
-        return False
-
     @cached_property
     @override
     def vector(self) -> Floats:
@@ -229,22 +223,11 @@ class JointByPressures(_Part):
 
     place = JOINT
 
-    @property
-    @override
-    def law_places(self) -> tuple[str, ...]:
-        return JOINT_PLACES
-
 
 class AirByMotion(_Part):
     """Chambers and valves, or regulators: commands and the measured motion drive them, anew from each second on."""
 
     place = AIR
-
-    @property
-    @override
-    def law_places(self) -> tuple[str, ...]:
-        of_valves = ("valve_1", "valve_2", "valve_both", "passage_1", "passage_2", "passage_both", "supply")
-        return (*AIR_PLACES, *(of_valves if self.rig.drive == "valve" else ()))
 
 
 @dataclass(frozen=True, eq=False)

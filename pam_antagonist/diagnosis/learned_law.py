@@ -22,7 +22,6 @@ from pam_antagonist.diagnosis.law_search import LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
 from pam_antagonist.diagnosis.models import (
     Model,
-    further_share,
     held_share,
     likelier,
     price,
@@ -32,7 +31,7 @@ from pam_antagonist.diagnosis.models import (
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
-from pam_antagonist.inference.gauss_newton import held_residual, refit
+from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.recording import Recording
@@ -120,10 +119,11 @@ def learn(
     if not subjects:
         raise BadInput(f"a law is looked for in recordings of {_SHORTEST_S:g} s at least")
     number = len(laws_of(rig)) + 1
-    return _with_law(law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number), rig)
+    found = law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number)
+    return with_found_law(found, rig)
 
 
-def _with_law(found: LawSearch, rig: Rig) -> Learned:
+def with_found_law(found: LawSearch, rig: Rig) -> Learned:
     """A rig with the law that was found, if one was."""
     if found.found is None or found.found.law is None:
         return Learned(found, None, rig)
@@ -151,7 +151,7 @@ def with_laws(
         try:
             if rig.valves.sealed:
                 _refuse_few_sweeps(now)
-                learned = _with_law(driven_law.search(now.extended, len(laws_of(rig)) + 1, progress), rig)
+                learned = with_found_law(driven_law.search(now.extended, len(laws_of(rig)) + 1, progress), rig)
             else:
                 learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
             corrected, also = learned.corrected(fitted), learned.corrected(others)
@@ -237,15 +237,7 @@ def is_better(before: Diagnosis, model: Model, law: Law) -> bool:
         before = replace(before, extended=before.recalibrated)
         if share_of_all(before.recalibrated, model) < thresholds.EXPLAINED:
             return False
-    base, now, model = (driven_law.acting(law, one) for one in (before.recalibrated, before.extended, model))
-    pairs = zip(now.pairs, model.pairs, strict=True)
-    gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
-    if model.experiments[0].law_places:
-        # Most of the excess of a sealed joint is its Coulomb friction, which was taken out of the base model.
-        removes_enough = share_of_all(now, model) >= thresholds.EXPLAINED
-    else:
-        removes_enough = further_share(base, now, model) >= thresholds.FURTHER_SHARE
-    return gain >= thresholds.STRONG and removes_enough
+    return driven_law.is_better(before.recalibrated, before.extended, model, law)
 
 
 def _is_a_torque_alone(found: Diagnosis) -> bool:
@@ -272,11 +264,17 @@ def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
     return tuple(sorted((n for n in acts if scores[n] >= thresholds.LEAST_SCORE), key=lambda name: -scores[name]))
 
 
-def _effect(before: Diagnosis, after: Diagnosis, learned: Learned, share: float) -> FoundEffect:
-    """A learned law as an effect of a diagnosis; each of its numbers has its price in the evidence."""
+def law_effect(
+    base: Model, model: Model, learned: Learned, names: Sequence[str], ranking: Sequence[TriedCandidate]
+) -> FoundEffect:
+    """A learned law as an effect of a diagnosis; each of its numbers has its price in the evidence.
+
+    `base`, `model`: without effects, and with the law. `names`: of the recordings that are fitted. `ranking`: all
+    candidates without the law.
+    """
     law = learned.law
     assert law is not None
-    base, model = (driven_law.acting(law, one) for one in (before.recalibrated, after.extended))
+    base, model = (driven_law.acting(law, one) for one in (base, model))
     pairs = list(zip(base.fits, model.fits, strict=True))
     gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
     gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
@@ -284,10 +282,9 @@ def _effect(before: Diagnosis, after: Diagnosis, learned: Learned, share: float)
         ("everywhere" if len(law.nodes) == 1 else f"at {law.shown(node, 4)}"): Size(value, std, law.unit)
         for node, value, std in zip(law.nodes, law.values, law.std, strict=True)
     }
-    names = tuple(entry.recording for entry in before.by_recording if entry.role != "held out")
     return FoundEffect(
-        "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, share, names, law=law,
-        like=like(law, before.ranking),
+        "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, held_share(base, model),
+        tuple(names), law=law, like=like(law, ranking),
         alternatives=tuple(one.law.in_words() for one in learned.search.alternatives if one.law is not None),
     )  # fmt: skip
 
@@ -295,8 +292,9 @@ def _effect(before: Diagnosis, after: Diagnosis, learned: Learned, share: float)
 def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it."""
     assert learned.law is not None
-    share = held_share(*(driven_law.acting(learned.law, one) for one in (before.recalibrated, after.extended)))
-    effect = _effect(before, after, learned, share)
+    names = [entry.recording for entry in before.by_recording if entry.role != "held out"]
+    effect = law_effect(before.recalibrated, after.extended, learned, names, before.ranking)
+    share = effect.holdout_gain
     again = {one.name for one in after.effects}
     first = [one for one in before.effects if one.law is not None]
     namers = {name for one in first for name in one.like} - again

@@ -173,11 +173,6 @@ class Experiment(Driven):
         return ()
 
     @property
-    def laws_keep(self) -> bool:
-        """Whether such a law may remember: not where the model starts anew."""
-        return True
-
-    @property
     def for_laws(self) -> Experiment:
         """The recording as laws are judged on it."""
         return self
