@@ -91,7 +91,7 @@ def messages() -> str:
 
 
 def parameters() -> str:
-    """Tables of the parameters that the same nodes have."""
+    """The parameters that the same nodes have, with default and allowed values."""
     tables = {name: (*module.PARAMETERS, AUTOSTART, DIAGNOSTICS_PERIOD) for name, module in NODES.items()}
     shared: dict[tuple[str, ...], list[Parameter]] = {}
     for entry in (entry for table in tables.values() for entry in table):
@@ -102,12 +102,12 @@ def parameters() -> str:
     def row(entry: Parameter) -> str:
         text = entry.description.replace("|", "/") + ("" if entry.read_only else "; *live*")
         allowed = re.sub(r"^(a number from|an integer from|one of) ", "", entry.expected)
-        return f"| `{entry.name}` | `{entry.default}` | {allowed} | {text} |"
+        return f"* `{entry.name}` (`{entry.default}`; {allowed}): {text}"
 
     parts = []
     for names, entries in sorted(shared.items(), key=lambda item: -len(item[0])):
         rows = "\n".join(map(row, entries))
-        parts.append(f"### {', '.join(names)}\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n{rows}")
+        parts.append(f"### {', '.join(names)}\n\n{rows}")
     return "\n\n".join(parts) + "\n"
 
 

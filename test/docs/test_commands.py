@@ -68,6 +68,6 @@ def test_the_reference_has_every_topic_and_every_parameter() -> None:
     for node, module in NODES.items():
         parts = [part for part in text.split("\n### ") if node in part.split("\n")[0].split(", ")]
         for entry in module.PARAMETERS:
-            assert any(f"| `{entry.name}` | `{entry.default}` | " in part for part in parts), (
+            assert any(f"* `{entry.name}` (`{entry.default}`; " in part for part in parts), (
                 f"{node}: {entry.name}: run ./run python docs/generate.py"
             )

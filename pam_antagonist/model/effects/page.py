@@ -29,8 +29,8 @@ def section(effect: Effect) -> str:
     if effect.module.startswith(f"{_OWN}."):
         where = f"[`effects/{effect.name}.py`](../{effect.module.replace('.', '/')}.py)"
     law = "" if "```math" in effect.notes else f"*Law* {effect.law}.\n\n"
-    numbers = ("parameter", "", "neutral", "allowed", "meaning")
-    parameters = "" if effect.of_tables else _table(numbers, map(_parameter, effect.parameters))
+    rows = () if effect.of_tables else _merged(map(_parameter, effect.parameters))
+    parameters = "".join(f"* {name} {symbol} ({numbers}): {meaning}\n" for name, symbol, numbers, meaning in rows)
     # Laws of a table are alike: the first one stands for all.
     shown = [state for state in effect.states if not effect.of_tables or state.name.startswith("law1_")]
     likewise = ", and so for each law" if effect.of_tables else ""
@@ -90,7 +90,7 @@ def _symbol(symbol: str) -> str:
 
 def _parameter(item: EffectParameter) -> tuple[str, ...]:
     allowed = f"{item.low:g} to {item.high:g} {item.unit.replace('-', '')}".rstrip()
-    return (f"`{item.name}`", _symbol(item.symbol), f"{item.neutral:g}", allowed, item.meaning)
+    return (f"`{item.name}`", _symbol(item.symbol), f"{item.neutral:g}; {allowed}", item.meaning)
 
 
 def _state(state: AddedState) -> tuple[str, ...]:
