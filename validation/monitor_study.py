@@ -77,7 +77,7 @@ class Watched:
     def __init__(self, rig: Rig, seed: int, moving: bool, searches: Path | None) -> None:
         self.joint = Joint(rig, seed, moving)
         self.monitors = Monitor(rig), Monitor(rig, encoder=True)
-        self.alarms = Alarms(), Alarms()
+        self.alarms = Alarms(), Alarms(encoder=True)
         self.joint.run(1)  # compiles
         self.seconds, self.searches, self._kept = [0.0, 0.0], searches, deque[Samples](maxlen=WINDOW)
 

@@ -51,9 +51,13 @@ class Conclusion:
 
 
 class Alarms:
-    """Decides when to search. Times are those of one clock [s], which may be any."""
+    """Decides when to search, and what is said. Times are those of one clock [s], which may be any.
 
-    def __init__(self) -> None:
+    `encoder`: whether the angle is measured.
+    """
+
+    def __init__(self, encoder: bool = False) -> None:
+        self._encoder = encoder
         self._rest, self._in_vain = _REST[0], 0.0
         self._none_until = self._few_until = -math.inf
 
@@ -76,6 +80,9 @@ class Alarms:
         said = None if found is None else _named(suspect, found)
         if found is None:
             said = _suspected(suspect, "no search was possible")
+        elif said is not None and not self._encoder and not _is_likely(said.finding, suspect):
+            # From pressures alone the search gave a leak another name; none that it gave so was right.
+            said = _suspected(suspect, f"the search says {said.finding.watched.name}, the evidence does not")
         elif said is None and found["verdict"] != "none":
             said = _suspected(suspect, f"the search says {found['verdict']}")
         in_vain = found is not None and (said is None or not said.confirmed)
@@ -101,6 +108,12 @@ def _named(suspect: Sequence[Finding], found: Mapping[str, Any]) -> Conclusion |
         if zero["name"] == first.watched.name:
             return Conclusion(first, float(zero["value"]), float(zero["std"] or first.std), tuple(alike(suspect)))
     return None
+
+
+def _is_likely(finding: Finding, suspect: Sequence[Finding]) -> bool:
+    """Whether a finding is the hypothesis with the most evidence, or cannot be told from it."""
+    item, likely = finding.watched, [suspect[0].watched.name, *alike(suspect)]
+    return item.name in likely or f"{item.name} {item.muscle}" in likely
 
 
 def _suspected(suspect: Sequence[Finding], doubt: str) -> Conclusion:

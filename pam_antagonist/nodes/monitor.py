@@ -136,7 +136,7 @@ class MonitorNode(PamNode):
     def activate(self) -> None:
         self._feed.reset()
         self._monitor.reset()
-        self._alarms, self._found, self._suspicion = Alarms(), "", ""
+        self._alarms, self._found, self._suspicion = Alarms(ANGLE in self._inputs), "", ""
         self._topics = {
             place: self.collect(wire.message_class(name), TOPICS[name].relative, qos.RECORD)
             for place, name in self._inputs.items()

@@ -27,10 +27,12 @@ def leak(evidence: float = 60.0) -> list[Any]:
     from pam_antagonist.rig import load_rig
 
     by_path = {item.paths: item for item in hypotheses(load_rig("shin2022"), False)}
-    first, other = (by_path[path,] for path in ("effects.leak.area_1", "effects.valve_offset.voltage_1"))
+    paths = ("effects.leak.area_1", "effects.valve_offset.voltage_1", "effects.supply_droop.stiffness")
+    first, other, third = (by_path[path,] for path in paths)
     return [
         Finding(first, evidence, 900.0, ONSET_NS, 2.0, 3.1e-9, 2e-10),
         Finding(other, evidence, 880.0, ONSET_NS, 2.0, 0.05, 0.01),
+        Finding(third, evidence, 300.0, ONSET_NS, 2.0, 2e7, 8e6),
     ]
 
 
@@ -103,6 +105,17 @@ def test_a_search_that_finds_nothing_is_silent_and_the_next_one_comes_later(node
     node._conclude({"verdict": "unexplained", "effects": [], "calibration": [], "ambiguous_with": []}, "")
     assert len(node.heard) == 1 and node._suspicion.endswith("only a suspicion: the search says unexplained")
     assert node.health(1)["joint"].message == message.sentence  # what was found stays
+
+
+def test_a_name_from_pressures_alone_needs_their_evidence() -> None:
+    size = {"stiffness": {"value": 2e7, "std": 8e6, "unit": "Pa/kg"}}
+    effects = [{"name": "supply_droop", "muscle": None, "parameters": size}]
+    found = {"verdict": "effect", "effects": effects, "calibration": [], "ambiguous_with": []}
+    alone, with_encoder = (Alarms(encoder).concluded(leak(), found, 0.0) for encoder in (False, True))
+    assert alone is not None and with_encoder is not None
+    assert with_encoder.confirmed and with_encoder.finding.watched.name == "supply_droop"
+    assert not alone.confirmed and alone.finding.watched.name == "leak"
+    assert alone.sentence.endswith("only a suspicion: the search says supply_droop, the evidence does not")
 
 
 def test_a_clock_that_is_set_back_ends_the_search(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
