@@ -117,8 +117,8 @@ def _with_friction(best: _Tried, model: Model, number: int) -> _Tried:
     """A law of friction with the constant friction that was found: a friction below zero would be none."""
     if best.law.place != "friction" or "friction" not in model.effects:
         return best
-    balance = acting(best.law, without(model, "effects.friction."))
-    return _fitted(_prepared(balance), best.group, number) or best
+    here = _prepared(acting(best.law, without(model, "effects.friction.")))
+    return _fitted(here, best.group, number, _without(here)) or best
 
 
 def _simplicity(one: _Tried) -> tuple[bool, int, int, float]:
@@ -178,21 +178,26 @@ def _about(experiment: Experiment, fitted: Fitted) -> _Recording:
     pressure = np.column_stack([shown["pressure 1"], shown["pressure 2"]])
     course = measured_arguments(pressure, shown["angle"], shown["velocity"], experiment.parameters(fitted.point))
     course["time"] = np.asarray(np.arange(0.5, len(residual)) * experiment.trial.block_s, dtype=np.float64)
-    rows = {name: experiment.fitted_rows(values[: len(residual)]) for name, values in course.items()}
+    rows = {name: experiment.fitted_rows(values)[: len(residual)] for name, values in course.items()}
     return _Recording(experiment, fitted, experiment.jacobian(fitted.point, residual), rows)
 
 
 def _tried(here: Sequence[_Recording], number: int) -> list[_Tried]:
     """All laws of a part, those with memory at its best places."""
+    before = _without(here)
     plain = arguments.plain_groups(here[0].experiment.law_places)
-    found = [one for group in plain if (one := _fitted(here, group, number))]
+    found = [one for group in plain if (one := _fitted(here, group, number, before))]
     found.sort(key=lambda one: -one.gain)
     # What rubs or engages somewhere on the way does so within a short part of it.
     finer = [one for k, one in enumerate(found) if k < _FINER or one.group.argument == "angle"]
     groups = [replace(one.group, number=arguments.FINE) for one in finer if one.group.argument != "none"]
     places = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
     groups += _with_memory(here, places)
-    return found + [one for group in groups if (one := _fitted(here, group, number))]
+    return found + [one for group in groups if (one := _fitted(here, group, number, before))]
+
+
+def _without(here: Sequence[_Recording]) -> list[Floats]:
+    return _solved(here, [np.zeros((*one.fitted.residual.shape, 0)) for one in here])[2]
 
 
 def _with_memory(here: Sequence[_Recording], places: Sequence[str]) -> Iterator[Group]:
@@ -202,8 +207,11 @@ def _with_memory(here: Sequence[_Recording], places: Sequence[str]) -> Iterator[
     return arguments.groups_with_memory(places, span)
 
 
-def _fitted(here: Sequence[_Recording], group: Group, number: int) -> _Tried | None:
-    """A law's values, base parameters fitted beside them; None if its argument does not move or it shows nowhere."""
+def _fitted(here: Sequence[_Recording], group: Group, number: int, before: Sequence[Floats]) -> _Tried | None:
+    """A law's values, base parameters fitted beside them; None if its argument does not move or it shows nowhere.
+
+    `before`: what each recording's stretches leave without a law (B, C).
+    """
     seen = np.concatenate([one.argument_of(group, muscle) for one in here for _, muscle in group.sides])
     nodes = np.zeros(1) if group.argument == "none" else nodes_of(seen, group.number)
     if len(nodes) == 1 and group.argument != "none":
@@ -216,11 +224,7 @@ def _fitted(here: Sequence[_Recording], group: Group, number: int) -> _Tried | N
     if not any(item.any() for item in columns):
         return None
     values, covariance, after = _solved(here, columns)
-    _, _, before = _solved(here, [item[:, :, :0] for item in columns])
-    gain = sum(
-        likelier(one.fitted.scale, one.experiment.fitted_rows(b), one.experiment.fitted_rows(a))
-        for one, b, a in zip(here, before, after, strict=True)
-    )
+    gain = sum(likelier(one.fitted.scale, b, a) for one, b, a in zip(here, before, after, strict=True))
     if not values.any():
         return None
     law = group.law(nodes, values * unit)

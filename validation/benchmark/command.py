@@ -30,7 +30,7 @@ Measure what the package costs on this machine.
             Python against the kernel
   replay    the whole replay command against the length of the recording
   pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): lost samples,
-            the time from pressure to command, memory
+            the time from pressure to command, memory; then again with the monitor beside them
 
 Compare ratios rather than times: a busy machine slows both sides of a ratio.
 Status: 0, or 2 for bad input.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,22 @@ from pam_antagonist.rig import load_rig
 
 _SETTLE = 2.0  # after the nodes have started, before memory is looked at [s]
 _NODES = ("plant", "estimator", "controller")
+_OF: dict[str, dict[str, object]] = {"monitor": {"folder": "", "log_book": False}}
+"""Parameters of single nodes."""
 
 
 def measure(rig: str, duration: float) -> dict[str, float]:
-    """Run the pipeline for a time [s]; what became of its samples, and what its nodes took."""
+    """Run the pipeline for a time [s], and again with the monitor: what became of samples, and what nodes took."""
+    alone, watched = (_run(rig, duration, nodes) for nodes in (_NODES, (*_NODES, "monitor")))
+    ratios = {
+        f"pressure to command, {name}, with the monitor, of that without [-]":
+            watched[f"pressure to command, {name} [ms]"] / alone[f"pressure to command, {name} [ms]"]
+        for name in ("median", "99 %")
+    }  # fmt: skip
+    return {**alone, **{name: value for name, value in watched.items() if name.startswith("monitor")}, **ratios}
+
+
+def _run(rig: str, duration: float, names: Sequence[str]) -> dict[str, float]:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     from pam_antagonist.nodes.client import ReferenceClient
@@ -31,13 +44,13 @@ def measure(rig: str, duration: float) -> dict[str, float]:
         try:
             with Processes(Path(name)) as processes:
                 processes.start("record", ["--out", str(bag)])
-                for node in ("estimator", "controller"):
-                    processes.start(node, ros_arguments(shared, {}))
+                for node in names[1:]:
+                    processes.start(node, ros_arguments({**shared, **_OF.get(node, {})}, {}))
                 processes.start("plant", ros_arguments({**shared, "mismatch": 0.01, "wait_for_subscribers": 2}, {}))
                 with ReferenceClient() as watch:
                     processes.wait(watch.missing)
                 time.sleep(_SETTLE)
-                nodes = {node: processes.running[node] for node in _NODES}
+                nodes = {node: processes.running[node] for node in names}
                 before = {node: _taken(process) for node, process in nodes.items()}
                 begin = time.monotonic()
                 while (elapsed := time.monotonic() - begin) < duration:
@@ -46,7 +59,7 @@ def measure(rig: str, duration: float) -> dict[str, float]:
                 after = {node: _taken(process) for node, process in nodes.items()}
                 processes.stop("plant")
                 time.sleep(0.3)
-                processes.stop("controller", "estimator", "record")
+                processes.stop(*names[:0:-1], "record")
         except ProcessFailed as error:
             raise BadInput(f"pipeline: {error}") from None
         recording = read_bag(bag)
@@ -68,7 +81,7 @@ def measure(rig: str, duration: float) -> dict[str, float]:
         "messages out of order": float(sum(found.out_of_order.values())),
         "drift against the machine's clock [ms]": (last - first) * 1e-6,
     }
-    for node in _NODES:
+    for node in names:
         (memory, cpu), (now, spent) = before[node], after[node]
         out[f"{node}, resident memory [MB]"] = now
         out[f"{node}, growth of it [MB]"] = now - memory
