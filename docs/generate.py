@@ -116,7 +116,7 @@ def rig_fields() -> str:
     schema = rig_json_schema()
     rows: list[str] = []
     _walk("", schema, schema["$defs"], rows)
-    return "\n".join(["| entry | allowed | meaning |", "|---|---|---|", *rows, ""])
+    return "\n".join([*rows, ""])
 
 
 def _walk(prefix: str, node: dict[str, Any], defs: dict[str, Any], rows: list[str]) -> None:
@@ -132,8 +132,8 @@ def _walk(prefix: str, node: dict[str, Any], defs: dict[str, Any], rows: list[st
             _walk(f"{path}.", inner, defs, rows)
         else:
             default = "" if "default" not in entry else f"; `{json.dumps(entry['default'])}`"
-            meaning = (entry.get("description") or inner.get("description") or "").replace("|", "/")
-            rows.append(f"| `{path}` | {_allowed(entry)}{default} | {meaning} |")
+            meaning = (entry.get("description") or inner.get("description") or "").strip()
+            rows.append(f"* `{path}` ({_allowed(entry)}{default}){': ' if meaning else ''}{meaning}")
 
 
 def _allowed(entry: dict[str, Any]) -> str:
