@@ -176,7 +176,7 @@ class MonitorNode(PamNode):
     def _look(self) -> None:
         """Start a search where one is due."""
         findings = self._monitor.findings
-        if not findings or not self._alarms.due(findings, int(self._feed.stamps[-1]), time.monotonic()):
+        if not findings or not self._alarms.due(findings, self._feed.newest_ns, time.monotonic()):
             return
         self._suspect, first = findings, findings[0]
         values = self.values
@@ -188,7 +188,7 @@ class MonitorNode(PamNode):
             "log": values["log_book"],
         }  # fmt: skip
         try:
-            self._search = Search(order, self._feed.stamps, self._feed.rows, values["search_time"])
+            self._search = Search(order, *self._feed.kept, values["search_time"])
         except OSError as error:  # no space for the buffer, or no process
             self._conclude(None, f"no search: {error}")
 
@@ -215,8 +215,7 @@ class MonitorNode(PamNode):
             unit=item.unit, size=said.size, std=said.std, evidence=said.finding.full,
             ambiguous_with=list(said.ambiguous_with), sentence=said.sentence,
         )  # fmt: skip
-        stamps = self._feed.stamps
-        wire.set_stamp(message.header.stamp, int(stamps[-1]) if len(stamps) else said.finding.onset_ns)
+        wire.set_stamp(message.header.stamp, self._feed.newest_ns or said.finding.onset_ns)
         wire.set_stamp(message.since, said.finding.onset_ns)
         message.header.frame_id = self.values["frame_id"]
         self._health.publish(message)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -32,7 +34,21 @@ class Feed:
     def reset(self) -> None:
         """Forget all."""
         self._pairing.reset()
-        self.stamps, self.rows = np.zeros(0, np.int64), np.zeros((0, COLUMNS))
+        self._parts = deque[tuple[Stamps, Floats]]()
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest sample; 0 before the first."""
+        return int(self._parts[-1][0][-1]) if self._parts else 0
+
+    @property
+    def kept(self) -> tuple[Stamps, Floats]:
+        """Stamps (N,) [ns] and rows (N, 5) of the last seconds."""
+        parts = self._parts
+        stamps = np.concatenate([np.zeros(0, np.int64), *(one for one, _ in parts)])
+        rows = np.concatenate([np.zeros((0, COLUMNS)), *(one for _, one in parts)])
+        inside = stamps > self.newest_ns - self._span
+        return stamps[inside], rows[inside]
 
     @property
     def jumps(self) -> int:
@@ -46,20 +62,22 @@ class Feed:
         was set back: then all before is forgotten.
         """
         jumps, samples = self.jumps, list[Sample]()
-        for topic, messages in batches.items():
-            for stamp, *values in messages:
-                before = self.jumps
-                new = self._pairing.add(topic, int(stamp), *values)
-                if self.jumps > before:
-                    samples.clear()
-                samples += new
+        # In the order of the stamps hardly any sample waits; each topic keeps its own order.
+        topics = [[(message, topic) for message in messages] for topic, messages in batches.items()]
+        for (stamp, *values), topic in heapq.merge(*topics, key=lambda item: item[0][0]):
+            before = self.jumps
+            new = self._pairing.add(topic, int(stamp), *values)
+            if self.jumps > before:
+                samples.clear()
+            samples += new
         samples += self._pairing.expire()
         if self.jumps > jumps:
-            self.stamps, self.rows = self.stamps[:0], self.rows[:0]
+            self._parts.clear()
         stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
         rows = np.array([sample[1:] for sample in samples]).reshape(-1, COLUMNS)
         if len(stamps):
-            whole, all_rows = np.append(self.stamps, stamps), np.concatenate([self.rows, rows])
-            kept = whole > whole[-1] - self._span
-            self.stamps, self.rows = whole[kept], all_rows[kept]
+            # To join all that is kept with each message would take longer than the monitor itself.
+            self._parts.append((stamps, rows))
+            while self._parts[0][0][-1] <= self.newest_ns - self._span:
+                self._parts.popleft()
         return stamps, rows, self.jumps > jumps

@@ -44,8 +44,7 @@ def node(new_node: Callable[..., Any], tmp_path: Path) -> Any:
     node.trigger_activate()
     node.heard = []
     node._health.publish = node.heard.append
-    node._feed.stamps = ONSET_NS + np.arange(60_000) * MS
-    node._feed.rows = np.full((60_000, 5), 4e5)
+    node._feed._parts.append((ONSET_NS + np.arange(60_000) * MS, np.full((60_000, 5), 4e5)))
     return node
 
 
