@@ -140,7 +140,7 @@ def test_close_loop_finds_the_effect_by_its_name(lab: Path, run: Run) -> None:
 def test_the_effects_have_their_sections(run: Run) -> None:
     text = good(run("-m", "pam_antagonist.model.effects.page", "end_stop", "sorption"))
     assert text.startswith("## `end_stop`\n\nRubber on either side takes the joint up")
-    assert "| `gap` | $\\gamma$ | 0.1 | 0.01 to 1.5 rad | angle at which the joint meets it |" in text
+    assert "* `gap` $\\gamma$ (0.1; 0.01 to 1.5 rad): angle at which the joint meets it" in text
     assert "`bound_1`, `bound_2` $b_i$ [kg], with `capacity_i`: initial std 1e-07, noise 1e-09 a √s" in text
 
 
