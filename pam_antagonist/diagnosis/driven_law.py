@@ -26,7 +26,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, held_residual, refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import parameter_path
-from pam_antagonist.rig.learned import Law, numbers_of
+from pam_antagonist.rig.learned import Law, numbers_of, with_law
 
 Floats = NDArray[np.float64]
 
@@ -103,14 +103,45 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
     )  # fmt: skip
     if not tried or tried[0].gain < thresholds.STRONG:
         return found
-    as_good = [one for one in tried if tried[0].gain - one.gain < thresholds.STRONG]
-    as_good.sort(key=_simplicity)
-    best, others = as_good[0], {(one.law.at, one.law.argument): one for one in reversed(as_good)}
-    others.pop((best.law.at, best.law.argument))
-    best = _with_friction(best, model, number)
+    # What remembers imitates much: the best law without memory is tried on held-out data as well.
+    plain = next((one for one in tried if _is_plain(one)), tried[0])
+    leading = [_as_good(tried, one)[0] for one in (tried[0], plain) if one.gain >= thresholds.STRONG]
+    best = max(dict.fromkeys(leading), key=lambda one: one.gain + _held_out_evidence(model, one.law))
+    others = {(one.law.at, one.law.argument): one for one in reversed(_as_good(tried, best))}
+    others.pop((best.law.at, best.law.argument), None)
     simplest = list(others.values())[::-1][:_MOST_ALTERNATIVES]
+    best = _with_friction(best, model, number)
     alternatives = tuple(_simulated(one.law, one.covariance) for one in simplest)
     return replace(found, found=_simulated(best.law, best.covariance), alternatives=alternatives)
+
+
+def _is_plain(one: _Tried) -> bool:
+    return one.group.operator == "none"
+
+
+def _as_good(tried: Sequence[_Tried], best: _Tried) -> list[_Tried]:
+    """Laws that data cannot tell from one, none of them with more of a memory, the simplest first."""
+    near = [one for one in tried if abs(best.gain - one.gain) < thresholds.STRONG]
+    return sorted((one for one in near if _is_plain(one) or not _is_plain(best)), key=_simplicity)
+
+
+def _held_out_evidence(model: Model, law: Law) -> float:
+    """Twice the log likelihood ratio of a law where nothing was fitted."""
+    before = acting(law, model)
+    return evidence_held_out(before, with_it(before, law))
+
+
+def with_it(model: Model, law: Law, covariance: Floats | None = None) -> Model:
+    """A model with a law, everything else fitted anew."""
+    # A sealed joint is diagnosed about what was identified of it, and not about the rig as configured.
+    own = tuple(one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in model.experiments)
+    return replace(model, experiments=own).map(lambda experiment, fitted: refit(experiment, fitted.point, fitted.free))
+
+
+def evidence_held_out(before: Model, after: Model) -> float:
+    """Twice the log likelihood ratio of two models of the same recordings where nothing was fitted."""
+    pairs = zip(before.pairs, after.pairs, strict=True)
+    return sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
 
 
 def _with_friction(best: _Tried, model: Model, number: int) -> _Tried:
@@ -146,21 +177,25 @@ def is_better(base: Model, before: Model, after: Model, law: Law) -> bool:
 
     `base`: without effects. `before`: with what was found without the law.
     """
-    base, before, after = (acting(law, one) for one in (base, before, after))
-    pairs = zip(before.pairs, after.pairs, strict=True)
-    gain = sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
+    base, before, after = all_acting(law, base, before, after)
     if after.experiments[0].law_places:
         # What drives such a model keeps it near, and most of the excess of a sealed joint is its Coulomb friction.
         removes_enough = share_of_all(before, after) >= thresholds.EXPLAINED
     else:
         removes_enough = further_share(base, before, after) >= thresholds.FURTHER_SHARE
-    return gain >= thresholds.STRONG and removes_enough
+    return evidence_held_out(before, after) >= thresholds.STRONG and removes_enough
 
 
 def acting(law: Law, model: Model) -> Model:
     """The part in which a law acts, as laws are judged; all of a model that runs by itself."""
     here = [one for one in parts(model) if any(Group(at).kind == law.place for at in one.experiments[0].law_places)]
     return here[0] if here else model
+
+
+def all_acting(law: Law, *models: Model) -> list[Model]:
+    """Likewise of several models; all of each where they do not judge the same recordings alike."""
+    alike = len({tuple(one.law_places for one in model.experiments) for model in models}) == 1
+    return [acting(law, model) for model in models] if alike else list(models)
 
 
 def _for_laws(experiment: Experiment, fitted: Fitted) -> tuple[Experiment, Fitted]:

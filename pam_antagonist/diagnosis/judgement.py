@@ -25,7 +25,7 @@ from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share
 from pam_antagonist.diagnosis.preparation import Group, Prepared
 from pam_antagonist.diagnosis.result import Judged, Splits, Verdict
-from pam_antagonist.inference.measured_motion import along_motion
+from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,15 @@ def _nothing(case: Case) -> Judged:
     return case.judged("none", case.ranking.share)
 
 
+def _sticks_beside_a_law(case: Case) -> bool:
+    """Whether a joint with a learned law sticks: it goes elsewhere after the least error of the table, as if pushed."""
+    moving = [along_motion(experiment) for experiment in case.ranking.base.experiments]
+    return case.ranking.start is not None and any(isinstance(one, MeasuredMotion) for one in moving)
+
+
 def _disturbance_beside(case: Case) -> Judged | None:
+    if _sticks_beside_a_law(case):
+        return None
     return _by_disturbance(case, disturbance_search.beside_effects(case.ranking.model, case.work), case.ranking.share)
 
 
@@ -120,6 +128,8 @@ def _friction_explains(case: Case) -> Judged | None:
 
 
 def _disturbance(case: Case) -> Judged | None:
+    if _sticks_beside_a_law(case):
+        return None
     found = disturbance_search.instead_of_effects(case.ranking, case.work)
     return _by_disturbance(case, found, None if found is None else found.share)
 

@@ -31,7 +31,6 @@ from pam_antagonist.diagnosis.models import (
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
-from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.recording import Recording
@@ -146,6 +145,8 @@ def with_laws(
     for _ in range(MOST_LAWS):
         if not leaves_excess(now):
             break
+        if any(isinstance(one, MeasuredMotion) for one in now.experiments):
+            return _along_the_motion(now, diagnose, fitted, others, rig, progress)
         zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
         learned = None
         try:
@@ -172,6 +173,25 @@ def with_laws(
     return now
 
 
+def _along_the_motion(
+    now: Diagnosis, diagnose: Callable[..., Diagnosis], fitted: Sequence[Recording], others: Sequence[Recording],
+    rig: Rig, progress: Callable[[str], None],
+) -> Diagnosis:  # fmt: skip
+    """The diagnosis of a joint that sticks, with a law in the place of its friction, or beside it.
+
+    Held-out data decide along the measured motion: a free run of a joint that sticks says little of any model.
+    """
+    for before in (now.recalibrated, now.extended):
+        learned = with_found_law(driven_law.search(before, len(laws_of(rig)) + 1, progress), rig)
+        if learned.law is None or learned.search.found is None:
+            continue
+        model = driven_law.with_it(before, learned.law, learned.search.found.covariance)
+        if driven_law.is_better(now.recalibrated, now.extended, model, learned.law):
+            after = diagnose(fitted, learned.rig, held_out=others, first=now.recalibrated)
+            return joined(now, after, learned, model)
+    return now
+
+
 def _refuse_few_sweeps(found: Diagnosis) -> None:
     """Refuse recordings of a sealed joint in which it hardly moves: all samples of a sweep have nearly one error."""
     for part, words in (("fitted", "what is fitted"), ("held_out", "what is held out")):
@@ -190,12 +210,12 @@ def _saying(found: Diagnosis, why: str) -> Diagnosis:
 def leaves_excess(found: Diagnosis) -> bool:
     """Whether what a diagnosis found leaves so much that a law could be a further effect.
 
-    What begins or ends is no law, nor is friction that is judged along the motion of a joint that sticks, nor a torque
-    that comes and goes beside effects. Such a torque alone may be a law that acts in a part of the range.
+    What begins or ends is no law, nor a torque that comes and goes beside effects. Such a torque alone may be a law
+    that acts in a part of the range.
     """
     events = any(one.onset_s is not None or one.end_s is not None for one in found.effects)
     events = events or (len(found.effects) > 1 and any(one.name == DISTURBANCE for one in found.effects))
-    if found.verdict == "none" or events or any(isinstance(one, MeasuredMotion) for one in found.experiments):
+    if found.verdict == "none" or events:
         return False
     if _is_a_torque_alone(found):
         return True
@@ -212,20 +232,17 @@ def may_be_better(before: Diagnosis, learned: Learned) -> bool:
         # Of what was recorded wrongly, only a diagnosis of the corrected recordings tells.
         return law is not None
 
-    covariance = learned.search.found.covariance if learned.search.found is not None else None
+    assert learned.search.found is not None
+    covariance = learned.search.found.covariance
 
     def with_it(model: Model) -> Model:
-        # A sealed joint is diagnosed about what was identified of it, and not about the rig as configured.
         own = (one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in model.experiments)
         return replace(model, experiments=tuple(own))
 
-    alone = recalibrated(with_it(before.recalibrated).experiments, before.recalibrated)
-    if is_better(before, alone, law):
+    if is_better(before, recalibrated(with_it(before.recalibrated).experiments, before.recalibrated), law):
         return True
     beside = bool(before.effects) and not _is_a_torque_alone(before)
-    return beside and is_better(before, with_it(before.extended).map(lambda experiment, fitted: refit(
-        experiment, fitted.point, fitted.free
-    )), law)  # fmt: skip
+    return beside and is_better(before, driven_law.with_it(before.extended, law, covariance), law)
 
 
 def is_better(before: Diagnosis, model: Model, law: Law) -> bool:
@@ -274,7 +291,7 @@ def law_effect(
     """
     law = learned.law
     assert law is not None
-    base, model = (driven_law.acting(law, one) for one in (base, model))
+    base, model = driven_law.all_acting(law, base, model)
     pairs = list(zip(base.fits, model.fits, strict=True))
     gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
     gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
@@ -289,11 +306,15 @@ def law_effect(
     )  # fmt: skip
 
 
-def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
-    """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it."""
+def joined(before: Diagnosis, after: Diagnosis, learned: Learned, judged: Model | None = None) -> Diagnosis:
+    """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it.
+
+    `judged`: the model by which the law was taken; default: that of the diagnosis with it.
+    """
     assert learned.law is not None
+    model = after.extended if judged is None else judged
     names = [entry.recording for entry in before.by_recording if entry.role != "held out"]
-    effect = law_effect(before.recalibrated, after.extended, learned, names, before.ranking)
+    effect = law_effect(before.recalibrated, model, learned, names, before.ranking)
     share = effect.holdout_gain
     again = {one.name for one in after.effects}
     first = [one for one in before.effects if one.law is not None]
@@ -311,11 +332,11 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned) -> Diagnosis:
     assert errors is not None
     taken = {one.name for one in (*named, *earlier)}
     ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
-    shown = [one.trial.name for one in driven_law.acting(learned.law, after.extended).experiments]
+    shown = [one.trial.name for one in driven_law.acting(learned.law, model).experiments]
     here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
     with_law = zip(after.parts, here, strict=True)
     parts = [replace(part, verdict="effect", share=share) if acts else part for part, acts in with_law]
-    in_part = share_of_all(before.recalibrated, after.extended) < thresholds.EXPLAINED_WELL
+    in_part = share_of_all(*driven_law.all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if in_part else ()
     return replace(
         after, verdict="effect", sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,

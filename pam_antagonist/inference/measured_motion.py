@@ -12,7 +12,7 @@ the joint stands still or creeps, friction may have any value up to that level, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +23,7 @@ from scipy.special import chdtri
 from typing_extensions import override
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.inference.angle_driven import Motion, filled_in
+from pam_antagonist.inference.angle_driven import JOINT_PLACES, Motion, filled_in
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_run import initial_state
 from pam_antagonist.inference.point import Channel, Point
@@ -133,6 +133,14 @@ def _lasting(direction: Floats, least: int) -> Floats:
 class MeasuredMotion(ValveDriven):
     """A recording of a free joint with the angle as an input; the imbalance of torques takes the angle's column."""
 
+    sliding: bool = False  # whether only samples count in which the joint slides
+
+    @property
+    @override
+    def for_laws(self) -> MeasuredMotion:
+        # Where the joint sticks, friction may be anything up to its bound: that says nothing of a law.
+        return self if self.sliding else replace(self, sliding=True)
+
     @cached_property
     def motion(self) -> ShownMotion:
         """The measured motion."""
@@ -149,6 +157,7 @@ class MeasuredMotion(ValveDriven):
     def measured_samples(self) -> Floats:
         """Imbalance of a right model (N,) [N m]: 0, NaN where the motion is not clear."""
         clear = self.motion.clear & (np.abs(self.motion.angle) < self.vector[par.STOP] - _NEAR_STOP)
+        clear &= (self.motion.direction != 0.0) | (not self.sliding)
         return np.where(clear, 0.0, np.nan)
 
     @cached_property
@@ -169,6 +178,11 @@ class MeasuredMotion(ValveDriven):
     def titles(self) -> tuple[Channel, ...]:
         named = zip(self.channels, super().titles, strict=True)
         return tuple(Channel("Balance of torques", "N m", 1.0) if c == ANGLE else title for c, title in named)
+
+    @property
+    @override
+    def law_places(self) -> tuple[str, ...]:
+        return JOINT_PLACES
 
     @property
     @override
@@ -250,7 +264,7 @@ def _given_its_motion(experiment: Experiment) -> Experiment:
 
 
 def _fields(experiment: Experiment) -> dict[str, Any]:
-    return {one.name: getattr(experiment, one.name) for one in fields(experiment)}
+    return {one.name: getattr(experiment, one.name) for one in fields(ValveDriven)}
 
 
 def sticking_share(experiment: ValveDriven) -> float:
