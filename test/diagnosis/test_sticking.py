@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import pytest
 
-from pam_antagonist.diagnosis import sticking
+from pam_antagonist.diagnosis import driven_law, sticking
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.inference.gauss_newton import refit
-from pam_antagonist.inference.measured_motion import MeasuredMotion
+from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
 
 
 @pytest.fixture
@@ -47,3 +48,20 @@ def test_friction_of_another_form_is_found(asked) -> None:
 
 def test_exchanged_air_is_not_called_friction(asked) -> None:
     assert asked("exchange", "chambers exchange air", 8.0) is None
+
+
+@pytest.mark.slow(15)
+def test_cogging_is_learned_as_a_torque_by_the_angle(recorded, experiment_of) -> None:
+    experiment = along_motion(experiment_of(recorded("cogging", None, "cogging", 16.0, "free", 40.0), "free"))
+    assert isinstance(experiment, MeasuredMotion)
+    base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
+    found = driven_law.search(base, 1, lambda text: None)
+    assert found.found is not None and found.found.law is not None
+    law = found.found.law
+    assert (law.place, law.argument, law.operator) == ("torque", "angle", "none")
+    # It pulls to and fro on the way, and not to one side as a spring does.
+    assert len({value > 0.0 for value in law.values}) == 2
+    swings = [a * b < 0.0 for a, b in itertools.pairwise(law.values)]
+    assert sum(swings) >= 3
+    # A law that held-out data do not show is not taken.
+    assert not driven_law.is_better(base, base, base, law)
