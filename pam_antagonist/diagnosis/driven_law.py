@@ -1,6 +1,6 @@
 """The missing law of a model that measured inputs drive: every table at every place, by derivatives of the model.
 
-Such a model is that of a sealed joint, which its measured angle drives. It does not drift away, so what it leaves is
+Such models are those of a sealed joint, and of one that sticks. They do not drift away, so what they leave is
 nearly linear in the values of a table, and no residual equations are needed. A law is judged on stretches of the fitted
 part that its values were not fitted to.
 """
