@@ -26,8 +26,8 @@ rig of data sheets, and short trials of any valves, differ in what is prepared a
 
 Where the catalogue leaves a clear excess, :mod:`learned_law` measures the law that is missing. :mod:`law_search` makes
 :mod:`residual_equations`, runs :mod:`place_search`, then :mod:`law_regression` on what
-:mod:`arguments` offers, then :mod:`law_simulation`. :mod:`law_kernels` holds what is compiled. Of a sealed joint, or one
-that sticks, :mod:`driven_law` finds it.
+:mod:`arguments` offers, then :mod:`law_simulation`. :mod:`law_kernels` holds what is compiled. Of a sealed joint, or
+one that sticks, :mod:`driven_law` finds it.
 
 :mod:`monitor` tests a running joint: :mod:`monitor_responses` is what each hypothesis would change in the innovations,
 :mod:`monitor_blocks` the evidence for it and for its onset, :mod:`monitor_alarm` when a search begins and what is said.
