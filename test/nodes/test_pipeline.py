@@ -66,7 +66,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
                 for name in names:
                     processes.running[name].popen.send_signal(number)
                 time.sleep(STALL if number == signal.SIGSTOP else 0.0)
-            probe.wait(1.0)
+            probe.wait(1.5)
         late: list[str] = []
         listener = probe.node.create_subscription(String, "rig", lambda message: None, qos.LATCHED)
 
