@@ -66,7 +66,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
                 for name in names:
                     processes.running[name].popen.send_signal(number)
                 time.sleep(STALL if number == signal.SIGSTOP else 0.0)
-            probe.wait(1.5)
+            probe.wait(1.0)
         late: list[str] = []
         listener = probe.node.create_subscription(String, "rig", lambda message: None, qos.LATCHED)
 
@@ -149,7 +149,8 @@ def test_joint_moves_towards_the_reference(run: Run) -> None:
     angle, estimate, voltage = run.recording.angle, run.recording.estimate, run.recording.voltage
     assert angle is not None and estimate is not None
     assert abs(angle[:200].mean()) < math.radians(1.0)
-    assert angle[-200:].mean() > math.radians(4.0)
+    # After a stall the voltages begin anew from the safe ones, by the integral alone if the valves were heard meanwhile.
+    assert angle[-200:].mean() > math.radians(2.0)
     assert abs(estimate.angle[-200:].mean() - angle[-200:].mean()) < math.radians(1.0)
     assert np.all((voltage >= 0.0) & (voltage <= 10.0))
     assert np.ptp(voltage[:, 0]) > 0.5  # something was asked for
