@@ -108,8 +108,9 @@ def _nothing(case: Case) -> Judged:
 
 def _sticks_beside_a_law(case: Case) -> bool:
     """Whether a joint with a learned law sticks: it goes elsewhere after the least error of the table, as if pushed."""
-    moving = [along_motion(experiment) for experiment in case.ranking.base.experiments]
-    return case.ranking.start is not None and any(isinstance(one, MeasuredMotion) for one in moving)
+    if case.ranking.start is None:
+        return False
+    return any(isinstance(along_motion(experiment), MeasuredMotion) for experiment in case.ranking.base.experiments)
 
 
 def _disturbance_beside(case: Case) -> Judged | None:

@@ -146,7 +146,10 @@ def with_laws(
         if not leaves_excess(now):
             break
         if any(isinstance(one, MeasuredMotion) for one in now.experiments):
-            return _along_the_motion(now, diagnose, fitted, others, rig, progress)
+            try:
+                return _along_the_motion(now, diagnose, fitted, others, rig, progress)
+            except BadInput:  # a rig with the law that no command would take: the catalogue's diagnosis stands
+                return now
         zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
         learned = None
         try:

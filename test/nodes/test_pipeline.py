@@ -60,7 +60,8 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
         probe.refer(0, 0.0)
         probe.wait(0.7)
         probe.refer(0, math.radians(10.0))
-        probe.wait(1.0)
+        # After a stall the voltages sometimes begin anew from the safe ones: the joint gets on its way before.
+        probe.wait(3.0)
         for names in (tuple(processes.running), ("estimator",)):
             for number in (signal.SIGSTOP, signal.SIGCONT):
                 for name in names:
@@ -149,8 +150,7 @@ def test_joint_moves_towards_the_reference(run: Run) -> None:
     angle, estimate, voltage = run.recording.angle, run.recording.estimate, run.recording.voltage
     assert angle is not None and estimate is not None
     assert abs(angle[:200].mean()) < math.radians(1.0)
-    # After a stall the voltages sometimes begin anew from the safe ones, by the integral alone.
-    assert angle[-200:].mean() > math.radians(2.0)
+    assert angle[-200:].mean() > math.radians(4.0)
     assert abs(estimate.angle[-200:].mean() - angle[-200:].mean()) < math.radians(1.0)
     assert np.all((voltage >= 0.0) & (voltage <= 10.0))
     assert np.ptp(voltage[:, 0]) > 0.5  # something was asked for
