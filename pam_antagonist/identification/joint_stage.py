@@ -3,7 +3,8 @@
 The measured pressures drive the joint (:mod:`pam_antagonist.model.pressure_driven`), and the simulated angle is
 compared with the measured one. Where the torque was measured, the torque of the muscles at the measured angle is
 compared as well. The simulation starts anew from the measurement after a horizon, which grows from a fraction of a
-second to whole runs, so that no start runs away.
+second to whole runs, so that no start runs away. A fit that begins far off may still end in a false minimum. So another
+one begins where the torques are in balance along the measured motion: this needs no simulation, and has hardly any.
 """
 
 from __future__ import annotations
@@ -28,16 +29,18 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive
 
 Floats = NDArray[np.float64]
-_torque = dynamics.torque
+_torque, _imbalance = dynamics.torque, dynamics.imbalance
 
 ZERO, DELAY = "calibration.encoder_zero", "calibration.delay_angle"
 WEIGHT_COS, WEIGHT_SIN = "limb: torque at angle 0", "limb: torque that grows with the sine"
 HORIZONS = (0.3, math.inf)
 """[s] Of the simulations, from short to long."""
+_ALONG = 0.0
+"""[s] Horizon without a simulation: the balance of torques along the measured motion counts."""
 _INDEPENDENT = 10.0
 """[1/s] Errors of a model last; so many values a second count as independent."""
 _ANGLE_SHARE, _TORQUE_SHARE = 0.01, 0.02
-"""Unit of the residuals, as a share of the measured range."""
+"""Unit of the residuals, as a share of the measured range; of the balance, of one muscle's torque."""
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _ZERO_STD = math.radians(5.0)
@@ -73,6 +76,33 @@ def _torques(angle: Floats, velocity: Floats, pressure: Floats, p: Floats) -> Fl
         x[0], x[1], x[2], x[3] = angle[k], velocity[k], pressure[k, 0], pressure[k, 1]
         out[k] = _torque(x, p)
     return out
+
+
+@kernel
+def _imbalances(
+    angle: Floats, velocity: Floats, acceleration: Floats, direction: Floats, pressure: Floats, p: Floats
+) -> Floats:
+    """Imbalance of all torques [N m] at measured angles (N,), their derivatives (N,) and pressures (N, 2)."""
+    out = np.empty(angle.shape[0])
+    x = np.zeros(4)
+    for k in range(angle.shape[0]):
+        x[0], x[1], x[2], x[3] = angle[k], velocity[k], pressure[k, 0], pressure[k, 1]
+        out[k] = _imbalance(x, acceleration[k], direction[k], p)
+    return out
+
+
+def _unbalanced(run: Run, p: Floats, zero: float, delay: float, stop: float) -> Floats:
+    """Imbalance of a model's torques [N m] along the motion that a run shows, where it is known and within the stops.
+
+    `zero`: reading at ψ = 0 [rad]. `delay`: by how much the reading is late [s]. `stop`: angle of the stops [rad].
+    """
+    speed, acceleration = run.velocity, run.acceleration
+    rows = np.isfinite(run.angle) & (acceleration != 0.0) & (np.abs(run.angle) < stop)
+    speed, acceleration = speed[rows], acceleration[rows]
+    angle = run.angle[rows] - zero + delay * speed
+    speed = speed + delay * acceleration
+    direction = np.where(np.abs(speed) > _MOVING, np.sign(speed), 0.0)
+    return np.asarray(_imbalances(angle, speed, acceleration, direction, run.pressure[rows], p))
 
 
 AIR = ("valve_", "gas.", "supply.", "effects.regulator_", "effects.valve_offset.")
@@ -231,12 +261,15 @@ def errors_of(
     `horizon`: of the simulations [s].
     """
     zero, delay, vector = values.get(ZERO, 0.0), values.get(DELAY, 0.0), rig.parameters()
+    stop = math.inf if rig.joint.stop is None else rig.joint.stop - _EYE_STD
     for name in dict.fromkeys(run.name for run in runs):
         p = par.changed(vector, {**model_values(unknown, values, name), **NO_REGULATORS})
         for run in runs:
             if run.name != name:
                 continue
-            if not run.locked and np.isfinite(run.angle).any():
+            if not run.locked and np.isfinite(run.angle).any() and horizon == _ALONG:
+                yield "balance", run, _unbalanced(run, p, zero, delay, stop)
+            elif not run.locked and np.isfinite(run.angle).any():
                 left = run.angle - simulated(run, p, zero, delay, horizon, longest)
                 yield "angle", run, left[np.isfinite(run.angle)]
             known = np.isfinite(run.torque) & np.isfinite(run.angle)
@@ -266,6 +299,7 @@ def residual_of(
     unit = {
         "angle": _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked]),
         "torque": _TORQUE_SHARE * _range([run.torque for run in runs]),
+        "balance": _TORQUE_SHARE * torque_scale(rig),
     }
 
     def residual(values: Mapping[str, float]) -> Floats:
@@ -319,7 +353,8 @@ def fit_joint(
 
     Where that one errs by more than the unit of the residuals over whole runs, the next one goes on as well.
 
-    `starts`: number of starts: the first is the rig file, the others are drawn from the priors. `refine`: whether
+    `starts`: number of starts: the first is the rig file, the second what balances the torques along the measured
+    motion, the others are drawn from the priors. `refine`: whether
     errors are weighed by their size at last, and each recording may deviate a little. A rig that only data sheets tell
     of errs by more than its sensors, and its priors are wide.
     """
@@ -331,6 +366,8 @@ def fit_joint(
     for number in range(starts):
         progress(f"joint and muscles from measured pressures, start {number + 1} of {starts}")
         begin = _START_STD * rng.standard_normal(len(free)) if number else None
+        if number == 1:
+            begin = fitted(free, residual_of(rig, runs, free, _ALONG), None, evaluations, jobs).amounts
         tried.append(fitted(free, short, begin, evaluations, jobs))
     found: Fit | None = None
     for one in sorted(tried, key=lambda one: one.cost):

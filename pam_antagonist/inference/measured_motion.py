@@ -56,7 +56,7 @@ with the paper's friction have 0.04 to 0.25."""
 _PROBE = 1e3
 """[Pa] Step of the differences that convert noise of the pressures to noise of the torque."""
 _STAGES = integration.STAGES
-_step, _needed, _torque = integration.rk4_step_within, dynamics.torque_needed, dynamics.torque
+_step, _imbalance, _torque = integration.rk4_step_within, dynamics.imbalance, dynamics.torque
 
 
 @kernel
@@ -80,12 +80,7 @@ def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substep
                 _step(x, u, p, dt / substeps, x, scratch)
         x[0], x[1] = angle[k], velocity[k]
         torques[k] = _torque(x, p)
-        if direction[k] != 0.0:
-            imbalance[k] = _needed(x, acceleration[k], direction[k], p)
-        else:
-            without = _needed(x, acceleration[k], 0.0, p)
-            level = max(_needed(x, acceleration[k], 1.0, p) - without, 0.0)
-            imbalance[k] = without - min(max(without, -level), level)
+        imbalance[k] = _imbalance(x, acceleration[k], direction[k], p)
         for i in range(x.shape[0]):
             states[k, i] = x[i]
     return states, torques, imbalance

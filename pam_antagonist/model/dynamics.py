@@ -172,6 +172,19 @@ def torque_needed(x, acceleration, direction, p):
 
 
 @inlined
+def imbalance(x, acceleration, direction, p):
+    """Imbalance of all torques [N m] of a motion without a torque from outside.
+
+    `x`: state (n,). `acceleration`: ψ̈ [rad/s²]. `direction`: −1 or 1; 0: friction may have any value up to its level.
+    """
+    if direction != 0.0:
+        return torque_needed(x, acceleration, direction, p)
+    without = torque_needed(x, acceleration, 0.0, p)
+    level = max(torque_needed(x, acceleration, 1.0, p) - without, 0.0)
+    return without - min(max(without, -level), level)
+
+
+@inlined
 def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, effects):
     """The rows of equation (11a) without added states, as scalars: a sigma point stays in the processor's registers.
 

@@ -86,3 +86,15 @@ def test_a_finer_run_has_the_same_rows_and_pressures_between_them_that_are_ahead
     assert fine.period == pytest.approx(0.5 * run.period)
     moved = (fine.pressure[1::2] - run.pressure[:-1]) / np.diff(run.pressure, axis=0)
     assert moved == pytest.approx(np.full(moved.shape, 0.5625))
+
+
+def test_pressures_that_swing_from_row_to_row_are_named_and_those_that_rest_are_not() -> None:
+    calm, rest = made(50.0), made(50.0)
+    rest = replace(
+        rest, pressure=np.full((len(rest), 2), 3e5) + np.random.default_rng(0).normal(0.0, 300.0, (len(rest), 2))
+    )
+    assert notes_of([*runs(calm), *runs(rest)]) == ()
+    (note,) = notes_of(
+        runs(replace(calm, pressure=calm.pressure + 6e4 * np.resize([[1.0, 0.0], [-1.0, 0.0]], (len(calm), 2))))
+    )
+    assert note.startswith("The pressures of made swing from row to row")
