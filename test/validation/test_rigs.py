@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pam_antagonist.identification import joint_stage
+from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.identification.unknowns import Fit, Unknown
+from pam_antagonist.recording.joint import JointCondition
 from validation import at_hand, oracle
 from validation.rigs import fresh, judge
 
@@ -50,6 +53,22 @@ def test_the_command_counts_a_rig_that_is_refused(tmp_path: Path, monkeypatch, c
     assert judge.main(["--out", str(tmp_path / "out.json"), "--first", "202", "--count", "1", "--declared"]) == 0
     assert json.loads((tmp_path / "out.json").read_text())[0]["refused"] == "it moves too little"
     assert "0 rigs of 1" in capsys.readouterr().out
+
+
+def test_a_fit_that_begins_far_off_leaves_a_false_minimum_by_the_balance_of_torques(monkeypatch) -> None:
+    """From the values of this rig file alone the angle errs by 7.9 deg of 53, with the second start by 0.085 deg."""
+    monkeypatch.setattr(fresh, "sets", lambda recorded, trials: ([recorded(15.0, 0)], []))
+    lab = fresh.laboratory(307, declared=True)
+    runs = runs_of(lab.fit[0], JointCondition("free", 0.0, "given"), "one")
+    alone, both = (joint_stage.fit_joint(lab.typed, runs, 12, starts) for starts in (1, 2))
+    errors = {
+        name: math.degrees(np.sqrt(np.mean(left**2)))
+        for name, values in (("alone", alone.values), ("both", both.values))
+        for _, _, left in joint_stage.errors_of(lab.typed, runs, both.unknowns, values)
+    }
+    assert alone.lost and not both.lost
+    assert errors["both"] < 0.5
+    assert errors["alone"] > 5.0
 
 
 LEAK: dict[str, Any] = {
