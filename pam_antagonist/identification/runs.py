@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
@@ -60,6 +61,12 @@ class Run:
     def acceleration(self) -> Floats:
         """Slope of :attr:`velocity` (N,) [rad/s²], 0 where unknown."""
         return _slope(self.time, self.velocity)
+
+    @property
+    def smoothed(self) -> Floats:
+        """Pressures (N, 2) [Pa] over the window of :attr:`acceleration`: means of the means of as many rows."""
+        size = 2 * _reach(self.time)
+        return uniform_filter1d(uniform_filter1d(self.pressure, size, axis=0), size, axis=0, origin=-1)
 
     def part(self, begin_s: float, end_s: float) -> Run | None:
         """The rows in a time span [s]; None if they are too few."""
@@ -154,12 +161,17 @@ def _run(
 
 def _slope(time: Floats, angle: Floats) -> Floats:
     """Velocity over a window of about 40 ms, two rows at least, to both sides."""
-    reach = max(round(0.02 / max(float(np.median(np.diff(time))), 1e-6)), 1)
+    reach = _reach(time)
     out = np.zeros(len(time))
     if len(time) > 2 * reach:
         moved = angle[2 * reach :] - angle[: -2 * reach]
         out[reach:-reach] = moved / (time[2 * reach :] - time[: -2 * reach])
     return np.nan_to_num(out)
+
+
+def _reach(time: Floats) -> int:
+    """Rows in 20 ms, one at least."""
+    return max(round(0.02 / max(float(np.median(np.diff(time))), 1e-6)), 1)
 
 
 def notes_of(runs: Sequence[Run]) -> tuple[str, ...]:
