@@ -186,9 +186,7 @@ class _Part(Experiment):
         if not run.locked:
             out[:, ANGLE] = joint_stage.simulated(run, p, zero, delay)
         if np.isfinite(run.torque).any():
-            known = np.isfinite(run.angle)
-            at = replace(run, angle=run.angle - zero + delay * run.velocity)
-            out[known, TORQUE] = joint_stage.torques(at, p)
+            out[np.isfinite(run.angle), TORQUE] = joint_stage.torques(run, p, zero, delay)
         return out
 
     @override

@@ -23,13 +23,14 @@ from pam_antagonist.inference.free_parameters import LINEAR_FORCE, FreeParameter
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.equilibrium import rest_angle
+from pam_antagonist.model.equilibrium import initial_state, rest_angle
 from pam_antagonist.model.pressure_driven import angles
+from pam_antagonist.model.pressure_driven import torques as given_torques
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive
 
 Floats = NDArray[np.float64]
-_torque, _imbalance = dynamics.torque, dynamics.imbalance
+_torque, _imbalance, _STATES = dynamics.torque, dynamics.imbalance, par.STATES
 
 ZERO, DELAY = "calibration.encoder_zero", "calibration.delay_angle"
 WEIGHT_COS, WEIGHT_SIN = "limb: torque at angle 0", "limb: torque that grows with the sine"
@@ -64,21 +65,15 @@ _MOVING = 0.05
 """[rad/s] A slower joint starts at rest."""
 
 
-def torques(run: Run, p: Floats) -> Floats:
-    """Torque of the muscles [N m] at the rows of a run whose angle is known. `p`: parameter vector (m,)."""
+def torques(run: Run, p: Floats, zero: float = 0.0, delay: float = 0.0) -> Floats:
+    """Torque of the muscles [N m] at the rows of a run whose angle is known. `p`: parameter vector (m,).
+
+    `zero`: reading of the encoder at ψ = 0 [rad]. `delay`: by how much the reading is late [s].
+    """
     known = np.isfinite(run.angle)
-    return np.asarray(_torques(run.angle[known], run.velocity[known], run.pressure[known], p))
-
-
-@kernel
-def _torques(angle: Floats, velocity: Floats, pressure: Floats, p: Floats) -> Floats:
-    """Torque of the muscles [N m] at measured angles (N,), velocities (N,) and pressures (N, 2)."""
-    out = np.empty(angle.shape[0])
-    x = np.zeros(4)
-    for k in range(angle.shape[0]):
-        x[0], x[1], x[2], x[3] = angle[k], velocity[k], pressure[k, 0], pressure[k, 1]
-        out[k] = _torque(x, p)
-    return out
+    speed = run.velocity[known]
+    at = run.angle[known] - zero + delay * speed
+    return np.asarray(given_torques(run.time[known], at, speed, run.pressure[known], p, _LONGEST_STEP))
 
 
 @kernel
@@ -87,7 +82,7 @@ def _imbalances(
 ) -> Floats:
     """Imbalance of all torques [N m] at measured angles (N,), their derivatives (N,) and pressures (N, 2)."""
     out = np.empty(angle.shape[0])
-    x = np.zeros(4)
+    x = np.zeros(int(p[_STATES]))
     for k in range(angle.shape[0]):
         x[0], x[1], x[2], x[3] = angle[k], velocity[k], pressure[k, 0], pressure[k, 1]
         out[k] = _imbalance(x, acceleration[k], direction[k], p)
@@ -179,9 +174,16 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
 
 def torque_scale(rig: Rig) -> float:
     """Torque [N m] of one muscle at half the supply's pressure and the middle length."""
+    return abs(float(_torque(*_at_rest(rig, rig.atmosphere.pressure))))
+
+
+def _at_rest(rig: Rig, second: float) -> tuple[Floats, Floats]:
+    """State (n,) of a joint at ψ = 0, muscle 1 at half the supply's pressure, and parameters (m,).
+
+    `second`: pressure of muscle 2 [Pa].
+    """
     p = rig.parameters()
-    x = np.array([0.0, 0.0, 0.5 * (rig.supply.pressure + rig.atmosphere.pressure), rig.atmosphere.pressure])
-    return abs(float(_torque(x, p)))
+    return initial_state(0.0, 0.5 * (rig.supply.pressure + rig.atmosphere.pressure), second, np.zeros(2), p), p
 
 
 def unknown_weight(rig: Rig) -> float:
@@ -275,10 +277,10 @@ def errors_of(
             elif not run.locked and np.isfinite(run.angle).any():
                 left = run.angle - simulated(run, p, zero, delay, horizon, longest)
                 yield "angle", run, left[np.isfinite(run.angle)]
-            known = np.isfinite(run.torque) & np.isfinite(run.angle)
+            known = np.isfinite(run.torque[np.isfinite(run.angle)])
             if known.any():
-                at = run.angle[known] - zero + delay * run.velocity[known]
-                yield "torque", run, run.torque[known] - _torques(at, run.velocity[known], run.pressure[known], p)
+                shown = torques(run, p, zero, delay)
+                yield "torque", run, (run.torque[np.isfinite(run.angle)] - shown)[known]
 
 
 def joined(errors: Iterable[tuple[str, Run, Floats]]) -> dict[str, Floats]:
@@ -369,7 +371,7 @@ def fit_joint(
     for number in range(starts):
         progress(f"joint and muscles from measured pressures, start {number + 1} of {starts}")
         begin = _START_STD * rng.standard_normal(len(free)) if number else None
-        if number == 1:
+        if number == 1 and any(not run.locked and np.isfinite(run.angle).any() for run in runs):
             begin = fitted(free, residual_of(rig, runs, free, _ALONG), None, evaluations, jobs).amounts
         tried.append(fitted(free, short, begin, evaluations, jobs))
     found: Fit | None = None
@@ -396,7 +398,7 @@ def _ways(rig: Rig) -> dict[str, dict[str, float]]:
     """How the muscles of a rig may differ from recording to recording, see :func:`unknowns.deviations`."""
     out = {}
     middle = 0.5 * (rig.supply.pressure + rig.atmosphere.pressure)
-    forces = dynamics.forces(np.array([0.0, 0.0, middle, middle]), rig.parameters())
+    forces = dynamics.forces(*_at_rest(rig, middle))
     gain, offset = (("c1",), "c3") if rig.model.force == "braided" else (LINEAR_FORCE, "w2")
     for i, force in enumerate(forces, 1):
         path = f"muscle_{i}.force."

@@ -206,7 +206,8 @@ class AngleDriven(Experiment):
             (equilibrium.closed_pressure(i, 0.01, p) - equilibrium.closed_pressure(i, -0.01, p)) / 0.02 for i in (0, 1)
         ]
         if self.part == BALANCE:
-            x = np.array([0.0, 0.0, *(equilibrium.closed_pressure(i, 0.0, p) for i in (0, 1))])
+            pressures = (equilibrium.closed_pressure(i, 0.0, p) for i in (0, 1))
+            x = equilibrium.initial_state(0.0, *pressures, np.zeros(3), p)
             stiffness = self.rig.joint.stiffness - dynamics.torque_slope(x, p)
             return np.array([np.hypot(self.rig.sensors.torque_std, stiffness * angle)])
         values = _parted(self.trial.measured)

@@ -9,14 +9,23 @@ from __future__ import annotations
 import numpy as np
 
 from pam_antagonist._jit import inlined, kernel
-from pam_antagonist.model import equilibrium, integration, joint, lever_arm, muscle
+from pam_antagonist.model import dynamics, equilibrium, integration, joint, lever_arm, muscle
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND, VELOCITY
 from pam_antagonist.model.integration import STAGES
-from pam_antagonist.model.parameters import ATMOSPHERE, FRICTION_STEP, POLYTROPIC_VOLUME, SIGNAL, VALVE, VALVE_SIZE
+from pam_antagonist.model.parameters import (
+    ATMOSPHERE,
+    BASE_STATES,
+    FRICTION_STEP,
+    LOCKED,
+    POLYTROPIC_VOLUME,
+    SIGNAL,
+    VALVE,
+    VALVE_SIZE,
+)
 
 _rk4_step, _initial_state = integration.rk4_step_within, equilibrium.initial_state
 _leverage, _force, _muscle_torque = lever_arm.leverage, muscle.force, joint.muscle_torque
-_length = muscle.length
+_length, _torque = muscle.length, dynamics.torque
 _substeps_of = inlined(integration.substeps_of)
 
 
@@ -74,6 +83,45 @@ def angles(first, start, time, pressure, signals, p, longest):
                 _put_inputs(x, p, pressure, signals, k, (s + 0.5) / steps)
                 _rk4_step(x, u, p, h, x, scratch)
             out[k] = x[ANGLE]
+    return out
+
+
+@kernel
+def torques(time, angle, velocity, pressure, p, longest):
+    """Torques of the muscles of a joint whose motion and pressures are given; added states begin steady and follow.
+
+    Args:
+        time: of the rows [s] (N,), increasing.
+        angle: ψ [rad] (N,), linear between rows.
+        velocity: ψ̇ [rad/s] (N,) at the rows.
+        pressure: P_1, P_2 (N, 2) [Pa], linear between rows.
+        p: parameter vector (m,).
+        longest: longest step of the integration [s].
+
+    Returns:
+        (N,) [N m].
+    """
+    p = p.copy()
+    _without_flow(p)
+    p[LOCKED] = 1.0
+    u, signals, out = np.zeros(2), np.empty((0, 0)), np.empty(time.shape[0])
+    if time.shape[0] == 0:
+        return out
+    x = _initial_state(angle[0], pressure[0, 0], pressure[0, 1], u, p)
+    scratch = np.empty((STAGES + 1, x.shape[0]))
+    for k in range(time.shape[0]):
+        if k > 0 and x.shape[0] > BASE_STATES:
+            dt, moved = time[k] - time[k - 1], angle[k] - angle[k - 1]
+            steps = _substeps_of(dt, longest)
+            p[FRICTION_STEP] = dt / steps
+            for s in range(steps):
+                share = (s + 0.5) / steps
+                x[ANGLE], x[VELOCITY] = angle[k - 1] + share * moved, moved / dt
+                _put_inputs(x, p, pressure, signals, k, share)
+                _rk4_step(x, u, p, dt / steps, x, scratch)
+        x[ANGLE], x[VELOCITY] = angle[k], velocity[k]
+        x[PRESSURE_1], x[PRESSURE_2] = pressure[k, 0], pressure[k, 1]
+        out[k] = _torque(x, p)
     return out
 
 

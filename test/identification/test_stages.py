@@ -15,7 +15,7 @@ from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.air_stage import SUPPLY
 from pam_antagonist.identification.joint_stage import ZERO
 from pam_antagonist.identification.parts import with_joint
-from pam_antagonist.identification.runs import runs_of
+from pam_antagonist.identification.runs import Run, runs_of
 from pam_antagonist.identification.unknowns import Fit, Unknown, refined
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import Recording
@@ -117,3 +117,17 @@ def test_a_supply_far_below_its_gauge_is_found() -> None:
     full = replace(exact[0], pressure=exact[0].pressure + 0.9 * TRUE.supply.pressure - exact[0].pressure.max())
     (item,) = (item for item in air_stage.unknowns(TRUE, [full]) if item.name == SUPPLY)
     assert item.value(item.bounds[0]) == pytest.approx(0.9 * TRUE.supply.pressure)
+
+
+def test_the_torque_of_a_locked_joint_creeps_as_the_law_says() -> None:
+    """After a step of a pressure a share φ of the torque's change comes late, with the time constant."""
+    share, constant, time = 0.2, 0.5, np.arange(0.0, 3.0, 0.01)
+    pressure = np.column_stack([np.where(time < 0.5, 2e5, 4e5), np.full(len(time), 3e5)])
+    nothing = np.full(len(time), np.nan)
+    run = Run("", time, pressure, pressure, 0.0 * time, nothing, 0.0 * time, True, ())
+    plain = joint_stage.torques(run, RIG.parameters())
+    rig = RIG.replaced(effects={**RIG.effects, "creep": {"share_1": share, "time": constant}})
+    late = (joint_stage.torques(run, rig.parameters()) - plain) / (plain[-1] - plain[0])
+    assert late[:50] == pytest.approx(np.zeros(50), abs=1e-9)
+    # The row of the step comes a hundredth of a second after the last one before it: the pressure ramps in between.
+    assert late[50:] == pytest.approx(-share * np.exp(-(time[50:] - 0.495) / constant), abs=0.002)
