@@ -185,11 +185,16 @@ def _next(seen: Sequence[tuple[float, float, float, Covered]]) -> float:
 
 
 def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
-    """Errors of the estimated angle and their standard deviations (M,) [rad]."""
+    """Errors of the estimated angle and their standard deviations (M,) [rad].
+
+    At its stop the filter is sure of the angle whatever the torque: such rows would ask for any torque.
+    """
     run, angle = replay(recording, rig, "default", state.condition, None).run, own_readings(recording)[1]
     assert angle is not None
     measured = angle[run.index]
     known = np.isfinite(measured)
+    between = np.abs(run.rows["angle"]) < (math.inf if rig.joint.stop is None else rig.joint.stop)
+    known &= between if (known & between).any() else known
     std = np.sqrt(run.rows["covariance"][:, 0, 0])
     return (run.rows["angle"] - measured)[known], std[known]
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from other_rigs import ZERO_ERROR, described, drawn, recorded
+from other_rigs import ZERO_ERROR, commands, described, drawn, recorded
 
+from pam_antagonist import simulate
 from pam_antagonist.control.model_law import voltage_towards
-from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.identification import air_stage, filter_stage, joint_stage
 from pam_antagonist.identification.air_stage import SUPPLY
 from pam_antagonist.identification.joint_stage import ZERO
 from pam_antagonist.identification.parts import with_joint
@@ -131,3 +132,16 @@ def test_the_torque_of_a_locked_joint_creeps_as_the_law_says() -> None:
     assert late[:50] == pytest.approx(np.zeros(50), abs=1e-9)
     # The row of the step comes a hundredth of a second after the last one before it: the pressure ramps in between.
     assert late[50:] == pytest.approx(-share * np.exp(-(time[50:] - 0.495) / constant), abs=0.002)
+
+
+def test_rows_at_the_stop_do_not_widen_the_interval_elsewhere() -> None:
+    """There the filter is sure of the angle whatever the torque, although the true stop is off by 0.5 deg."""
+    voltage = commands(TRUE, 20.0, 5)
+    stop = float(np.quantile(np.abs(simulate(TRUE, voltage, joint="free", seed=1).angle), 0.9))
+    known = TRUE.replaced(joint=TRUE.joint.replaced(stop=stop))
+    real = known.replaced(joint=known.joint.replaced(stop=stop + math.radians(0.5)))
+    recording = replace(simulate(real, voltage, joint="free", seed=1), torque=None)
+    given = (recording, joint_condition(recording, "free", None), "stop")
+    tuned = filter_stage.with_process_noise(known, [given])
+    covered = filter_stage.with_unknown_torque(tuned, [given])
+    assert covered.torque < 0.1 * joint_stage.torque_scale(known)
