@@ -4,7 +4,7 @@ The measured pressures drive the joint (:mod:`pam_antagonist.model.pressure_driv
 compared with the measured one. Where the torque was measured, the torque of the muscles at the measured angle is
 compared as well. The simulation starts anew from the measurement after a horizon, which grows from a fraction of a
 second to whole runs, so that no start runs away. A fit that begins far off may still end in a false minimum. So another
-one begins where the torques are in balance along the measured motion: this needs no simulation, and has hardly any.
+one begins where the torques are in balance along the measured motion: this needs no simulation, which could run away.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _INDEPENDENT = 10.0
 _ANGLE_SHARE, _TORQUE_SHARE = 0.01, 0.02
 """Unit of the residuals, as a share of the measured range."""
 _BALANCE_SHARE = 0.1
-"""Unit of the balance, as a share of one muscle's torque: derivatives of an encoder err by more than a model. Of 0.02,
-0.05 and 0.1 the best for each of four simulated joints."""
+"""Unit of the balance, as a share of one muscle's torque: derivatives of an encoder err by more than a model. Chosen of
+0.02, 0.05 and 0.1 on four simulated joints, two of which had ended in a false minimum."""
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _ZERO_STD = math.radians(5.0)

@@ -29,8 +29,8 @@ _AHEAD = 9.0 / 16.0
 """Share of a pressure's change in the middle of a row: of an exponential whose time constant is two rows."""
 _SWING, _LEAST_SWING = 0.2, 1e4
 """Pressures swing from row to row if the RMS of their distance [Pa] from the middle of both neighbours is more, as a
-share of their standard deviation too. Fifteen simulated rigs have a share of at most 0.02, three whose pressure loop
-swings 0.5 and more."""
+share of their standard deviation too. Sixteen simulated rigs have a share of at most 0.023, two whose pressure loop
+swings 0.5 and 1.2 at least."""
 _HOLE = 2.5
 """A distance of more median periods is a hole."""
 
