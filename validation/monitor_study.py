@@ -224,6 +224,23 @@ def _cell(trials: Sequence[dict[str, Any]]) -> str:
     return f"{sum(one['found'] for one in trials)}/{len(trials)}{late}"
 
 
+def begun(done: Sequence[dict[str, Any]]) -> Table:
+    """How many searches begin, how late, and how many faults the evidence names, over all faults."""
+    rows = []
+    for moving, encoder in WAYS:
+        each = [
+            [one for one in done if (one["moving"], one["encoder"], one["noises"]) == (moving, encoder, noises)]
+            for noises in NOISES
+        ]
+        delays = [[one["delay_s"] for one in trials if one["delay_s"] is not None] for trials in each]
+        counts = (f"{len(late)}/{len(trials)}" for late, trials in zip(delays, each, strict=True))
+        medians = (f"{np.median(late):.0f}" if late else "–" for late in delays)
+        named = (f"{sum(one['found'] for one in trials)}" for trials in each)
+        rows.append((WORDS[0][moving] + WORDS[1][encoder], *(" · ".join(cells) for cells in (counts, medians, named))))
+    heads = ("4 · 8 · 16 noises", "a search begins", "after, median [s]", "named")
+    return Table(heads, tuple(rows) if done else (), "all faults together")
+
+
 def alarms(hours: Sequence[dict[str, Any]]) -> Table:
     """What is found with nothing wrong, and the tail of the evidence."""
     rows = []
@@ -316,7 +333,7 @@ def _main(arguments: argparse.Namespace) -> int:
             more = [one for one in sizes if one[1] == noises]
             name = f"{arguments.only}_faults_{noises:g}".lstrip("_")
             found += [{"moving": moving, **one} for one in kept(name, seed, moving, trials, more)]
-    tables = [table for table in (alarms(quiet), detection(found)) if table.rows]
+    tables = [table for table in (alarms(quiet), detection(found), begun(found)) if table.rows]
     print("\n\n".join(terminal.table(table, indent="") for table in tables))
     if arguments.docs is not None:
         common.write_text(arguments.docs, "\n".join(line for one in tables for line in (*markdown(one), "")))

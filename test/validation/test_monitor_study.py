@@ -57,3 +57,5 @@ def test_a_fault_is_found_if_it_is_first_or_among_those_alike() -> None:
     one = {"fault": "leak 1, area", "noises": 8.0, "moving": True, "encoder": False, "found": True, "delay_s": 7}
     (row,) = study.detection([one, {**one, "delay_s": None, "found": False}]).rows
     assert row == ("leak 1, area", "– · 1/2 (7 s) · –", "– · – · –", "– · – · –", "– · – · –")
+    total, *_ = study.begun([one, {**one, "delay_s": None}, {**one, "delay_s": 9, "found": False}]).rows
+    assert total == ("moving", "0/0 · 2/3 · 0/0", "– · 8 · –", "0 · 2 · 0")
