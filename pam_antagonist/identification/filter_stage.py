@@ -193,8 +193,8 @@ def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -
     assert angle is not None
     measured = angle[run.index]
     known = np.isfinite(measured)
-    between = np.abs(run.rows["angle"]) < (math.inf if rig.joint.stop is None else rig.joint.stop)
-    known &= between if (known & between).any() else known
+    inside = known & (np.abs(run.rows["angle"]) < (math.inf if rig.joint.stop is None else rig.joint.stop))
+    known = inside if inside.any() else known
     std = np.sqrt(run.rows["covariance"][:, 0, 0])
     return (run.rows["angle"] - measured)[known], std[known]
 

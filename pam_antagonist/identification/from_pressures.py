@@ -141,7 +141,7 @@ def identify(
 def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unknown], list[Unknown], tuple[str, ...]]:
     """The unknowns of the joint and of the air, and what to say of them."""
     named = free_parameters(rig, options.free, options.frozen)
-    seen = any(np.isfinite(run.torque).any() or (not run.locked and np.isfinite(run.angle).any()) for run in runs)
+    seen = any(np.isfinite(run.torque).any() or run.moves for run in runs)
     if rig.model.force != "braided":
         kept = [item for item in named if seen or item.name.startswith((*joint_stage.AIR, *options.free))]
         if not kept:

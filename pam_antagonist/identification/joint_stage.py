@@ -197,7 +197,7 @@ def middle(runs: Sequence[Run], rig: Rig) -> tuple[float, float]:
     The distance is a standard deviation: two muscles differ in force, and a limb has a weight. So equal pressures move
     the joint off ψ = 0.
     """
-    moving = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
+    moving = [run for run in runs if run.moves]
     if not moving:
         return 0.0, _ZERO_STD
     angle = np.concatenate([run.angle for run in moving])
@@ -272,15 +272,14 @@ def errors_of(
         for run in runs:
             if run.name != name:
                 continue
-            if not run.locked and np.isfinite(run.angle).any() and horizon == _ALONG:
+            seen = np.isfinite(run.angle)
+            if run.moves and horizon == _ALONG:
                 yield "balance", run, _unbalanced(run, p, zero, delay, stop)
-            elif not run.locked and np.isfinite(run.angle).any():
-                left = run.angle - simulated(run, p, zero, delay, horizon, longest)
-                yield "angle", run, left[np.isfinite(run.angle)]
-            known = np.isfinite(run.torque[np.isfinite(run.angle)])
+            elif run.moves:
+                yield "angle", run, (run.angle - simulated(run, p, zero, delay, horizon, longest))[seen]
+            known = np.isfinite(run.torque[seen])
             if known.any():
-                shown = torques(run, p, zero, delay)
-                yield "torque", run, (run.torque[np.isfinite(run.angle)] - shown)[known]
+                yield "torque", run, (run.torque[seen] - torques(run, p, zero, delay))[known]
 
 
 def joined(errors: Iterable[tuple[str, Run, Floats]]) -> dict[str, Floats]:
@@ -371,7 +370,7 @@ def fit_joint(
     for number in range(starts):
         progress(f"joint and muscles from measured pressures, start {number + 1} of {starts}")
         begin = _START_STD * rng.standard_normal(len(free)) if number else None
-        if number == 1 and any(not run.locked and np.isfinite(run.angle).any() for run in runs):
+        if number == 1 and any(run.moves for run in runs):
             begin = fitted(free, residual_of(rig, runs, free, _ALONG), None, evaluations, jobs).amounts
         tried.append(fitted(free, short, begin, evaluations, jobs))
     found: Fit | None = None

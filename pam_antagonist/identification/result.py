@@ -185,7 +185,7 @@ def pooled(every: Sequence[Held], column: str) -> float:
 
 def linear_map(runs: Sequence[Run]) -> Floats | None:
     """Coefficients of a linear map from the two pressures [Pa] to the angle [rad] (3,); None without any angle."""
-    free = [run for run in runs if not run.locked and np.isfinite(run.angle).any()]
+    free = [run for run in runs if run.moves]
     if not free:
         return None
     pressure, angle = np.concatenate([run.pressure for run in free]), np.concatenate([run.angle for run in free])

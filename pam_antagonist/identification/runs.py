@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,11 +59,16 @@ class Run:
         return float(self.time[-1] - self.time[0]) / (len(self) - 1)
 
     @property
+    def moves(self) -> bool:
+        """Whether the joint is free and its angle was measured."""
+        return not self.locked and bool(np.isfinite(self.angle).any())
+
+    @cached_property
     def acceleration(self) -> Floats:
         """Slope of :attr:`velocity` (N,) [rad/s²], 0 where unknown."""
         return _slope(self.time, self.velocity)
 
-    @property
+    @cached_property
     def smoothed(self) -> Floats:
         """Pressures (N, 2) [Pa] over the window of :attr:`acceleration`: means of the means of as many rows."""
         size = 2 * _reach(self.time)
