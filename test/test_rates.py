@@ -14,7 +14,6 @@ from pam_antagonist.checks.check import check_recording
 from pam_antagonist.diagnosis import diagnose
 from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.identification.air_stage import fit_air
-from pam_antagonist.identification.joint_stage import from_parameter
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
@@ -166,7 +165,7 @@ def test_blocks_are_20_ms(hz: int) -> None:
 def test_a_wrong_orifice_area_is_identified(hz: int) -> None:
     name = "valve_1.inflow_area"
     wrong = moved(RIG, {name: 1.04 * RIG.value(name)})
-    free = [from_parameter(item) for item in free_parameters(wrong) if item.name == name]
+    free = [item for item in free_parameters(wrong) if item.name == name]
     recording = recorded(hz, "locked")
     found = fit_air(wrong, runs_of(recording, joint_condition(recording), ""), 0.0, free=free, refine=True)
     assert found is not None

@@ -14,7 +14,7 @@ from pam_antagonist.api.check import CheckResult
 from pam_antagonist.api.identify import EpisodesIdentifyResult, IdentifyResult
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures
-from pam_antagonist.identification.unknowns import Fit, parameters
+from pam_antagonist.inference.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash

@@ -36,12 +36,12 @@ from pam_antagonist.identification.from_pressures import (
 )
 from pam_antagonist.identification.parts import is_guessed
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, fitted
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, FreeEffectParameter
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial
+from pam_antagonist.inference.unknowns import Fit, Unknown, fitted
 from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path

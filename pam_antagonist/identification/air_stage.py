@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
+from pam_antagonist.inference.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.command_driven import pressures
 from pam_antagonist.rig import Rig

@@ -53,10 +53,10 @@ from pam_antagonist.identification.result import (
     linear_map,
 )
 from pam_antagonist.identification.runs import Run, notes_of
-from pam_antagonist.identification.unknowns import FAR, Fit, Unknown, fitted, parameters
 from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
+from pam_antagonist.inference.unknowns import FAR, Fit, Unknown, fitted, parameters
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.write import refusal
@@ -154,15 +154,15 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
             f"{', '.join(item.name for item in kept)} only; all others stay as configured. To determine the others, "
             "record the angle of a free joint and the torque of a locked one.",
         )  # fmt: skip
-        air = [joint_stage.from_parameter(item) for item in kept if item.name.startswith(joint_stage.AIR)]
-        return joint_stage.of_parameters(rig, kept), air, notes
+        air = [item for item in kept if item.name.startswith(joint_stage.AIR)]
+        return joint_stage.of_joint(rig, kept), air, notes
     more = [item for item in named if item.name.startswith(options.free)] if options.free else []
     both = []
     for usual, of_air in ((joint_stage.unknowns(rig, runs), False), (air_stage.unknowns(rig, runs), True)):
         kept_unknowns = [item for item in usual if not _is_frozen(item, options.frozen)]
         known = {path for item in usual for path in item.paths}
         further = [item for item in more if item.name.startswith(joint_stage.AIR) == of_air and item.name not in known]
-        both.append([*kept_unknowns, *(joint_stage.from_parameter(item) for item in further)])
+        both.append([*kept_unknowns, *further])
     return both[0], both[1], ()
 
 

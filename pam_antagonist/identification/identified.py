@@ -25,7 +25,7 @@ from pam_antagonist.identification.held_out import (
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures, Held, pooled
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
-from pam_antagonist.identification.unknowns import Fit, Unknown
+from pam_antagonist.inference.unknowns import Fit, Unknown
 from pam_antagonist.recording import Recording, recording_hash
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts

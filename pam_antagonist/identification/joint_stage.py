@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.identification.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
-from pam_antagonist.inference.free_parameters import LINEAR_FORCE, FreeParameter
+from pam_antagonist.inference.free_parameters import LINEAR_FORCE
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
+from pam_antagonist.inference.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.equilibrium import initial_state, rest_angle
 from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.model.pressure_driven import torques as given_torques
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.physical import is_positive
 
 Floats = NDArray[np.float64]
 _torque, _imbalance, _STATES = dynamics.torque, dynamics.imbalance, par.STATES
@@ -107,25 +106,18 @@ AIR = ("valve_", "gas.", "supply.", "effects.regulator_", "effects.valve_offset.
 """Beginnings of the names of parameters of the air."""
 
 
-def of_parameters(rig: Rig, free: Sequence[FreeParameter]) -> list[Unknown]:
-    """Unknowns of free parameters; a linear force map is unknown by its values at the middle length and its slopes."""
+def of_joint(rig: Rig, free: Sequence[Unknown]) -> list[Unknown]:
+    """Free parameters of the joint; a linear force map is unknown by its values at the middle length and its slopes."""
     known, out = {item.name: item for item in free if not item.name.startswith(AIR)}, []
     for i in (1, 2):
         for kind in "vw":
             slope, intercept = f"muscle_{i}.force.{kind}1", f"muscle_{i}.force.{kind}2"
             if slope in known and intercept in known:
                 out += _line(known.pop(slope), known.pop(intercept), rig.geometry.length, kind == "v")
-    return [*out, *(from_parameter(item) for item in known.values())]
+    return [*out, *known.values()]
 
 
-def from_parameter(item: FreeParameter) -> Unknown:
-    """The unknown of a single free parameter."""
-    if item.start > 0.0 and is_positive(item.name):
-        return Unknown(item.name, (item.name,), item.start, item.prior_std / item.start, True, item.low, item.high)
-    return Unknown(item.name, (item.name,), item.start, item.prior_std, False, item.low, item.high)
-
-
-def _line(slope: FreeParameter, intercept: FreeParameter, middle: float, keeps_sign: bool) -> list[Unknown]:
+def _line(slope: Unknown, intercept: Unknown, middle: float, keeps_sign: bool) -> list[Unknown]:
     """A line by its value at the middle length and its slope, which does not change that value."""
     value = slope.start * middle + intercept.start
     std = math.hypot(slope.prior_std * middle, intercept.prior_std)

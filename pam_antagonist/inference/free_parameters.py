@@ -1,7 +1,8 @@
 """Free parameters of a fit, with their priors and bounds.
 
 The common concept is the :class:`Direction`: parameters that move together. A fit of several recordings moves single
-parameters (:class:`FreeParameter`). A fit of one recording moves combinations that the data can separate
+parameters (:class:`~pam_antagonist.inference.unknowns.Unknown`). A fit of one recording moves combinations that the
+data can separate
 (:class:`FreeDirection`), and the parameters of its effects (:class:`FreeEffectParameter`). An effect that may be added
 to a model, with its free parameters, is a :class:`Candidate`.
 """
@@ -16,6 +17,7 @@ from typing import Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.expected import expected_sizes
+from pam_antagonist.inference.unknowns import Unknown
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, Form, parameter_path
 from pam_antagonist.rig import Rig
@@ -62,22 +64,7 @@ class Direction:
     changes: Mapping[str, float]  # change of each parameter for an amount of 1, by dotted path
 
 
-@dataclass(frozen=True)
-class FreeParameter:
-    """A single parameter that a fit may move, in standard deviations of its prior."""
-
-    name: str
-    start: float
-    prior_std: float  # standard deviation of the prior around it, in the parameter's unit
-    low: float
-    high: float
-
-    def value(self, amount: float) -> float:
-        """Value at an amount of the prior's standard deviations, within the bounds."""
-        return min(max(self.start + self.prior_std * amount, self.low), self.high)
-
-
-def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = ()) -> list[FreeParameter]:
+def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = ()) -> list[Unknown]:
     """The parameters of a fit.
 
     By default these are all parameters that cannot be measured directly (Proposition 1): the force maps, the orifice
@@ -107,7 +94,8 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
             )
         low, high = rig.bounds.get(name, _bounds(name, start))
         low, high = max(low, limits(name)[0]), min(high, limits(name)[1])
-        chosen.append(FreeParameter(name, start, std, low, high))
+        positive = start > 0.0 and is_positive(name)
+        chosen.append(Unknown(name, (name,), start, std / start if positive else std, positive, low, high))
     if not chosen:
         raise BadInput("every parameter is frozen: nothing is left to identify")
     return chosen

@@ -17,8 +17,8 @@ from pam_antagonist.identification.air_stage import SUPPLY
 from pam_antagonist.identification.joint_stage import ZERO
 from pam_antagonist.identification.parts import with_joint
 from pam_antagonist.identification.runs import Run, runs_of
-from pam_antagonist.identification.unknowns import Fit, Unknown, refined
 from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.unknowns import Fit, Unknown, refined
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.simulation.plant import Plant

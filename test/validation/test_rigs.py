@@ -13,7 +13,7 @@ import pytest
 
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import runs_of
-from pam_antagonist.identification.unknowns import Fit, Unknown
+from pam_antagonist.inference.unknowns import Fit, Unknown
 from pam_antagonist.recording.joint import JointCondition
 from validation import at_hand, oracle
 from validation.rigs import fresh, judge

@@ -18,7 +18,7 @@ from pam_antagonist.api.given import calibration
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import FromPressures
-from pam_antagonist.identification.unknowns import Fit
+from pam_antagonist.inference.unknowns import Fit
 from pam_antagonist.recording import Recording
 from validation.battery.scores import interval
 from validation.rigs import fresh

@@ -60,6 +60,11 @@ class Unknown:
     recording: str = ""
     reach: float = _WIDEST  # how far a fit may move it, in standard deviations of the prior
 
+    @property
+    def prior_std(self) -> float:
+        """Standard deviation of the prior, in the unknown's unit."""
+        return self.std * self.start if self.positive else self.std
+
     def value(self, amount: float) -> float:
         """Value at an amount, in standard deviations from the start."""
         if self.positive:

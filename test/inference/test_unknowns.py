@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from pam_antagonist.identification.unknowns import Unknown, fitted, refined, with_errors
+from pam_antagonist.inference.unknowns import Unknown, fitted, refined, with_errors
 
 TIME = np.linspace(0.0, 3.0, 200)
 GAIN = Unknown("gain", ("a.gain", "b.gain"), 2.0, 0.5, positive=True)
