@@ -10,21 +10,20 @@ pressure. Then the filter is tuned (:mod:`~pam_antagonist.identification.sealed_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_tuning import drift_size, tuned
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
 from pam_antagonist.inference.free_parameters import Direction, moved, start_values, values_along
 from pam_antagonist.inference.trial import BLOCK_S
-from pam_antagonist.inference.unknowns import Fit
+from pam_antagonist.inference.unknowns import Fit, Unknown, refined, with_errors
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -41,8 +40,9 @@ ASSUMED = (
 )
 """What an identification of a sealed joint takes as given."""
 DRIFT_TIME = "effects.pressure_sensor.drift_time"
-_CLUSTER_S = 1.0
-"""[s] Residuals closer than this are taken to depend on each other."""
+_LEAST_NOISE = (1.0, 1e-4)
+"""[Pa, N m] Least sizes of the errors."""
+_EVALUATIONS = 20
 _LEAST_RANGE = np.radians(1.0)
 _FEWEST_BLOCKS = 100
 
@@ -135,8 +135,8 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
     def errors(p: Floats) -> Floats:
         return np.array([equilibrium.closed_pressure(muscle, at, p) for at in angle]) - shown
 
-    free = (-np.inf, -np.inf)
-    values, std, residual = _least_squares(start, chamber_directions(start, number), errors, free, (0.1, 1e-3))
+    directions = chamber_directions(start, number)
+    values, std, residual = _fitted(start, directions, errors, (-np.inf, -np.inf), (0.1, 1e-3), _LEAST_NOISE[0])
     volume = f"muscle_{number}.volume.d2"
     return SealedStage(
         f"closed chamber of muscle {number}",
@@ -161,7 +161,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
             f"{count * BLOCK_S:.1f} s of sliding under a known torque, expected at least "
             f"{_FEWEST_BLOCKS * BLOCK_S:g} s: record measured/external_torque while the joint is driven to and fro"
         )
-    names = ("joint.stiffness", "joint.viscous_friction", "friction.shaft")
+    names = [name for name in ("joint.stiffness", "joint.viscous_friction", "friction.shaft") if rig.value(name)]
     forces = {f"muscle_{number}.force.w2": way for number, way in ((1, 1.0), (2, -1.0))}
     directions = [Direction(name, {name: rig.value(name)}) for name in names]
     directions.append(Direction("difference of the muscles' forces", forces))
@@ -175,10 +175,10 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
             parts.append(needed - trial.external[mask])
         return np.concatenate(parts)
 
-    lowest = (-0.999, -0.999, -0.999, -np.inf)
-    values, std, residual = _least_squares(rig, directions, errors, lowest, (0.3, 0.3, 0.3, 5.0))
+    lowest, sizes = [-0.999] * len(names) + [-np.inf], [0.3] * len(names) + [5.0]
+    values, std, residual = _fitted(rig, directions, errors, lowest, sizes, _LEAST_NOISE[1])
     spread = {name: rig.value(name) * std[k] for k, name in enumerate(names)}
-    spread |= {f"muscle_{number}.force.w2": std[3] for number in (1, 2)}
+    spread |= {f"muscle_{number}.force.w2": std[-1] for number in (1, 2)}
     return SealedStage(
         "balance of torques",
         values,
@@ -190,32 +190,31 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
     )
 
 
-def _least_squares(
+def _fitted(
     rig: Rig, directions: Sequence[Direction], errors: Callable[[Floats], Floats], lowest: Sequence[float],
-    scales: Sequence[float],
+    sizes: Sequence[float], least: float,
 ) -> tuple[dict[str, float], Floats, float]:  # fmt: skip
-    """Values by dotted path, standard deviations of the directions' amounts (D,), and the RMS of what is left."""
+    """Values by dotted path, standard errors of the directions' amounts (D,), and the RMS of what is left.
+
+    `lowest`, `sizes`: least amount of each direction, and its usual size. `least`: least size of an error.
+    """
     known = start_values(rig, directions)
+    free = tuple(
+        Unknown(direction.name, (), 0.0, size, low=low, reach=np.inf, has_prior=False)
+        for direction, size, low in zip(directions, sizes, lowest, strict=True)
+    )
 
-    def residual(theta: Floats) -> Floats:
-        return errors(rig.parameters(changes=values_along(known, directions, theta)))
+    def along(amounts: Mapping[str, float]) -> dict[str, float]:
+        return values_along(known, directions, [amounts[item.name] for item in free])
 
-    found = least_squares(residual, np.zeros(len(scales)), bounds=(lowest, np.inf), x_scale=scales)
-    left = float(np.sqrt(np.mean(found.fun**2)))
-    return values_along(known, directions, found.x), _robust_std(found.jac, found.fun), left
+    def left(amounts: Mapping[str, float]) -> dict[str, Floats]:
+        return {"error": errors(rig.parameters(changes=along(amounts)))}
 
-
-def _robust_std(jacobian: Floats, residual: Floats) -> Floats:
-    """Cluster-robust standard deviations: residuals may depend on each other within a cluster of time."""
-    length = max(1, round(_CLUSTER_S / BLOCK_S))
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    scores = [
-        jacobian[first : first + length].T @ residual[first : first + length]
-        for first in range(0, len(residual), length)
-    ]
-    clusters, size = len(scores), jacobian.shape[1]
-    scatter = sum(np.outer(score, score) for score in scores) * clusters / max(clusters - size, 1)
-    return np.asarray(np.sqrt(np.diag(inverse @ scatter @ inverse)))
+    start = Fit(free, np.zeros(len(free)), np.eye(len(free)), np.inf)
+    fit = refined(start, (), left, {"error": least}, _EVALUATIONS)
+    fit = with_errors(fit, lambda amounts: fit.scale["error"] * left(amounts)["error"])
+    rms = float(np.sqrt(np.mean(left(fit.values)["error"] ** 2)))
+    return along(fit.values), np.array(list(fit.stds.values())), rms
 
 
 _LEAST_MOVE = 0.05

@@ -59,6 +59,7 @@ class Unknown:
     adds: Mapping[str, float] = field(default_factory=dict)
     recording: str = ""
     reach: float = _WIDEST  # how far a fit may move it, in standard deviations of the prior
+    has_prior: bool = True  # else ``std`` is the usual size of a change
 
     @property
     def prior_std(self) -> float:
@@ -234,16 +235,16 @@ def fitted(
     if not unknowns:
         return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual({}) ** 2)))
     low, high = _bounds(unknowns)
-    of_data = _robust(unknowns, residual)
+    of_data, prior = _robust(unknowns, residual), _prior(unknowns)
 
     def whole(amounts: Floats) -> Floats:
-        return np.concatenate([of_data(amounts), amounts])
+        return np.concatenate([of_data(amounts), prior * amounts])
 
     def jacobian(amounts: Floats) -> Floats:
         base = of_data(amounts)
         steps = np.where(amounts + _STEP <= high, _STEP, -_STEP)
         columns = side_by_side(lambda there: of_data(there) - base, amounts + np.diag(steps), jobs)
-        return np.vstack([np.column_stack(columns) / steps, np.eye(len(amounts))])
+        return np.vstack([np.column_stack(columns) / steps, np.diag(prior)])
 
     first = np.zeros(len(unknowns)) if begin is None else begin
     inside = np.clip(first, low + 1e-6, high - 1e-6)
@@ -263,10 +264,11 @@ def _with_wide_step(fit: Fit, residual: Callable[[Mapping[str, float]], Floats],
     of_data, (low, high) = _robust(fit.unknowns, residual), _bounds(fit.unknowns)
     base, free, slopes, within = _seen(fit, of_data, jobs)
     step = np.zeros(len(fit.amounts))
-    step[free] = -within @ (slopes.T @ base + fit.amounts[free])
+    prior = _prior(fit.unknowns)
+    step[free] = -within @ (slopes.T @ base + prior[free] * fit.amounts[free])
     for share in _SHARES:
         there = np.clip(fit.amounts + share * step, low, high)
-        cost = 0.5 * float(np.sum(of_data(there) ** 2) + there @ there)
+        cost = 0.5 * float(np.sum(of_data(there) ** 2) + there @ (prior * there))
         if cost < fit.cost:
             return replace(fit, amounts=there, cost=cost)
     return fit
@@ -279,7 +281,7 @@ def _seen(fit: Fit, of_data: Callable[[Floats], Floats], jobs: int) -> tuple[Flo
     within = fit.covariance[np.ix_(free, free)]
     for least in (_WIDE_STEP, _STEP):
         slopes = _slopes(of_data, fit.amounts, within, free, bounds, least, jobs)
-        within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(free))))
+        within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.diag(_prior(fit.unknowns)[free])))
     return base, free, slopes, within
 
 
@@ -306,11 +308,12 @@ def with_errors(
         return fit
     amounts = fit.amounts
     base, free, slopes, within = _seen(fit, _robust(fit.unknowns, residual), jobs)
-    moves = [within @ (slopes.T @ base + amounts[free])]
+    prior = _prior(fit.unknowns)
+    moves = [within @ (slopes.T @ base + prior[free] * amounts[free])]
     moves += [within @ (slopes.T @ (_robust(fit.unknowns, other)(amounts) - base)) for other in elsewhere]
     covariance = np.eye(len(amounts))
     covariance[np.ix_(free, free)] = (
-        within @ within + _jackknife(slopes, base, within) + sum(np.outer(one, one) for one in moves)
+        within * prior[free] @ within + _jackknife(slopes, base, within) + sum(np.outer(one, one) for one in moves)
     )
     return replace(fit, covariance=covariance)
 
@@ -354,6 +357,11 @@ def _jackknife(slopes: Floats, residual: Floats, within: Floats) -> Floats:
 def _bounds(unknowns: Sequence[Unknown]) -> tuple[Floats, Floats]:
     low, high = (np.array(side) for side in zip(*(item.bounds for item in unknowns), strict=True))
     return low, high
+
+
+def _prior(unknowns: Sequence[Unknown]) -> Floats:
+    """1 for each unknown with a prior, else 0 (F,)."""
+    return np.array([float(item.has_prior) for item in unknowns])
 
 
 def _robust(
