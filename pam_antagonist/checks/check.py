@@ -31,9 +31,8 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, plausible
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition, joint_condition
-from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS
 from pam_antagonist.recording.rows import resets
-from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import NO_ENCODER, Rig
 from pam_antagonist.shown import Shown, unlike
 

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.recording import Recording
-from pam_antagonist.recording.plausible import MIN_PRESSURE
+from pam_antagonist.recording.plausible import MIN_PRESSURE, UNITS
 from pam_antagonist.recording.rows import slow, slow_sentence
 from pam_antagonist.recording.stamps import CLOCKS_APART, shortest_hole
-from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from pam_antagonist.checks.prediction import STEP_S, Prediction, correlation, in_steps, range_of, ratio_to
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
-from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

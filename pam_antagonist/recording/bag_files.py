@@ -21,7 +21,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from typing_extensions import override
 
 from . import notes
-from .messages import typestore
+from .cdr import typestore
 
 Storage = Literal["mcap", "sqlite3"]
 Compression = Literal["none", "chunk", "message", "file"]

@@ -16,12 +16,11 @@ from .csv_map import ALSO, CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
 from .notes import REGULATOR, SEALED, Issue
-from .plausible import Signal, unwrapped
+from .plausible import UNITS, Signal, unwrapped
 from .recording import Recording
 from .rows import resets
 from .signals import FurtherSignal
 from .stamps import interpolate, judge_pairing
-from .units import UNITS
 
 Floats = NDArray[np.float64]
 

@@ -18,8 +18,7 @@ from ..errors import BadInput
 from ..paths import config_dir
 from ..program import typed
 from ..strict_yaml import Strict, read_mapping, validated
-from .plausible import STANDARD_ATMOSPHERE, Signal
-from .units import UNITS, canonical
+from .plausible import STANDARD_ATMOSPHERE, UNITS, Signal, canonical
 
 Floats = NDArray[np.float64]
 Name = Union[StrictInt, StrictStr]  # noqa: UP007

@@ -15,7 +15,7 @@ from ..errors import BadInput
 from .csv_map import Time
 from .csv_table import Table
 from .notes import Issue
-from .units import UNITS
+from .plausible import UNITS
 
 Stamps = NDArray[np.int64]
 

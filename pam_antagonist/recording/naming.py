@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from .cdr import Decoded
-from .messages import stores_of
+from .cdr import Decoded, stores_of
 from .notes import Issue
-from .raw import RawTopic
-from .storage import RawBag
+from .raw import RawBag, RawTopic
 from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
 
 Floats = NDArray[np.float64]

@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import plausible, signals, stamps
-from .cdr import CdrError, Decoded, decode
-from .compression import CompressionError
+from .cdr import CdrError, Decoded, decode, stores_of
 from .corrections import Corrections
-from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
 from .notes import Issue, noted_issues
-from .raw import RawTopic
+from .plausible import UNITS
+from .raw import CompressionError, RawBag, RawTopic, unpack_messages
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
-from .storage import RawBag, read_raw, unpack_messages
+from .storage import read_raw
 from .topics import STATE_TOPICS, TOPICS
-from .units import UNITS
 
 Floats = NDArray[np.float64]
 

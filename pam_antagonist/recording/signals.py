@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from . import stamps
 from .cdr import CdrError, Decoded, Group, decode, encode
-from .compression import CompressionError
 from .notes import Issue
-from .storage import RawBag, unpack_messages
+from .raw import CompressionError, RawBag, unpack_messages
 from .topics import TOPICS, Topic
 
 if TYPE_CHECKING:

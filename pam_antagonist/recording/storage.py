@@ -6,18 +6,17 @@ import hashlib
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from ..errors import BadInput
 from . import notes
-from .compression import ZSTD_MAGIC, CompressionError, Room, inflate_file, inflate_message, most_unpacked
 from .mcap import MAGIC as MCAP_MAGIC
 from .mcap import scan_mcap
 from .notes import Issue, one_line
-from .raw import Payloads, RawTopic
+from .raw import ZSTD_MAGIC, CompressionError, RawBag, RawTopic, Room, inflate_file, most_unpacked
 from .sqlite import MAGIC as SQLITE_MAGIC
 from .sqlite import read_sqlite
 
@@ -29,18 +28,6 @@ _EXPECTED = "expected a folder with metadata.yaml, a .mcap or a .db3 file"
 _LISTED = 5
 MAX_UNPACKED = 4 << 30
 """Largest file that is unpacked from zstd [bytes]."""
-
-
-@dataclass
-class RawBag:
-    """A bag as raw messages."""
-
-    path: Path
-    # Topic name -> messages; of several message types the one with most messages.
-    topics: dict[str, RawTopic] = field(default_factory=dict)
-    # Topic name -> its message types, for topics with more than one.
-    conflicts: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    issues: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -232,16 +219,3 @@ def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str],
         msgtype, pieces = max(by_type.items(), key=lambda item: sum(map(len, item[1])))
         first = replace(pieces[0], topic=topic, digest=pieces[0].digest or digests.get((topic, msgtype), ""))
         bag.topics[topic] = first.joined(pieces[1:])
-
-
-def unpack_messages(raw: RawTopic) -> Payloads:
-    """The messages without rosbag2's message compression; a plain one never starts with the magic number of zstd."""
-    payloads = raw.payloads
-    assert payloads is not None
-    if not len(payloads) or payloads.data[:4].tobytes() != ZSTD_MAGIC:
-        return payloads
-    messages, room = [], Room(payloads.data.nbytes)
-    for packed in payloads.each():
-        messages.append(inflate_message(packed))
-        room.take(len(messages[-1]))
-    return Payloads.of(messages)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from . import signals
 from .bag_files import MODES, PLUGINS, BagFiles, Compression, Limits, Storage
-from .cdr import encode
-from .messages import typestore
+from .cdr import encode, typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
 from .topics import DEFAULT_NAMESPACE, STATE_TOPICS, TOPICS, Topic
 

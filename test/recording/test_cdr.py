@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
 from pam_antagonist.recording import TOPICS
-from pam_antagonist.recording.cdr import CdrError, decode, encode
-from pam_antagonist.recording.messages import LATER, stores_of, typestore
+from pam_antagonist.recording.cdr import LATER, CdrError, decode, encode, stores_of, typestore
 from pam_antagonist.recording.raw import Payloads
 from pam_antagonist.recording.topics import find_topic
 
