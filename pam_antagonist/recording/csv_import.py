@@ -12,20 +12,19 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import plausible
-from .csv_map import ALSO, CsvMap
+from .csv_map import CsvMap
 from .csv_table import Table, read_table
 from .csv_time import Stamps, even_grid, timing
 from .notes import REGULATOR, SEALED, Issue
 from .plausible import UNITS, Signal, unwrapped
-from .recording import Recording
+from .recording import FurtherSignal, Recording
 from .rows import resets
-from .signals import FurtherSignal
 from .stamps import interpolate, judge_pairing
+from .topics import ALSO
 
 Floats = NDArray[np.float64]
 
 _FEWEST_ROWS = 3  # with a first pressure, to have intervals between them
-_UNIT = {"pressure": "Pa", "angle": "rad", "temperature": "degC"}
 _COMMANDS = ("valve_1", "valve_2", "command_1", "command_2")
 
 
@@ -220,7 +219,8 @@ def _recording(
         torque=measured.get("torque"),
         external_torque=measured.get("external_torque"),
         signals={
-            name: FurtherSignal(columns[f"{ALSO}{name}"], _UNIT[entry.quantity]) for name, entry in mapping.also.items()
+            name: FurtherSignal(columns[f"{ALSO}{name}"], next(iter(UNITS[entry.quantity])))
+            for name, entry in mapping.also.items()
         },
         episode_ns=episode_ns,
         drive={"valve": "valve", "command": "regulator"}[command],

@@ -19,6 +19,7 @@ from ..paths import config_dir
 from ..program import typed
 from ..strict_yaml import Strict, read_mapping, validated
 from .plausible import STANDARD_ATMOSPHERE, UNITS, Signal, canonical
+from .topics import ALSO
 
 Floats = NDArray[np.float64]
 Name = Union[StrictInt, StrictStr]  # noqa: UP007
@@ -31,8 +32,6 @@ QUANTITIES = {
     "angle": "angle", "torque": "torque", "external_torque": "torque",
 }  # fmt: skip
 """Entry of a map -> the quantity in ``UNITS`` that its unit belongs to."""
-ALSO = "also/"
-"""Prefix of further signals in a list of columns."""
 EXAMPLE = "example"
 """Name of the example map, whose comments explain all entries."""
 

@@ -16,7 +16,6 @@ from ..errors import BadInput, number
 from ..optional import needs
 from ..shown import Shown
 from .notes import Issue
-from .signals import FurtherSignal
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -42,6 +41,13 @@ class Arrival(NamedTuple):
 
     log_ns: Stamps
     stamp_ns: Stamps
+
+
+class FurtherSignal(NamedTuple):
+    """A further signal."""
+
+    values: Floats  # at the samples (N,), NaN where missing
+    unit: str
 
 
 def _frozen(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
