@@ -6,6 +6,7 @@ the place that rosbag2 provides. They are optional: a bag without metadata.yaml,
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import re
@@ -148,6 +149,15 @@ def in_order(files: list[Path]) -> list[Path]:
         return (match[1], int(match[2]), path.name) if match else (path.name, -1, path.name)
 
     return sorted(files, key=key)
+
+
+def sha256(path: Path) -> bytes:
+    """SHA-256 of a file."""
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.digest()
 
 
 def one_line(error: BaseException) -> str:

@@ -72,19 +72,11 @@ def bag_hash(path: str | Path) -> str:
         BadInput: Not a bag, or not readable.
     """
     path = Path(path)
-    digests = []
     try:
-        for file in _locate(path).paths:
-            digest = hashlib.sha256()
-            with file.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    digest.update(block)
-            digests.append(digest)
+        digests = [notes.sha256(file) for file in _locate(path).paths]
     except OSError as exc:
         raise BadInput(f"{path}: cannot be read ({exc.strerror or exc})") from exc
-    if len(digests) == 1:
-        return digests[0].hexdigest()
-    return hashlib.sha256(b"".join(digest.digest() for digest in digests)).hexdigest()
+    return digests[0].hex() if len(digests) == 1 else hashlib.sha256(b"".join(digests)).hexdigest()
 
 
 def recording_hash(recording: Recording) -> str:

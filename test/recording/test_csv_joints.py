@@ -11,9 +11,8 @@ from csv_files import ROWS, Lab
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import bag_hash, read_bag, write_bag
-from pam_antagonist.recording.csv_import import notes, read_csv
+from pam_antagonist.recording.csv_import import LEAST_ROWS, PAUSE_NS, notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
-from pam_antagonist.recording.csv_time import LEAST_ROWS, PAUSE_NS
 from pam_antagonist.recording.notes import read_notes, sealed_muscles, write_notes
 
 SEALED = {"constant": 0.0, "unit": "V", "sealed": True}
