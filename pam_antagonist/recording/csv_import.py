@@ -7,7 +7,7 @@ repeated or backward times, or uneven rows. Such a file is refused unless the ma
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,12 +62,11 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
         table = _joined(table)
         apart = _apart(table)
     own = np.isfinite(table.values["pressure_1"]) | (not apart)
-    times = timing(where, mapping.time, table, own)
-    issues += times.issues
-    first = np.searchsorted(times.stamp_ns, [] if times.episode_ns is None else times.episode_ns)
-    rate, stamp_ns, own = mapping.time.resample, times.stamp_ns, own[times.keep]
+    stamp_ns, keep, episode_ns = _timing(where, mapping.time, table, own, issues)
+    first = np.searchsorted(stamp_ns, [] if episode_ns is None else episode_ns)
+    rate, own = mapping.time.resample, own[keep]
     moved = tuple(table.values) if rate is not None else apart
-    signals = _signals(mapping, table, times.keep, issues)
+    signals = _signals(mapping, table, keep, issues)
     _judge(where, mapping, signals, issues)
     columns = {name: signal.si() for name, signal in signals.items()}
     begins = np.union1d([0], first).astype(np.intp)
@@ -82,13 +81,13 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     if rate is not None:
         issues.append(_resampling_issue(stamp_ns[own], rate))
     if moved:
-        grid = stamp_ns[own] if rate is None else even_grid(stamp_ns, rate)
+        grid = stamp_ns[own] if rate is None else _even_grid(stamp_ns, rate)
         columns = {
             name: _on_grid(mapping, name, grid, stamp_ns, values) if name in moved else values[own]
             for name, values in columns.items()
         }
         stamp_ns = grid
-    recording = _recording(path, mapping, table, stamp_ns, columns, times.episode_ns, issues)
+    recording = _recording(path, mapping, table, stamp_ns, columns, episode_ns, issues)
     jumped = resets(recording)
     if jumped is not None:
         issues.append(Issue(jumped.sentence, "jump", len(jumped.rows), jumped.times[0]))
@@ -255,50 +254,48 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
         ) from None
 
 
-@dataclass(frozen=True, eq=False)
-class Timing:
-    """Stamps of the rows."""
+def _timing(
+    where: str, time: Time, table: Table, sampled: NDArray[np.bool_], issues: list[str]
+) -> tuple[Stamps, NDArray[np.intp], Stamps | None]:
+    """Stamps of the kept rows (M,) [ns], their indices in the file (M,), and the stamps at which episodes begin (E,).
 
-    stamp_ns: Stamps  # Stamps of the kept rows (M,) [ns], strictly increasing
-    keep: NDArray[np.intp]  # Indices of the kept rows in the file (M,)
-    issues: tuple[str, ...]
-    episode_ns: Stamps | None = None  # Stamps at which episodes begin (E,) [ns]; None for a file in one piece
-
-
-def timing(where: str, time: Time, table: Table, sampled: NDArray[np.bool_]) -> Timing:
-    """Stamps of the rows.
-
-    `table`: The file's numbers; those of "time" are used where the map names a column. `sampled`: Which rows are
-    samples (N,); the intervals between them are judged.
+    `sampled`: Which rows are samples (N,); the intervals between them are judged.
     """
     if len(table) < 2:
         raise BadInput(f"{where}: {len(table)} row of numbers, expected at least two")
     if "episode" in table.values:
-        return _of_episodes(where, time, table)
+        return _of_episodes(where, time, table, issues)
+    start, since, rows = _piece(where, time, table, sampled, issues)
+    if time.rate is None:
+        _judge_intervals(where, time, table, rows[sampled[rows]], since[sampled[rows]], issues)
+    return start + since, rows, None
+
+
+def _piece(
+    where: str, time: Time, table: Table, sampled: NDArray[np.bool_], issues: list[str]
+) -> tuple[int, Stamps, NDArray[np.intp]]:
+    """Stamp of the first row [ns], times of the kept rows since then (M,) [ns], and their indices (M,)."""
     if time.rate is not None:
-        return Timing(START_NS + _grid(len(table), time.rate), np.arange(len(table)), ())
+        return START_NS, _grid(len(table), time.rate), np.arange(len(table))
     assert time.unit is not None
-    issues: list[str] = []
-    cells = table.values["time"]
-    keep = _in_order(where, time, table, issues)
-    seconds = cells[keep] * UNITS["time"][time.unit]
-    sample = sampled[keep]
-    _check_period(where, table.labels["time"], time.unit, cells[keep[sample]])
-    if seconds[-1] - seconds[0] > _LONGEST:
-        index = int(np.argmax(np.diff(seconds))) + 1
-        raise BadInput(
-            f"{where}: line {table.line[keep[index]]}: {table.labels['time']} jumps by {np.diff(seconds).max():.4g} s"
-        )
+    label, factor = table.labels["time"], UNITS["time"][time.unit]
+    rows = _in_order(where, time, table, issues)
+    cells = table.values["time"][rows]
+    _check_period(where, label, time.unit, cells[sampled[rows]])
+    apart = np.diff(cells) * factor
+    if (cells[-1] - cells[0]) * factor > _LONGEST:
+        line = table.line[rows[int(np.argmax(apart)) + 1]]
+        raise BadInput(f"{where}: line {line}: {label} jumps by {apart.max():.4g} s")
     # Subtract before scaling: a time since 1970 in ns has more digits than a float.
-    since = np.rint((cells[keep] - cells[keep[0]]) * UNITS["time"][time.unit] * 1e9).astype(np.int64)
-    stamp_ns = _begin(seconds) + since
-    if np.any(np.diff(stamp_ns) <= 0):
-        raise BadInput(f"{where}: {table.labels['time']} has steps of less than a nanosecond")
-    _judge_intervals(where, time, table, keep[sample], since[sample], issues)
-    return Timing(stamp_ns, keep, tuple(issues))
+    since = np.rint((cells - cells[0]) * factor * 1e9).astype(np.int64)
+    if np.any(np.diff(since) <= 0):
+        raise BadInput(f"{where}: {label} has steps of less than a nanosecond")
+    begin, end = cells[0] * factor, cells[-1] * factor
+    is_epoch = _FIRST_EPOCH <= begin and end <= _LAST_EPOCH
+    return round(float(begin) * 1e6) * 1000 if is_epoch else START_NS, since, rows
 
 
-def _of_episodes(where: str, time: Time, table: Table) -> Timing:
+def _of_episodes(where: str, time: Time, table: Table, issues: list[str]) -> tuple[Stamps, NDArray[np.intp], Stamps]:
     """Stamps of a file of episodes, one after the other with pauses; each episode's time may begin anew."""
     number = table.values["episode"]
     bad = np.flatnonzero(~np.isfinite(number))
@@ -307,7 +304,6 @@ def _of_episodes(where: str, time: Time, table: Table) -> Timing:
     first = np.flatnonzero(np.diff(number, prepend=np.nan) != 0.0)
     bounds = list(zip(first.tolist(), [*first[1:].tolist(), len(number)], strict=True))
     long = [(begin, end) for begin, end in bounds if end - begin >= LEAST_ROWS]
-    issues: list[str] = []
     if len(long) < len(bounds):
         begin = next(begin for begin, end in bounds if end - begin < LEAST_ROWS)
         text = (
@@ -320,36 +316,18 @@ def _of_episodes(where: str, time: Time, table: Table) -> Timing:
             f"{where}: {table.labels['episode']} makes {len(long)} episodes of {LEAST_ROWS} rows or more, expected two "
             "at least; is it the column that counts the rows?"
         )
-    start, keep = START_NS, []
-    begins: list[int] = []
-    stamps = []
+    keep, begins, stamps = list[NDArray[np.intp]](), list[int](), list[Stamps]()
     for begin, end in long:
-        part = replace(table, values={"time": table.values["time"][begin:end]}) if time.rate is None else None
-        if part is None:
-            assert time.rate is not None
-            since, rows = _grid(end - begin, time.rate), np.arange(end - begin)
-        else:
-            assert time.unit is not None
-            part = replace(part, line=table.line[begin:end])
-            rows = _in_order(where, time, part, issues)
-            _check_period(where, table.labels["time"], time.unit, part.values["time"][rows])
-            seconds = part.values["time"][rows] * UNITS["time"][time.unit]
-            since = np.rint((seconds - seconds[0]) * 1e9).astype(np.int64)
-            start = start if begins else _begin(seconds)
-        begins.append(start)
-        stamps.append(start + since)
+        cells = {name: values[begin:end] for name, values in table.values.items()}
+        part = replace(table, values=cells, line=table.line[begin:end])
+        start, since, rows = _piece(where, time, part, np.ones(end - begin, dtype=bool), issues)
+        begins.append(int(stamps[-1][-1]) + PAUSE_NS if stamps else start)
+        stamps.append(begins[-1] + since)
         keep.append(begin + rows)
-        start = int(stamps[-1][-1]) + PAUSE_NS
-    return Timing(np.concatenate(stamps), np.concatenate(keep), tuple(issues), np.array(begins, np.int64))
+    return np.concatenate(stamps), np.concatenate(keep), np.array(begins, np.int64)
 
 
-def _begin(seconds: NDArray[np.float64]) -> int:
-    """Stamp [ns] of the first of some times [s], which count from 1970 or from anywhere."""
-    epoch = _FIRST_EPOCH <= seconds[0] and seconds[-1] <= _LAST_EPOCH
-    return round(float(seconds[0]) * 1e6) * 1000 if epoch else START_NS
-
-
-def even_grid(stamp_ns: Stamps, rate: float) -> Stamps:
+def _even_grid(stamp_ns: Stamps, rate: float) -> Stamps:
     """Stamps at a rate [Hz] from the first to the last one given (M,) [ns]."""
     count = int((stamp_ns[-1] - stamp_ns[0]) * 1e-9 * rate + 1e-6) + 1
     return np.asarray(stamp_ns[0] + _grid(count, rate))

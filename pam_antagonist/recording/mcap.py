@@ -16,7 +16,7 @@ from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -48,40 +48,29 @@ class Damage(Exception):
     """The file is damaged; the text says where and how."""
 
 
-@dataclass
-class Lost:
+class Lost(NamedTuple):
     """A part of a file that could not be read."""
 
     begin: int
     end: int
     # when the last message before it was received, from the first message that was read on [s]; NaN for none.
-    since: float = math.nan
-    until: float = math.nan  # when the first message behind it was received [s]; NaN for none
+    since: float
+    until: float  # when the first message behind it was received [s]; NaN for none
 
 
-@dataclass
-class McapContents:
-    """Result of a scan."""
-
-    topics: list[RawTopic]  # one entry for each channel, with payloads only of the requested message types
-    # Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before it, and
-    # those in whole chunks behind it.
-    damage: str | None
-    lost: list[Lost] = field(default_factory=list)
-
-
-def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> McapContents:
+def scan_mcap(path: Path, types: Collection[str], room: Room) -> tuple[list[RawTopic], str | None, list[Lost]]:
     """Read all messages of the given types; messages of other types are only counted.
 
-    `room`: Limit on unpacked bytes; None for the limit of this file alone.
+    `room`: Limit on unpacked bytes. Returns an entry for each channel; where and why the file is damaged first, None
+    for a whole file; and what is lost. All messages before the damage are read, and those in whole chunks behind it.
     """
     if path.stat().st_size == 0:
-        return McapContents([], "it is empty")
+        return [], "it is empty", []
     with path.open("rb") as file:
         view = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    scan = _Scan(types, room or Room(len(view)))
+    scan = _Scan(types, room)
     damage: str | None = None
-    lost: list[tuple[Lost, int]] = []  # with the number of blocks that were read before
+    gaps: list[tuple[int, int, int]] = []  # begin and end, with the number of blocks that were read before
     position = len(MAGIC)
     while True:
         try:
@@ -96,13 +85,19 @@ def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> M
             if not position:
                 break
             scan.declare(view)
-            lost.append((Lost(begin, position), len(scan.blocks)))
+            gaps.append((begin, position, len(scan.blocks)))
     spans = [(int(block.log_ns.min()), int(block.log_ns.max())) for _, block in scan.blocks]
     first = min((low for low, _ in spans), default=0)
-    for part, count in lost:
-        part.since = max(((high - first) * 1e-9 for _, high in spans[:count]), default=math.nan)
-        part.until = min(((low - first) * 1e-9 for low, _ in spans[count:]), default=math.nan)
-    return McapContents(scan.topics(), damage, [part for part, _ in lost])
+    lost = [
+        Lost(
+            begin,
+            end,
+            max(((high - first) * 1e-9 for _, high in spans[:count]), default=math.nan),
+            min(((low - first) * 1e-9 for low, _ in spans[count:]), default=math.nan),
+        )
+        for begin, end, count in gaps
+    ]
+    return scan.topics(), damage, lost
 
 
 def _next_chunk(view: memoryview, start: int) -> int:
