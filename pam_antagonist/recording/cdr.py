@@ -270,8 +270,8 @@ def _check_end(path: str, layout: _Layout, size: int, message: int) -> None:
         raise CdrError(f"message {message} ends after {size} bytes, where {path} needs {layout.end} bytes")
 
 
-def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian: bool = True) -> NDArray[np.uint8]:
-    """Encode ``size`` messages of one type and one layout.
+def encode(msgtype: str, size: int, columns: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """Encode ``size`` messages of one type and one layout, in little endian byte order.
 
     `columns`: Field path -> values: a primitive (N,) or one number for all; an array or sequence (N, count); one string
     for all; a list of strings for a sequence of strings. Every field of the type is needed. Returns one message a row
@@ -290,12 +290,12 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
             return len(values) + 1
         return len(values) if isinstance(values, (list, tuple)) else int(np.shape(values)[-1])
 
-    layout = _layout(msgtype, typestore(), "<" if little_endian else ">", size_of)
+    layout = _layout(msgtype, typestore(), "<", size_of)
     if unused := set(columns) - set(layout.fields) - set(layout.counts):
         raise KeyError(f"{msgtype} has no field {sorted(unused)[0]!r}")
     table = np.zeros(size, layout.dtype(layout.end))
     for path in table.dtype.names or ():
         table[path] = layout.sizes[path[1:]] if path.startswith("#") else given[path]
     out = table.view(np.uint8).reshape(size, layout.end)
-    out[:, 1] = little_endian
+    out[:, 1] = 1  # little endian
     return out

@@ -96,18 +96,8 @@ def episodes(
     """Episodes whose time begins anew, of a joint with regulators; the map's plain entries are ``changes``."""
     names = ("episode", "t", "p1", "p2", "q", "a", "row", "s1", "s2")
     rows = [
-        (
-            number,
-            begin + k * PERIOD,
-            300 + number,
-            500 - k,
-            400 + k,
-            10 * number,
-            100 * number + k,
-            2 + 0.1 * k,
-            4 - 0.1 * k,
-        )
-        for number, length in enumerate(lengths)
+        (n, begin + k * PERIOD, 300 + n, 500 - k, 400 + k, 10 * n, 100 * n + k, 2 + 0.1 * k, 4 - 0.1 * k)
+        for n, length in enumerate(lengths)
         for k in range(length)
     ]
     entries = {"valve_1": None, "valve_2": None, "drive": drive, "episode": "episode", **changes}
