@@ -42,7 +42,7 @@ def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> Ra
         files, digests = _locate(path)
         bag, parts = RawBag(path), list[RawTopic]()
         if digests is None:
-            bag.issues.append(f"{path} has no metadata.yaml, as after a recording that was not closed")
+            bag.issues.append(f"{files[0].parent} has no metadata.yaml, as after a recording that was not closed")
         room = Room(sum(file.stat().st_size for file in files))
         for file in files:
             parts.extend(_read_file(bag, file, types, room, recover, digests is not None))
