@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording.units import UNITS, canonical
+from pam_antagonist.recording.plausible import UNITS, canonical
 from pam_antagonist.rig.parts import muscle_parts, named, regulator_parts, valve_parts
 
 OWN = "own"

@@ -21,7 +21,7 @@ from typing_extensions import override
 
 from pam_antagonist.checks import numbers, samples, wiring
 from pam_antagonist.checks.numbers import delay_of_voltages
-from pam_antagonist.checks.prediction import correlation, from_pressures, predicted, range_of
+from pam_antagonist.checks.prediction import correlation, from_pressures, predicted
 from pam_antagonist.checks.samples import SHORTEST
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.errors import BadInput
@@ -30,10 +30,9 @@ from pam_antagonist.model import equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, plausible
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.joint import JointCondition, joint_condition
-from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
+from pam_antagonist.recording.joint import JointCondition, ends_of, joint_condition, range_of
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS
 from pam_antagonist.recording.rows import resets
-from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import NO_ENCODER, Rig
 from pam_antagonist.shown import Shown, unlike
 
@@ -191,7 +190,7 @@ def _joint(
     """Whether the joint was free or locked, compared with what was said; None where it is locked beyond its stop."""
     corrected = now.applied(recording)
     condition = joint_condition(corrected, joint, lock_angle if joint == "locked" else None, rig.joint.stop)
-    low, high = (math.degrees(end) for end in samples.moves(corrected.angle))
+    low, high = (math.degrees(end) for end in ends_of(corrected.angle))
     seen = f"the measured angle goes from {low:.1f} to {high:.1f} deg, {high - low:.1f} deg in all"
     if joint == "locked" and high - low > math.degrees(_LOCKED_MOVES):
         text = (

@@ -165,9 +165,3 @@ def ratio_to(values: Floats, expected: Floats) -> float:
     """Ratio of the standard deviations of two series (K,)."""
     known = np.isfinite(values) & np.isfinite(expected)
     return float(np.std(values[known])) / max(float(np.std(expected[known])), 1e-300)
-
-
-def range_of(values: Floats) -> float:
-    """Range of 99 % of the values; 0 for none."""
-    known = values[np.isfinite(values)]
-    return float(np.diff(np.quantile(known, [0.005, 0.995]))[0]) if len(known) else 0.0

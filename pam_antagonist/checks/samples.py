@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +9,9 @@ from numpy.typing import NDArray
 
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.recording import Recording
-from pam_antagonist.recording.plausible import MIN_PRESSURE
+from pam_antagonist.recording.plausible import MIN_PRESSURE, UNITS
 from pam_antagonist.recording.rows import slow, slow_sentence
 from pam_antagonist.recording.stamps import CLOCKS_APART, shortest_hole
-from pam_antagonist.recording.units import UNITS
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -171,15 +169,6 @@ def _rate(recording: Recording, rig: Rig) -> list[Finding]:
         text = f"the samples are uneven: nine in ten are {ends}, expected {1e3 * period / _UNEVEN:.3g} to "
         out.append(Finding("doubtful", f"{text}{1e3 * period * _UNEVEN:.3g}"))
     return out
-
-
-def moves(angle: Floats | None) -> tuple[float, float]:
-    """Least and largest of 99 % of the angles; NaN for none."""
-    known = np.zeros(0) if angle is None else angle[np.isfinite(angle)]
-    if not len(known):
-        return math.nan, math.nan
-    low, high = np.quantile(known, [0.005, 0.995])
-    return float(low), float(high)
 
 
 _SATURATED = 0.02

@@ -16,14 +16,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.checks.prediction import STEP_S, Prediction, correlation, in_steps, range_of, ratio_to
+from pam_antagonist.checks.prediction import STEP_S, Prediction, correlation, in_steps, ratio_to
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE
-from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.joint import range_of
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
+_NONE = Corrections()
 Status = Literal["wrong", "doubtful", "good", "untested"]
 
 # Thresholds. On the 30 recordings of rig A the correlation of the model's pressures is at least 0.996 with the measured
@@ -229,11 +230,9 @@ def _unit_by_ratio(quantity: str, ratio: float, typed: str, tolerance: float) ->
 
 def _unit_findings(quantity: str, what: str, unit: str, typed: str, why: str = "sure") -> list[Finding]:
     """A unit that is not the given one."""
-    base = next(iter(UNITS[quantity]))
     if unit == typed:
         return []
-    given = () if typed == base else (f"--{quantity}-unit {typed!r}" if " " in typed else f"--{quantity}-unit {typed}",)
-    needed = () if unit == base else (f"--{quantity}-unit {unit!r}" if " " in unit else f"--{quantity}-unit {unit}",)
+    given, needed = (tuple(_NONE.replaced(**{f"{quantity}_unit": one}).options()) for one in (typed, unit))
     return [Finding("wrong", f"{what} in {unit}, not in {typed} ({why})", needed, () if needed else given)]
 
 
@@ -322,9 +321,10 @@ def which_is_exchanged(
 
 def _changes(names: Sequence[str], given: dict[str, bool]) -> Finding:
     """Options to type, and options to leave out, for switches that change."""
-    options = {name: f"--{name.replace('_', '-')}" for name in names}
-    return Finding("wrong", "", tuple(options[name] for name in names if not given[name]),
-                   tuple(options[name] for name in names if given[name]))  # fmt: skip
+    options, leave_out = (
+        tuple(_NONE.replaced(**{name: True for name in names if given[name] is was}).options()) for was in (False, True)
+    )
+    return Finding("wrong", "", options, leave_out)
 
 
 def unit_of(direction: Direction, now: Corrections, typed: Corrections, tolerance: float) -> tuple[list[Finding], str]:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.identification.result import Held
-from pam_antagonist.replays.channels import ANGLE, CHANNELS, Channel, judged
-from pam_antagonist.replays.result import ReplayReport
+from pam_antagonist.replays.result import ANGLE, CHANNELS, Channel, ReplayReport, judged
 from pam_antagonist.rig.physical import is_positive
 from pam_antagonist.rig.units import readable
 from pam_antagonist.shown import number

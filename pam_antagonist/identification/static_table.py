@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.tobit import Bools, Floats
 from pam_antagonist.recording.csv_map import Delimiter, Layout
-from pam_antagonist.recording.csv_table import Table, read_table
-from pam_antagonist.recording.csv_text import Line, Lines, check_file, opened, split
-from pam_antagonist.recording.plausible import Signal, judge_muscles
-from pam_antagonist.recording.units import UNITS, canonical
+from pam_antagonist.recording.csv_table import Line, Lines, Table, check_file, opened, read_table, split
+from pam_antagonist.recording.plausible import UNITS, Signal, canonical, judge_muscles
 
 _WORDS = {
     "length": ("length", "l", "len"),

@@ -34,7 +34,7 @@ from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.recording import Recording, bag_name
-from pam_antagonist.recording.csv_time import LEAST_ROWS
+from pam_antagonist.recording.csv_import import LEAST_ROWS
 from pam_antagonist.recording.rows import resets
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive

@@ -3,7 +3,7 @@
 ``read_bag`` makes a :class:`Recording` of a bag, ``write_bag`` and :class:`BagWriter` make bags, ``TOPICS`` names the
 topics. A bag passes ``storage`` (files; ``mcap``, ``sqlite``), ``naming`` (which topic is which), ``cdr`` (bytes to
 arrays), ``stamps`` (order, clocks, samples), ``corrections`` and ``plausible``, in the order of ``reader``. A table
-passes ``csv_map``, ``csv_table``, ``csv_time`` and ``plausible``, in the order of ``csv_import``. Names are imported at
+passes ``csv_map``, ``csv_table`` and ``plausible``, in the order of ``csv_import``. Names are imported at
 their first use, because nodes need only the topic table and not the libraries that read bags.
 """
 

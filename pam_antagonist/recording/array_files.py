@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..optional import needs
-from .csv_text import shown
 
 Floats = NDArray[np.float64]
 
@@ -120,6 +119,12 @@ def listed(names: Iterable[str]) -> str:
     known = list(names)
     more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
     return ", ".join(shown(name) for name in known[:_LISTED]) + more
+
+
+def shown(text: str) -> str:
+    """Text of a file for a message: in one line, and shortened."""
+    text = " ".join(text.split())
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _column(path: Path, quantity: str, name: str, arrays: Arrays) -> Floats:

@@ -1,4 +1,4 @@
-"""Message files of a bag while it is written: split, flushed every second, readable after a failure.
+"""MCAP files of a bag while it is written: split, flushed every second, readable after a failure.
 
 rosbags writes a bag of one file. Here each file is such a bag by itself, and their metadata are merged at the end. A
 file that a power cut or a kill cuts off still has every chunk that was flushed. It lacks the index at its end and
@@ -14,25 +14,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from typing_extensions import override
 
 from . import notes
-from .messages import typestore
-
-Storage = Literal["mcap", "sqlite3"]
-Compression = Literal["none", "chunk", "message", "file"]
-
-PLUGINS = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-MODES = {
-    "none": CompressionMode.NONE,
-    "chunk": CompressionMode.STORAGE,
-    "message": CompressionMode.MESSAGE,
-    "file": CompressionMode.FILE,
-}
+from .cdr import typestore
 
 
 @dataclass(frozen=True)
@@ -49,14 +38,15 @@ class Limits:
 
 
 class _File(Writer):
-    """One message file, with metadata of its own until all metadata are merged."""
+    """One file, with metadata of its own until all metadata are merged."""
 
     storage: Any
 
-    def __init__(self, folder: Path, name: str | None, plugin: StoragePlugin) -> None:
-        super().__init__(folder / f".{name or folder.name}.new", version=9, storage_plugin=plugin)
+    def __init__(self, folder: Path, name: str) -> None:
+        super().__init__(folder / f".{name}.new", version=9, storage_plugin=StoragePlugin.MCAP)
+        self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._folder, self._name = folder, name
-        self.metapath = folder / f".{name or folder.name}.yaml"
+        self.metapath = folder / f".{name}.yaml"
         self.safe = 0  # bytes up to the end of the last complete chunk
         self._safe_counts: dict[int, int] = {}
         self._chunks = 0
@@ -64,44 +54,36 @@ class _File(Writer):
     @override
     def open(self) -> None:
         self.storage = self.STORAGE_PLUGINS[self.storage_plugin](self._folder, self.compression_mode)
-        if self._name is not None:
-            target = self.storage.path.with_name(f"{self._name}{self.storage.path.suffix}")
-            self.storage.path = self.storage.path.rename(target)
+        self.storage.path = self.storage.path.rename(self._folder / f"{self._name}.mcap")
 
     def size(self) -> int:
         """Bytes so far, including those that wait to be written."""
-        if hasattr(self.storage, "chunk"):
-            return int(self.storage.bio.tell() + self.storage.chunk.bio.tell())
-        return int(self.storage.path.stat().st_size)
+        return int(self.storage.bio.tell() + self.storage.chunk.bio.tell())
 
     def whole_chunks(self) -> None:
         """Hand complete chunks to the operating system, and remember where the last one ends."""
         storage = self.storage
-        if hasattr(storage, "chunk") and len(storage.chunks) != self._chunks:
+        if len(storage.chunks) != self._chunks:
             storage.bio.flush()
             self.safe, self._chunks = storage.bio.tell(), len(storage.chunks)
             pending = {key: len(messages) for key, messages in storage.chunk.msgs.items()}
             self._safe_counts = {key: count - pending.get(key, 0) for key, count in self.counts.items()}
 
     def flush(self, durable: bool) -> None:
-        """Write everything so far to the file, as far as the storage can."""
-        storage = self.storage
-        if hasattr(storage, "chunk"):
-            if storage.chunk.bio.tell():
-                storage.close_chunk()
-            self.whole_chunks()
-            storage.bio.flush()
-            if durable:
-                os.fsync(storage.bio.fileno())
-        elif hasattr(storage, "conn"):
-            storage.conn.commit()
+        """Write everything so far to the file."""
+        if self.storage.chunk.bio.tell():
+            self.storage.close_chunk()
+        self.whole_chunks()
+        self.storage.bio.flush()
+        if durable:
+            os.fsync(self.storage.bio.fileno())
 
     def finish(self, durable: bool) -> dict[str, Any]:
         """Close the file; returns its metadata."""
         self.flush(False)  # messages first: a file without its index is still readable
         path = self.storage.path
         self.close()
-        if durable and path.exists():
+        if durable:
             with path.open("rb") as stream:
                 os.fsync(stream.fileno())
         information = notes.read_information(self._folder, self.metapath.name)
@@ -112,9 +94,7 @@ class _File(Writer):
     def rescue(self) -> dict[str, Any] | None:
         """After a failed write, drop the incomplete chunk and close the file before it."""
         storage = self.storage
-        if storage is None or not hasattr(storage, "chunk"):
-            with suppress(Exception):
-                self.abort()
+        if storage is None:
             return None
         with suppress(OSError):
             storage.bio.close()  # tries once more to write what could not be written
@@ -141,9 +121,8 @@ class _File(Writer):
 class BagFiles:
     """All files of one bag; for one thread. ``size`` may be read from any thread: bytes as of the last flush."""
 
-    def __init__(self, path: Path, storage: Storage, compression: Compression, limits: Limits, durable: bool) -> None:
-        self._path, self._plugin, self._mode = path, PLUGINS[storage], MODES[compression]
-        self._limits, self._durable = limits, durable
+    def __init__(self, path: Path, limits: Limits, durable: bool) -> None:
+        self._path, self._limits, self._durable = path, limits, durable
         self._topics: list[tuple[str, str]] = []
         self._connections: dict[str, Connection] = {}
         self._done: list[dict[str, Any]] = []
@@ -190,12 +169,11 @@ class BagFiles:
         kept = 0
         if self._open:
             last = self._file.rescue()
-            if last is not None:
-                self._done.append(last)
-            else:
+            if last is None:
                 kept = sum(self._file.counts.values())
-            with suppress(OSError):
-                if last is not None:
+            else:
+                self._done.append(last)
+                with suppress(OSError):
                     notes.write_information(self._path, _together(self._done))
         return kept + sum(int(part["message_count"]) for part in self._done)
 
@@ -206,9 +184,7 @@ class BagFiles:
         self.size = self._finished
 
     def _begin(self) -> None:
-        name = f"{self._path.name}_{len(self._done)}" if self._limits.split else None
-        self._file = _File(self._path, name, self._plugin)
-        self._file.set_compression(self._mode, CompressionFormat.ZSTD)
+        self._file = _File(self._path, self._path.name + (f"_{len(self._done)}" if self._limits.split else ""))
         self._file.open()
         self._open = True
         self._first = None

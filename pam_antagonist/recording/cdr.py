@@ -1,8 +1,9 @@
-"""CDR payloads <-> arrays, many messages at a time.
+"""Message definitions, and CDR payloads <-> arrays, many messages at a time.
 
-The payloads of one topic nearly always have one layout: the same byte order, lengths of strings and counts of
-sequences. So one message is walked by its definition, which gives a numpy structure, and all messages of that layout
-are rows of it. Layout: XCDR version 1 (OMG DDSI-RTPS 2.3, 10.2; CORBA 3.3 part 2, 9.3): four bytes of encapsulation,
+Definitions are those of ROS 2 Jazzy, and this project's own, which come with the package as files. The payloads of one
+topic nearly always have one layout: the same byte order, lengths of strings and counts of sequences. So one message is
+walked by its definition, which gives a numpy structure, and all messages of that layout are rows of it. Layout: XCDR
+version 1 (OMG DDSI-RTPS 2.3, 10.2; CORBA 3.3 part 2, 9.3): four bytes of encapsulation,
 then members in order, primitives aligned to their size relative to the end of the encapsulation.
 """
 
@@ -10,15 +11,66 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from .messages import typestore
+from ..paths import config_dir
 from .raw import Payloads
+
+_PACKAGE = "pam_antagonist_msgs"
+LATER = {
+    f"{_PACKAGE}/msg/JointReference": ("stiffness", "damping"),
+    f"{_PACKAGE}/msg/JointEstimate": ("external_torque", "external_torque_covariance"),
+    f"{_PACKAGE}/msg/FilterCheckpoint": ("angle_sensor",),
+}
+"""Message type -> the fields that messages of version 0.1.0 lack. They are read as NaN, or as nothing."""
+
+
+@cache
+def typestore(*, former: bool = False) -> Typestore:
+    """Types of ROS 2 Jazzy with this project's messages registered, as they were in version 0.1.0 where asked for."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for file in (config_dir().parent / _PACKAGE / "msg").glob("*.msg"):
+        name = f"{_PACKAGE}/msg/{file.stem}"
+        left_out = LATER.get(name, ()) if former else ()
+        lines = [
+            line for line in file.read_text(encoding="utf-8").splitlines() if not {*line.split()[1:2]} & {*left_out}
+        ]
+        store.register(get_types_from_msg("\n".join(lines), name))
+    return store
+
+
+def stores_of(msgtype: str, digest: str, definition: str) -> tuple[Typestore, ...]:
+    """Type stores whose definition of a message type agrees with the bag's.
+
+    `digest`: RIHS01 hash that the bag states, or "". `definition`: in .msg or .idl syntax, or "".
+    """
+    stores = (typestore(), typestore(former=True)) if msgtype in LATER else (typestore(),)
+    return tuple(store for store in stores if _agrees(store, msgtype, digest, definition))
+
+
+def _agrees(store: Typestore, msgtype: str, digest: str, definition: str) -> bool:
+    if digest:
+        return digest == store.hash_rihs01(msgtype)
+    if not definition:
+        return True
+    try:
+        is_idl = definition.startswith("=" * 80 + "\nIDL: ")
+        theirs = get_types_from_idl(definition) if is_idl else get_types_from_msg(definition, msgtype)
+    except Exception:  # any error of the parser: an unreadable definition proves no difference
+        return True
+    return all(
+        [(field.lower(), kind) for field, kind in fields] == [(f.lower(), k) for f, k in store.fielddefs[name][1]]
+        for name, (_, fields) in theirs.items()
+        if name in store.fielddefs
+    )
+
 
 _HEADER = 4  # bytes of encapsulation
 _MAX_PADDING = 3  # bytes that a writer may append to fill the last word
@@ -218,8 +270,8 @@ def _check_end(path: str, layout: _Layout, size: int, message: int) -> None:
         raise CdrError(f"message {message} ends after {size} bytes, where {path} needs {layout.end} bytes")
 
 
-def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian: bool = True) -> NDArray[np.uint8]:
-    """Encode ``size`` messages of one type and one layout.
+def encode(msgtype: str, size: int, columns: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """Encode ``size`` messages of one type and one layout, in little endian byte order.
 
     `columns`: Field path -> values: a primitive (N,) or one number for all; an array or sequence (N, count); one string
     for all; a list of strings for a sequence of strings. Every field of the type is needed. Returns one message a row
@@ -238,12 +290,12 @@ def encode(msgtype: str, size: int, columns: Mapping[str, Any], *, little_endian
             return len(values) + 1
         return len(values) if isinstance(values, (list, tuple)) else int(np.shape(values)[-1])
 
-    layout = _layout(msgtype, typestore(), "<" if little_endian else ">", size_of)
+    layout = _layout(msgtype, typestore(), "<", size_of)
     if unused := set(columns) - set(layout.fields) - set(layout.counts):
         raise KeyError(f"{msgtype} has no field {sorted(unused)[0]!r}")
     table = np.zeros(size, layout.dtype(layout.end))
     for path in table.dtype.names or ():
         table[path] = layout.sizes[path[1:]] if path.startswith("#") else given[path]
     out = table.view(np.uint8).reshape(size, layout.end)
-    out[:, 1] = little_endian
+    out[:, 1] = 1  # little endian
     return out

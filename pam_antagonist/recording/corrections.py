@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, unwrapped
+from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS, canonical, unwrapped
 from pam_antagonist.recording.recording import Recording
 from pam_antagonist.recording.rows import slow
 from pam_antagonist.recording.stamps import LARGEST_DELAY
-from pam_antagonist.recording.units import UNITS, canonical
 
 Floats = NDArray[np.float64]
 

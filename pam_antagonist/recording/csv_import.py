@@ -1,8 +1,11 @@
-"""A file with columns and a map of them -> one :class:`~pam_antagonist.recording.recording.Recording`."""
+"""A file with columns and a map of them -> one :class:`~pam_antagonist.recording.recording.Recording`.
+
+Rows keep their measured times, because the estimator and the identification accept jitter and gaps. They do not accept
+repeated or backward times, or uneven rows. Such a file is refused unless the map says what to do.
+"""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,21 +15,35 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import plausible
-from .csv_map import ALSO, CsvMap
+from .csv_map import CsvMap, Time
 from .csv_table import Table, read_table
-from .csv_time import Stamps, even_grid, timing
-from .notes import REGULATOR, SEALED, Issue
-from .plausible import Signal, unwrapped
-from .recording import Recording
+from .notes import REGULATOR, SEALED, Issue, sha256
+from .plausible import UNITS, Signal, unwrapped
+from .recording import FurtherSignal, Recording
 from .rows import resets
-from .signals import FurtherSignal
 from .stamps import interpolate, judge_pairing
-from .units import UNITS
+from .topics import ALSO
 
 Floats = NDArray[np.float64]
 
+Stamps = NDArray[np.int64]
+
+START_NS = 1_000_000_000_000_000_000
+"""Stamp of the first row (in 2001) where the column does not count from 1970; fixed for reproducible bags."""
+
+LEAST_ROWS = 10
+"""Fewest rows of an episode; a shorter one is mostly its start."""
+PAUSE_NS = 2_000_000_000
+"""[ns] Pause between two episodes, over a second so that a filter starts anew."""
+
+_FIRST_EPOCH, _LAST_EPOCH = 900_000_000.0, 2_147_483_000.0  # [s] since 1970; ROS stamps end with 31 bits of seconds
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 20e-6, 0.5  # [s] that are plausible
+_USUAL_PERIOD = 2e-3  # [s]
+_LONGEST = 100_000_000.0  # [s] from the first to the last row: three years
+_ODD = 0.5  # an interval that differs from the median by more than this share of the median is no jitter
+_UNEVEN_SHARE = 0.05  # with a larger share of such intervals there is no sample period
+_DROPPED_SHARE = 0.05  # a larger share of rows out of order has another cause, which dropping them would hide
 _FEWEST_ROWS = 3  # with a first pressure, to have intervals between them
-_UNIT = {"pressure": "Pa", "angle": "rad", "temperature": "degC"}
 _COMMANDS = ("valve_1", "valve_2", "command_1", "command_2")
 
 
@@ -45,12 +62,11 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
         table = _joined(table)
         apart = _apart(table)
     own = np.isfinite(table.values["pressure_1"]) | (not apart)
-    times = timing(where, mapping.time, table, own)
-    issues += times.issues
-    first = np.searchsorted(times.stamp_ns, [] if times.episode_ns is None else times.episode_ns)
-    rate, stamp_ns, own = mapping.time.resample, times.stamp_ns, own[times.keep]
+    stamp_ns, keep, episode_ns = _timing(where, mapping.time, table, own, issues)
+    first = np.searchsorted(stamp_ns, [] if episode_ns is None else episode_ns)
+    rate, own = mapping.time.resample, own[keep]
     moved = tuple(table.values) if rate is not None else apart
-    signals = _signals(mapping, table, times.keep, issues)
+    signals = _signals(mapping, table, keep, issues)
     _judge(where, mapping, signals, issues)
     columns = {name: signal.si() for name, signal in signals.items()}
     begins = np.union1d([0], first).astype(np.intp)
@@ -65,13 +81,13 @@ def read_csv(path: str | Path, mapping: CsvMap, progress: Callable[[int], object
     if rate is not None:
         issues.append(_resampling_issue(stamp_ns[own], rate))
     if moved:
-        grid = stamp_ns[own] if rate is None else even_grid(stamp_ns, rate)
+        grid = stamp_ns[own] if rate is None else _even_grid(stamp_ns, rate)
         columns = {
             name: _on_grid(mapping, name, grid, stamp_ns, values) if name in moved else values[own]
             for name, values in columns.items()
         }
         stamp_ns = grid
-    recording = _recording(path, mapping, table, stamp_ns, columns, times.episode_ns, issues)
+    recording = _recording(path, mapping, table, stamp_ns, columns, episode_ns, issues)
     jumped = resets(recording)
     if jumped is not None:
         issues.append(Issue(jumped.sentence, "jump", len(jumped.rows), jumped.times[0]))
@@ -84,11 +100,7 @@ def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
     Returns name -> text, for :func:`~pam_antagonist.recording.notes.write_notes`.
     """
     path = Path(path)
-    with path.open("rb") as stream:
-        digest = hashlib.sha256()
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    found = {"pam_antagonist.source": path.name, "pam_antagonist.source_sha256": digest.hexdigest()}
+    found = {"pam_antagonist.source": path.name, "pam_antagonist.source_sha256": sha256(path).hex()}
     if mapping.sealed:
         found[SEALED] = " ".join(map(str, mapping.sealed))
     if mapping.drive == "regulator" and mapping.command_1 is None:
@@ -221,7 +233,8 @@ def _recording(
         torque=measured.get("torque"),
         external_torque=measured.get("external_torque"),
         signals={
-            name: FurtherSignal(columns[f"{ALSO}{name}"], _UNIT[entry.quantity]) for name, entry in mapping.also.items()
+            name: FurtherSignal(columns[f"{ALSO}{name}"], next(iter(UNITS[entry.quantity])))
+            for name, entry in mapping.also.items()
         },
         episode_ns=episode_ns,
         drive={"valve": "valve", "command": "regulator"}[command],
@@ -239,3 +252,160 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
         raise BadInput(
             f"{where}: no row from time.begin {begin:g} to time.end {end}, the file has {recording.duration_s:.3f} s"
         ) from None
+
+
+def _timing(
+    where: str, time: Time, table: Table, sampled: NDArray[np.bool_], issues: list[str]
+) -> tuple[Stamps, NDArray[np.intp], Stamps | None]:
+    """Stamps of the kept rows (M,) [ns], their indices in the file (M,), and the stamps at which episodes begin (E,).
+
+    `sampled`: Which rows are samples (N,); the intervals between them are judged.
+    """
+    if len(table) < 2:
+        raise BadInput(f"{where}: {len(table)} row of numbers, expected at least two")
+    if "episode" in table.values:
+        return _of_episodes(where, time, table, issues)
+    start, since, rows = _piece(where, time, table, sampled, issues)
+    if time.rate is None:
+        _judge_intervals(where, time, table, rows[sampled[rows]], since[sampled[rows]], issues)
+    return start + since, rows, None
+
+
+def _piece(
+    where: str, time: Time, table: Table, sampled: NDArray[np.bool_], issues: list[str]
+) -> tuple[int, Stamps, NDArray[np.intp]]:
+    """Stamp of the first row [ns], times of the kept rows since then (M,) [ns], and their indices (M,)."""
+    if time.rate is not None:
+        return START_NS, _grid(len(table), time.rate), np.arange(len(table))
+    assert time.unit is not None
+    label, factor = table.labels["time"], UNITS["time"][time.unit]
+    rows = _in_order(where, time, table, issues)
+    cells = table.values["time"][rows]
+    _check_period(where, label, time.unit, cells[sampled[rows]])
+    apart = np.diff(cells) * factor
+    if (cells[-1] - cells[0]) * factor > _LONGEST:
+        line = table.line[rows[int(np.argmax(apart)) + 1]]
+        raise BadInput(f"{where}: line {line}: {label} jumps by {apart.max():.4g} s")
+    # Subtract before scaling: a time since 1970 in ns has more digits than a float.
+    since = np.rint((cells - cells[0]) * factor * 1e9).astype(np.int64)
+    if np.any(np.diff(since) <= 0):
+        raise BadInput(f"{where}: {label} has steps of less than a nanosecond")
+    begin, end = cells[0] * factor, cells[-1] * factor
+    is_epoch = _FIRST_EPOCH <= begin and end <= _LAST_EPOCH
+    return round(float(begin) * 1e6) * 1000 if is_epoch else START_NS, since, rows
+
+
+def _of_episodes(where: str, time: Time, table: Table, issues: list[str]) -> tuple[Stamps, NDArray[np.intp], Stamps]:
+    """Stamps of a file of episodes, one after the other with pauses; each episode's time may begin anew."""
+    number = table.values["episode"]
+    bad = np.flatnonzero(~np.isfinite(number))
+    if len(bad):
+        raise BadInput(f"{where}: line {table.line[bad[0]]}: {table.labels['episode']} is missing")
+    first = np.flatnonzero(np.diff(number, prepend=np.nan) != 0.0)
+    bounds = list(zip(first.tolist(), [*first[1:].tolist(), len(number)], strict=True))
+    long = [(begin, end) for begin, end in bounds if end - begin >= LEAST_ROWS]
+    if len(long) < len(bounds):
+        begin = next(begin for begin, end in bounds if end - begin < LEAST_ROWS)
+        text = (
+            f"{len(bounds) - len(long)} of {len(bounds)} episodes have fewer than {LEAST_ROWS} rows, the first in line "
+            f"{table.line[begin]}: left out"
+        )
+        issues.append(Issue(text, "dropped", len(bounds) - len(long)))
+    if len(long) < 2:
+        raise BadInput(
+            f"{where}: {table.labels['episode']} makes {len(long)} episodes of {LEAST_ROWS} rows or more, expected two "
+            "at least; is it the column that counts the rows?"
+        )
+    keep, begins, stamps = list[NDArray[np.intp]](), list[int](), list[Stamps]()
+    for begin, end in long:
+        cells = {name: values[begin:end] for name, values in table.values.items()}
+        part = replace(table, values=cells, line=table.line[begin:end])
+        start, since, rows = _piece(where, time, part, np.ones(end - begin, dtype=bool), issues)
+        begins.append(int(stamps[-1][-1]) + PAUSE_NS if stamps else start)
+        stamps.append(begins[-1] + since)
+        keep.append(begin + rows)
+    return np.concatenate(stamps), np.concatenate(keep), np.array(begins, np.int64)
+
+
+def _even_grid(stamp_ns: Stamps, rate: float) -> Stamps:
+    """Stamps at a rate [Hz] from the first to the last one given (M,) [ns]."""
+    count = int((stamp_ns[-1] - stamp_ns[0]) * 1e-9 * rate + 1e-6) + 1
+    return np.asarray(stamp_ns[0] + _grid(count, rate))
+
+
+def _grid(count: int, rate: float) -> Stamps:
+    return np.asarray(np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64))
+
+
+def _in_order(where: str, time: Time, table: Table, issues: list[str]) -> NDArray[np.intp]:
+    """Indices of the rows that are later than all rows before them; the map says whether others are dropped."""
+    cells, label = table.values["time"], table.labels["time"]
+    known = np.isfinite(cells)
+    newest = np.maximum.accumulate(np.where(known, cells, -np.inf))
+    later = known & (cells > np.concatenate(([-np.inf], newest[:-1])))
+    wrong = np.flatnonzero(~later)
+    if len(wrong) == 0:
+        return np.arange(len(cells))
+    row = int(wrong[0])
+    if time.out_of_order == "drop" and len(wrong) <= max(1, _DROPPED_SHARE * len(cells)):
+        text = f"{len(wrong)} rows are not later than those before them, the first in line {table.line[row]}: dropped"
+        issues.append(Issue(text, "dropped", len(wrong)))
+        return np.flatnonzero(later)
+    begin = f"{where}: line {table.line[row]}: {label}"
+    if not known[row]:
+        what, hint = "is missing", "give out_of_order: drop under time to leave such rows out"
+    elif cells[row] == newest[row - 1]:
+        what = f"repeats, {cells[row]:.12g} {time.unit}"
+        hint = (
+            "where the column has too few decimals but the rows came evenly, give time: {rate: ROWS_PER_SECOND} in "
+            "place of it; where a few rows were written twice, give out_of_order: drop"
+        )
+    else:
+        what = f"runs backwards, {cells[row]:.12g} {time.unit} after {newest[row - 1]:.12g} {time.unit}"
+        hint = (
+            "of a file that holds several recordings, name the column that counts them (episode: COLUMN), or cut it "
+            "at such lines; for a few stray rows, give out_of_order: drop"
+        )
+    many = f" ({len(wrong)} of {len(cells)} rows are not later than those before them)" if len(wrong) > 1 else ""
+    raise BadInput(f"{begin} {what}{many}, expected increasing times; {hint}")
+
+
+def _check_period(where: str, label: str, unit: str, cells: NDArray[np.float64]) -> None:
+    if len(cells) < 2:
+        raise BadInput(f"{where}: one row with a usable time, expected at least two")
+    step = float(np.median(np.diff(cells)))
+    period = step * UNITS["time"][unit]
+    if _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+        return
+    fits = {name: abs(np.log(step * factor / _USUAL_PERIOD)) for name, factor in UNITS["time"].items()
+            if _SHORTEST_PERIOD <= step * factor <= _LONGEST_PERIOD}  # fmt: skip
+    names = " or ".join(sorted(fits, key=lambda name: fits[name])[:2])
+    hint = f"; steps of {step:.4g} look like {names}" if fits else ""
+    counter = "; if it only counts rows, give time: {rate: ROWS_PER_SECOND} in place of it" if step == 1.0 else ""
+    raise BadInput(
+        f"{where}: {label} declared in {unit} makes {period:.4g} s between rows, expected {_SHORTEST_PERIOD:g} to "
+        f"{_LONGEST_PERIOD:g} s{hint}{counter}"
+    )
+
+
+def _judge_intervals(
+    where: str, time: Time, table: Table, keep: NDArray[np.intp], since: Stamps, issues: list[str]
+) -> None:
+    """Report uneven intervals; refuse a file with many of them."""
+    interval = np.diff(since) * 1e-9
+    median = float(np.median(interval))
+    odd = np.abs(interval - median) > _ODD * median
+    if np.count_nonzero(odd) > _UNEVEN_SHARE * len(interval) and time.resample is None:
+        raise BadInput(
+            f"{where}: {table.labels['time']} is uneven, {100.0 * np.mean(odd):.0f} % of the intervals differ by more "
+            f"than half from the median of {median * 1e3:.4g} ms (from {interval.min() * 1e3:.4g} to "
+            f"{interval.max() * 1e3:.4g} ms); give time.resample, the rate [Hz] of an even grid to put the rows on"
+        )
+    if np.any(odd):
+        longest = int(np.argmax(interval))
+        text = (
+            f"{np.count_nonzero(odd)} of {len(interval)} intervals between rows are no {median * 1e3:.4g} ms, the "
+            f"longest ({interval[longest] * 1e3:.4g} ms) before line {table.line[keep[longest + 1]]}"
+            + ("" if time.resample is not None else ": times kept as they are")
+        )
+        issues.append(Issue(text, size=int(np.count_nonzero(odd))))

@@ -1,5 +1,8 @@
 """Map of a CSV file's columns: a YAML file, checked."""
 
+# pydantic 1 evaluates annotations on Python 3.10
+# ruff: noqa: UP006, UP007, UP035, UP045
+
 from __future__ import annotations
 
 import codecs
@@ -8,7 +11,7 @@ import difflib
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Dict, Literal, Optional, Tuple, Union  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+from typing import Dict, Literal, Optional, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +21,11 @@ from ..errors import BadInput
 from ..paths import config_dir
 from ..program import typed
 from ..strict_yaml import Strict, read_mapping, validated
-from .plausible import STANDARD_ATMOSPHERE, Signal
-from .units import UNITS, canonical
+from .plausible import STANDARD_ATMOSPHERE, UNITS, Signal, canonical
+from .topics import ALSO
 
 Floats = NDArray[np.float64]
-Name = Union[StrictInt, StrictStr]  # noqa: UP007
+Name = Union[StrictInt, StrictStr]
 Delimiter = Literal[",", ";", "|", "\t", "tab", "space"]
 _SWITCHES = ("header", "sealed")
 _LOWEST_ATMOSPHERE, _HIGHEST_ATMOSPHERE = 50e3, 120e3  # [Pa], as in rigs
@@ -32,8 +35,6 @@ QUANTITIES = {
     "angle": "angle", "torque": "torque", "external_torque": "torque",
 }  # fmt: skip
 """Entry of a map -> the quantity in ``UNITS`` that its unit belongs to."""
-ALSO = "also/"
-"""Prefix of further signals in a list of columns."""
 EXAMPLE = "example"
 """Name of the example map, whose comments explain all entries."""
 
@@ -46,14 +47,14 @@ class Layout(Strict):
     header: bool = Field(default=True, description="whether the first line names the columns")
     skip_lines: int = Field(default=0, ge=0, le=10_000, description="lines before the header")
     skip_after_header: int = Field(default=0, ge=0, le=10_000, description="lines between the header and the first row")
-    comment: Optional[str] = Field(  # noqa: UP045
+    comment: Optional[str] = Field(
         default="#",
         min_length=1,
         max_length=10,
         description="character with which comment lines begin, which are left out, or null",
     )
     encoding: str = Field(default="utf-8", description="how characters are encoded")
-    missing: Tuple[Union[Name, StrictFloat], ...] = Field(default=(), description="cells that mean no value")  # noqa: UP006, UP007
+    missing: Tuple[Union[Name, StrictFloat], ...] = Field(default=(), description="cells that mean no value")
 
     @property
     def mark(self) -> str:
@@ -64,14 +65,14 @@ class Layout(Strict):
 class Time(Strict):
     """A column, or a rate."""
 
-    column: Optional[Name] = Field(None, description="name of the column, or its number from 1")  # noqa: UP045
-    unit: Optional[str] = Field(None, description="unit of that column")  # noqa: UP045
-    rate: Optional[float] = Field(None, ge=2.0, le=50_000.0, description="rows a second, without a column [Hz]")  # noqa: UP045
-    resample: Optional[float] = Field(  # noqa: UP045
+    column: Optional[Name] = Field(None, description="name of the column, or its number from 1")
+    unit: Optional[str] = Field(None, description="unit of that column")
+    rate: Optional[float] = Field(None, ge=2.0, le=50_000.0, description="rows a second, without a column [Hz]")
+    resample: Optional[float] = Field(
         None, ge=2.0, le=50_000.0, description="rate of an even grid to put the rows on [Hz]"
     )
     begin: float = Field(0.0, ge=0.0, description="seconds at the beginning that are left out")
-    end: Optional[float] = Field(  # noqa: UP045
+    end: Optional[float] = Field(
         None, gt=0.0, description="seconds after the first row from which on all rows are left out"
     )
     out_of_order: Literal["refuse", "drop"] = Field(
@@ -91,7 +92,7 @@ class Column(Strict):
 class Angle(Column):
     """An encoder."""
 
-    wraps: Optional[float] = Field(  # noqa: UP045
+    wraps: Optional[float] = Field(
         None, gt=0.0, description="of an absolute encoder: after how much it begins again, in the unit, such as 360"
     )
 
@@ -113,7 +114,7 @@ class Asked(Pressure):
 class Further(Column):
     """A signal beside the joint's own: another joint's pressure or angle, a temperature."""
 
-    reference: Optional[Literal["gauge", "absolute"]] = Field(  # noqa: UP045
+    reference: Optional[Literal["gauge", "absolute"]] = Field(
         None, description="of a pressure: whether 0 is the atmosphere or the vacuum"
     )
 
@@ -133,8 +134,8 @@ class Atmosphere(Strict):
 class Valve(Strict):
     """A column, or one voltage for the whole file; ``sealed`` says that no air passes."""
 
-    column: Optional[Name] = Field(None, description="name of the column, or its number from 1")  # noqa: UP045
-    constant: Optional[float] = Field(None, description="constant voltage, in the unit")  # noqa: UP045
+    column: Optional[Name] = Field(None, description="name of the column, or its number from 1")
+    constant: Optional[float] = Field(None, description="constant voltage, in the unit")
     sealed: bool = Field(False, description="whether the chamber is closed, so that no air passes")
     unit: str
     scale: float = Field(1.0, description="factor, before the unit")
@@ -149,23 +150,23 @@ class CsvMap(Strict):
 
     file: Layout = Layout()
     time: Time
-    atmosphere: Optional[Atmosphere] = None  # noqa: UP045
+    atmosphere: Optional[Atmosphere] = None
     pressure_1: Pressure
     pressure_2: Pressure
-    valve_1: Optional[Valve] = None  # noqa: UP045
-    valve_2: Optional[Valve] = None  # noqa: UP045
+    valve_1: Optional[Valve] = None
+    valve_2: Optional[Valve] = None
     drive: Literal["valve", "regulator"] = Field(
         "valve", description="what drove the joint: valves by a voltage, or pressure regulators"
     )
-    command_1: Optional[Asked] = None  # noqa: UP045
-    command_2: Optional[Asked] = None  # noqa: UP045
-    episode: Optional[Name] = Field(  # noqa: UP045
+    command_1: Optional[Asked] = None
+    command_2: Optional[Asked] = None
+    episode: Optional[Name] = Field(
         None, description="column that changes where an episode begins, before which nothing is known"
     )
-    also: Dict[str, Further] = Field({}, description="further signals, by name")  # noqa: UP006
-    angle: Optional[Angle] = None  # noqa: UP045
-    torque: Optional[Column] = None  # noqa: UP045
-    external_torque: Optional[Column] = None  # noqa: UP045
+    also: Dict[str, Further] = Field({}, description="further signals, by name")
+    angle: Optional[Angle] = None
+    torque: Optional[Column] = None
+    external_torque: Optional[Column] = None
 
     @property
     def valves(self) -> tuple[Valve, Valve]:
@@ -229,8 +230,6 @@ def load_map(name_or_path: str | Path) -> CsvMap:
     found = _in_known_units(str(path), validated(CsvMap, content, str(path), _SWITCHES))
     for complaint in _contradictions(found):
         raise BadInput(f"{path}: {complaint}")
-    if found.atmosphere is not None:
-        _check_atmosphere(str(path), found.atmosphere)
     return found
 
 
@@ -273,6 +272,13 @@ def _contradictions(mapping: CsvMap) -> Iterator[str]:
         )
     yield from _columns_twice(mapping)
     yield from _file_contradictions(mapping)
+    if (air := mapping.atmosphere) is not None:
+        pascal = air.pressure * UNITS["pressure"][air.unit]
+        if not _LOWEST_ATMOSPHERE <= pascal <= _HIGHEST_ATMOSPHERE:
+            yield (
+                f"atmosphere.pressure is {air.pressure:g} {air.unit} = {pascal:g} Pa, expected {_LOWEST_ATMOSPHERE:g} "
+                f"to {_HIGHEST_ATMOSPHERE:g} Pa absolute; at sea level it is 101325 Pa"
+            )
 
 
 def _time_contradictions(time: Time, has_episodes: bool) -> Iterator[str]:
@@ -348,12 +354,3 @@ def _in_known_units(path: str, mapping: CsvMap) -> CsvMap:
             )
         further[name] = entry.replaced(**spelt)
     return mapping.replaced(**changed, also=further)
-
-
-def _check_atmosphere(path: str, atmosphere: Atmosphere) -> None:
-    pascal = atmosphere.pressure * UNITS["pressure"][atmosphere.unit]
-    if not _LOWEST_ATMOSPHERE <= pascal <= _HIGHEST_ATMOSPHERE:
-        raise BadInput(
-            f"{path}: atmosphere.pressure is {atmosphere.pressure:g} {atmosphere.unit} = {pascal:g} Pa, expected "
-            f"{_LOWEST_ATMOSPHERE:g} to {_HIGHEST_ATMOSPHERE:g} Pa absolute; at sea level it is 101325 Pa"
-        )

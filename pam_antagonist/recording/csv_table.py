@@ -6,19 +6,21 @@ the rest of a file into one cell where a quotation mark is not closed, and tells
 
 from __future__ import annotations
 
+import csv
 import itertools
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from . import array_files
+from .array_files import kind_of, listed, no_column, read_columns, shown
 from .csv_map import Layout, Name
-from .csv_text import Line, Lines, check_file, labview, number, opened, other_delimiter, shown, split
 from .notes import Issue
 
 Floats = NDArray[np.float64]
@@ -26,6 +28,11 @@ Floats = NDArray[np.float64]
 MAX_ROWS = 2_000_000
 """Most rows that are imported: over half an hour at 1 kHz. Writing them as a bag takes about 4 GB of memory."""
 _BLOCK = 10_000  # lines that are turned into numbers at once
+_LONGEST_LINE = 1 << 20
+_SNIFFED = 4096
+_LONGEST_HEAD = 200  # lines of a LabVIEW header
+_BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it as CSV there",
+           b"\x1f\x8b": "packed with gzip: unpack it first", b"\x89MCAP": "a bag already"}  # fmt: skip
 _NO_VALUE = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"})
 
 
@@ -46,15 +53,15 @@ def read_table(
     path: Path, layout: Layout, columns: Mapping[str, Name], progress: Callable[[int], object] | None = None
 ) -> Table:
     """Read some columns of a file. `columns`: quantity -> name or number (from 1) of its column."""
-    kind = array_files.kind_of(path)
+    kind = kind_of(path)
     if kind:  # a row's line number is the number of the row
-        values = array_files.read_columns(path, kind, columns, MAX_ROWS)
+        values = read_columns(path, kind, columns, MAX_ROWS)
         for cells in values.values():
             cells[np.isin(cells, [one for one in layout.missing if not isinstance(one, str)])] = np.nan
         rows = len(next(iter(values.values())))
         labels = {quantity: f"{quantity} (column {column!r})" for quantity, column in columns.items()}
         return Table(values, np.arange(1, rows + 1, dtype=np.int32), labels, ())
-    size = check_file(path)
+    check_file(path)
     layout = labview(path, layout)
     with opened(path, layout) as stream:
         lines = Lines(path, layout, stream)
@@ -65,7 +72,10 @@ def read_table(
             reader.read(block)
             # The position of the buffer may lead that of the decoder, by a block at most.
             now = stream.buffer.tell()
-            _check_size(path, reader.rows, now, size)
+            if reader.rows > MAX_ROWS:
+                raise BadInput(
+                    f"{path}: more than {MAX_ROWS:,} rows, expected at most that many: cut the file into parts"
+                )
             if progress is not None:
                 progress(now - done)
             done = now
@@ -74,15 +84,150 @@ def read_table(
     return reader.table()
 
 
-def _check_size(path: Path, rows: int, done: int, size: int) -> None:
-    """Refuse a file that is too long, as soon as the rows so far show it."""
-    if rows > MAX_ROWS:
-        raise BadInput(f"{path}: more than {MAX_ROWS:,} rows, expected at most that many: cut the file into parts")
-    if rows >= _BLOCK // 2 and rows * (size / done) > 1.2 * MAX_ROWS:
-        raise BadInput(
-            f"{path}: about {rows * (size / done):,.0f} rows ({size / 1e6:,.0f} MB), expected at most {MAX_ROWS:,}: "
-            "cut the file into parts"
-        )
+def check_file(path: Path) -> None:
+    """Refuse a file that is not text."""
+    try:
+        if not path.exists():
+            raise BadInput(f"{path}: no such file")
+        if not path.is_file():
+            raise BadInput(f"{path}: not a file, expected a CSV file")
+        with path.open("rb") as stream:
+            start = stream.read(_SNIFFED)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:  # a name with a zero byte
+        raise BadInput(f"{path!s}: no file can have this name: {error}") from None
+    if not start:
+        raise BadInput(f"{path}: is empty, expected a CSV file")
+    for magic, what in _BINARY.items():
+        if start.startswith(magic):
+            raise BadInput(f"{path}: not a CSV file but {what}")
+    if b"\0" in start and not start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise BadInput(f"{path}: not a text file (it holds zero bytes), expected a CSV file")
+
+
+@contextmanager
+def opened(path: Path, layout: Layout) -> Iterator[TextIO]:
+    """The file as text; a byte order mark overrides the declared encoding."""
+    try:
+        with path.open("rb") as raw:
+            start = raw.read(4)
+        encoding = layout.encoding
+        if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+            encoding = "utf-16"
+        elif start.startswith(b"\xef\xbb\xbf"):
+            encoding = "utf-8-sig"
+        with path.open(encoding=encoding) as stream:
+            yield stream
+    except LookupError:
+        raise BadInput(f"{path}: file.encoding is {layout.encoding}, which is no encoding of text") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def labview(path: Path, layout: Layout) -> Layout:
+    """The layout that a LabVIEW measurement file declares in its header; that of the map for any other file.
+
+    `layout`: of the map; kept where it skips lines, since it then knows the header.
+    """
+    if layout.skip_lines:
+        return layout
+    try:
+        with opened(path, layout) as stream:
+            head = list(itertools.islice(stream, _LONGEST_HEAD))
+    except UnicodeError:
+        return layout  # named with its line when the file is read
+    if not head or not head[0].startswith("LabVIEW Measurement"):
+        return layout
+    declared = {name: text.strip() for name, _, text in (re.split(r"([\t,;])", line, maxsplit=1) for line in head
+                                                         if re.search(r"[\t,;]", line))}  # fmt: skip
+    ends = [number for number, line in enumerate(head, 1) if line.startswith("***End_of_Header***")][:2]
+    if not ends:
+        raise BadInput(f"{path}: a LabVIEW file without the line ***End_of_Header***; give file.skip_lines")
+    delimiter = "tab" if declared.get("Separator", "Tab") == "Tab" else ","
+    decimal = "," if declared.get("Decimal_Separator", ".").startswith(",") else "."
+    return layout.replaced(delimiter=delimiter, decimal=decimal, skip_lines=ends[-1])
+
+
+class Line(NamedTuple):
+    """A line of the file; ``number`` counts from 1, as editors do."""
+
+    number: int
+    text: str
+
+
+class Lines:
+    """The lines of a file without blank lines and comments."""
+
+    def __init__(self, path: Path, layout: Layout, stream: TextIO) -> None:
+        self._path, self._stream, self._layout = path, stream, layout
+        self._number = 0
+        self._blank = ' \t\r\n"' + layout.mark
+        self.unterminated = False
+
+    def __iter__(self) -> Iterator[Line]:
+        return self
+
+    def __next__(self) -> Line:
+        comment = self._layout.comment
+        while text := self._raw():
+            if text.strip(self._blank) and not (comment and text.lstrip().startswith(comment)):
+                return Line(self._number, text)
+        raise StopIteration
+
+    def skip(self, count: int) -> None:
+        """Skip lines, blank ones and comments included."""
+        for _ in range(count):
+            self._raw()
+
+    def _raw(self) -> str:
+        try:
+            text = self._stream.readline(_LONGEST_LINE)
+        except UnicodeError:
+            raise BadInput(
+                f"{self._path}: in or after line {self._number + 1} a character is not {self._layout.encoding}; give "
+                "file.encoding in the map, cp1252 for files of older Windows programs"
+            ) from None
+        self._number += 1
+        if text:
+            self.unterminated = not text.endswith("\n")
+        if len(text) >= _LONGEST_LINE:
+            raise BadInput(
+                f"{self._path}: line {self._number} has over a million characters, expected a row of numbers"
+            )
+        if "\0" in text:
+            raise BadInput(f"{self._path}: line {self._number} holds a zero byte, expected text")
+        return text
+
+
+def other_delimiter(layout: Layout, text: str) -> str:
+    """Name of another delimiter that would split the text; "" where there is none."""
+    words = {";": "';'", "\t": "tab", "|": "'|'", ",": "','", " ": "space"}
+    return next((word for mark, word in words.items() if mark in text.strip() and mark != layout.mark), "")
+
+
+def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
+    """Cells of each line."""
+    if layout.delimiter == "space":
+        return [line.text.split() for line in lines]
+    try:
+        rows = list(csv.reader((line.text for line in lines), delimiter=layout.mark, skipinitialspace=True))
+    except csv.Error as error:
+        raise BadInput(f"{path}: between lines {lines[0].number} and {lines[-1].number}: {error}") from None
+    if len(rows) != len(lines):
+        odd = next((line for line in lines if line.text.count('"') % 2), lines[0])
+        raise BadInput(f"{path}: line {odd.number} opens a quotation mark and does not close it: {shown(odd.text)}")
+    return rows
+
+
+def number(layout: Layout, cell: str) -> float | None:
+    """The number in a cell; None where it holds none. An underscore is no part of a number in a file."""
+    if "_" in cell or (layout.decimal == "," and "." in cell):
+        return None
+    try:
+        return float(cell.replace(",", ".") if layout.decimal == "," else cell)
+    except ValueError:
+        return None
 
 
 @dataclass
@@ -137,7 +282,7 @@ class _Reader:
     def find(self, columns: Mapping[str, Name]) -> None:
         """Find the columns, by name or number."""
         path, names, width = self.path, self.names, self.width
-        known = f"{width} without names" if names is None else array_files.listed(names)
+        known = f"{width} without names" if names is None else listed(names)
         start = names[0] if names else self.first[0].text if self.first else ""
         if width == 1 and (other := other_delimiter(self.layout, start)):
             raise BadInput(f"{path}: one column only ({shown(known)}): is the delimiter {other}? give file.delimiter")
@@ -154,7 +299,7 @@ class _Reader:
                     f"{path}: {quantity}: {named} columns are named {column!r}, expected one; give its number"
                 )
             if not named:
-                raise array_files.no_column(path, quantity, column, names)
+                raise no_column(path, quantity, column, names)
             self.index[quantity] = names.index(name)
 
     def read(self, block: list[Line]) -> None:

@@ -90,7 +90,7 @@ def with_stops(recordings: Sequence[Recording], conditions: Sequence[JointCondit
         there, known = np.abs(apart) < _STILL, _finite(apart)
         if not there.any() or not (known.max() < 2.0 * _STILL or known.min() > -2.0 * _STILL):
             return False
-        return _range(_finite(differences[there])) >= _MOVING
+        return range_of(differences[there]) >= _MOVING
 
     return [
         JointCondition("free", 0.0, "stop") if state.condition == "locked" and rests(recording, state) else state
@@ -100,7 +100,7 @@ def with_stops(recordings: Sequence[Recording], conditions: Sequence[JointCondit
 
 def refuse_other_condition(recording: Recording, condition: str, name: str) -> None:
     """Refuse a recording whose measured angle contradicts what is said of the joint."""
-    moved = _range(_finite(recording.angle))
+    moved = range_of(recording.angle)
     said = f"its measured angle moves by {math.degrees(moved):.1f}°"
     if condition == "locked" and moved > _GIVES_WAY:
         found = f"the joint is declared locked, but {said}; expected a joint that stands still, or free"
@@ -114,9 +114,9 @@ def refuse_other_condition(recording: Recording, condition: str, name: str) -> N
 def _detected(recording: Recording) -> tuple[str, str]:
     angle = _finite(recording.angle)
     if angle.size:
-        if _range(angle) >= _STILL:
+        if range_of(angle) >= _STILL:
             return "free", "measured angle"
-        if _range(_finite(recording.pressure[:, 0] - recording.pressure[:, 1])) >= _MOVING:
+        if range_of(recording.pressure[:, 0] - recording.pressure[:, 1]) >= _MOVING:
             return "locked", "measured angle"
     if recording.estimate is not None and len(recording.estimate.angle):
         return ("free" if _live_lock(recording) is None else "locked"), "recorded estimate"
@@ -140,6 +140,14 @@ def _finite(values: NDArray[np.float64] | None) -> NDArray[np.float64]:
     return np.zeros(0) if values is None else values[np.isfinite(values)]
 
 
-def _range(values: NDArray[np.float64]) -> float:
-    """Range of 99 % of the values, which ignores single outliers."""
-    return float(np.diff(np.quantile(values, [0.005, 0.995]))[0]) if values.size else 0.0
+def ends_of(values: NDArray[np.float64] | None) -> tuple[float, float]:
+    """Least and largest of 99 % of the values, which ignores single outliers; NaN for none."""
+    known = _finite(values)
+    low, high = np.quantile(known, [0.005, 0.995]).tolist() if known.size else (math.nan, math.nan)
+    return low, high
+
+
+def range_of(values: NDArray[np.float64] | None) -> float:
+    """Range of 99 % of the values; 0 for none."""
+    low, high = ends_of(values)
+    return high - low if high >= low else 0.0

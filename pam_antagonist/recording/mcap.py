@@ -3,7 +3,7 @@
 rosbags reads such files by the index at their end, message by message. This module scans them from front to back, for
 three reasons. A recording that was cut off has no index, but all messages up to the cut; and behind damage, the scan
 goes on at the next whole chunk. Every length is checked against the size of the file before memory is allocated. And a
-compiled kernel takes consecutive messages as one block.
+compiled kernel takes consecutive messages as one block, because a recording has about a million.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .compression import MAX_MESSAGE, CompressionError, Room, inflate
-from .raw import Payloads, RawTopic
+from .._jit import in_place
+from .raw import MAX_MESSAGE, CompressionError, Payloads, RawTopic, Room, inflate
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK = 128 << 20
@@ -47,40 +48,29 @@ class Damage(Exception):
     """The file is damaged; the text says where and how."""
 
 
-@dataclass
-class Lost:
+class Lost(NamedTuple):
     """A part of a file that could not be read."""
 
     begin: int
     end: int
     # when the last message before it was received, from the first message that was read on [s]; NaN for none.
-    since: float = math.nan
-    until: float = math.nan  # when the first message behind it was received [s]; NaN for none
+    since: float
+    until: float  # when the first message behind it was received [s]; NaN for none
 
 
-@dataclass
-class McapContents:
-    """Result of a scan."""
-
-    topics: list[RawTopic]  # one entry for each channel, with payloads only of the requested message types
-    # Where and why the file is damaged first, or None for a whole file. ``topics`` holds all messages before it, and
-    # those in whole chunks behind it.
-    damage: str | None
-    lost: list[Lost] = field(default_factory=list)
-
-
-def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> McapContents:
+def scan_mcap(path: Path, types: Collection[str], room: Room) -> tuple[list[RawTopic], str | None, list[Lost]]:
     """Read all messages of the given types; messages of other types are only counted.
 
-    `room`: Limit on unpacked bytes; None for the limit of this file alone.
+    `room`: Limit on unpacked bytes. Returns an entry for each channel; where and why the file is damaged first, None
+    for a whole file; and what is lost. All messages before the damage are read, and those in whole chunks behind it.
     """
     if path.stat().st_size == 0:
-        return McapContents([], "it is empty")
+        return [], "it is empty", []
     with path.open("rb") as file:
         view = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    scan = _Scan(types, room or Room(len(view)))
+    scan = _Scan(types, room)
     damage: str | None = None
-    lost: list[tuple[Lost, int]] = []  # with the number of blocks that were read before
+    gaps: list[tuple[int, int, int]] = []  # begin and end, with the number of blocks that were read before
     position = len(MAGIC)
     while True:
         try:
@@ -95,13 +85,19 @@ def scan_mcap(path: Path, types: Collection[str], room: Room | None = None) -> M
             if not position:
                 break
             scan.declare(view)
-            lost.append((Lost(begin, position), len(scan.blocks)))
+            gaps.append((begin, position, len(scan.blocks)))
     spans = [(int(block.log_ns.min()), int(block.log_ns.max())) for _, block in scan.blocks]
     first = min((low for low, _ in spans), default=0)
-    for part, count in lost:
-        part.since = max(((high - first) * 1e-9 for _, high in spans[:count]), default=math.nan)
-        part.until = min(((low - first) * 1e-9 for low, _ in spans[count:]), default=math.nan)
-    return McapContents(scan.topics(), damage, [part for part, _ in lost])
+    lost = [
+        Lost(
+            begin,
+            end,
+            max(((high - first) * 1e-9 for _, high in spans[:count]), default=math.nan),
+            min(((low - first) * 1e-9 for low, _ in spans[count:]), default=math.nan),
+        )
+        for begin, end, count in gaps
+    ]
+    return scan.topics(), damage, lost
 
 
 def _next_chunk(view: memoryview, start: int) -> int:
@@ -150,9 +146,6 @@ class _Scan:
 
     def _walk(self, view: memoryview, position: int, end: int, of: str, runs: list[Run] | None) -> bool:
         """Scan records; those of a chunk go into ``runs`` (``of`` says which chunk), those of the file are kept."""
-        # Imported here because numba takes a quarter of a second, which writing a bag does not need.
-        from .mcap_records import take_messages
-
         head = struct.Struct("<BQ").unpack_from
         data = np.frombuffer(view, np.uint8)
         run = np.empty((min(_RUN, end // (9 + MESSAGE_HEAD) + 1), 4), np.int64)
@@ -208,8 +201,6 @@ class _Scan:
 
     def _keep(self, data: NDArray[np.uint8], run: Run) -> None:
         """Add a block of messages, as :func:`take_messages` gives them."""
-        from .mcap_records import copy_payloads
-
         for key in np.unique(run[:, CHANNEL_OF]).tolist():
             channel, its, payloads = self.channels[key], run[run[:, CHANNEL_OF] == key], None
             if channel.msgtype in self.types:
@@ -267,3 +258,44 @@ def _text(body: memoryview, at: int) -> tuple[str, int]:
     if stop > len(body):
         raise struct.error(f"a text of {size} bytes does not fit into {len(body)}")
     return bytes(body[at + 4 : stop]).decode(), stop
+
+
+@in_place
+def _number(data: NDArray[np.uint8], at: int, count: int) -> Any:
+    """Little-endian unsigned number of ``count`` bytes, limited to the largest signed 64 bit number."""
+    value = np.int64(0)
+    for k in range(count):
+        value |= np.int64(data[at + k]) << (8 * k)
+    return value if value >= 0 else np.int64(2**63 - 1)
+
+
+@in_place
+def take_messages(data: NDArray[np.uint8], position: int, end: int, run: NDArray[np.int64]) -> tuple[int, int]:
+    """Take consecutive complete message records, up to any other record.
+
+    `data`: bytes of the file or chunk (B,). `run`: result (M, 4): channel, log time [ns], first byte and size of the
+    payload of each.
+    """
+    count = 0
+    while count < run.shape[0] and position + 9 + MESSAGE_HEAD <= end and data[position] == MESSAGE:
+        size = _number(data, position + 1, 8)
+        body = position + 9
+        if size < MESSAGE_HEAD or size > end - body:
+            break
+        run[count, CHANNEL_OF] = _number(data, body, 2)
+        run[count, LOG] = _number(data, body + 6, 8)
+        run[count, BEGIN] = body + MESSAGE_HEAD
+        run[count, SIZE] = size - MESSAGE_HEAD
+        position = body + size
+        count += 1
+    return count, position
+
+
+@in_place
+def copy_payloads(data: NDArray[np.uint8], run: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
+    """Copy the payloads of messages (N, 4), as :func:`take_messages` gives them, end to end."""
+    at = 0
+    for k in range(run.shape[0]):
+        for j in range(run[k, SIZE]):
+            out[at + j] = data[run[k, BEGIN] + j]
+        at += run[k, SIZE]

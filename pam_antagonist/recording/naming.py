@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from .cdr import Decoded
-from .messages import stores_of
+from .cdr import Decoded, stores_of
 from .notes import Issue
-from .raw import RawTopic
-from .storage import RawBag
-from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
+from .raw import RawBag, RawTopic
+from .topics import COMMAND_TOPICS, DEFAULT_NAMESPACE, SAMPLE_TOPICS, STATE_TOPICS, TOPICS, Topic, find_topic
 
 Floats = NDArray[np.float64]
 
@@ -146,18 +144,13 @@ def _hint(bag: RawBag, topic: Topic, actual: str, namespace: str) -> str:
     """What to do about a missing topic."""
     if actual in bag.topics:
         return ""
-    regulated = TOPICS["pressure_command"].resolve(namespace)
-    if topic.name == "valve_state" and regulated in bag.topics:
-        return (
-            f"; {regulated} is there, but says what was asked for, not what the regulators got: "
-            f"if that is the same on this rig, use --topic pressure_state={regulated}"
-        )
-    command = TOPICS["valve_command"].resolve(namespace)
-    if topic.name == "valve_state" and command in bag.topics:
-        return (
-            f"; {command} is there, but says what was asked for, not what was on the valves: "
-            f"if that is the same on this rig, use --topic valve_state={command}"
-        )
+    for drive, got in (("regulator", "what the regulators got"), ("valve", "what was on the valves")):
+        command = TOPICS[COMMAND_TOPICS[drive]].resolve(namespace)
+        if topic.name == "valve_state" and command in bag.topics:
+            return (
+                f"; {command} is there, but says what was asked for, not {got}: if that is the same on this rig, "
+                f"use --topic {STATE_TOPICS[drive]}={command}"
+            )
     return f"; {_list(bag)}; if one of them is it, use --topic {topic.name}=/NAME"
 
 

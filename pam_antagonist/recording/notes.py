@@ -6,6 +6,7 @@ the place that rosbag2 provides. They are optional: a bag without metadata.yaml,
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import re
@@ -43,12 +44,6 @@ def _as_metadata(file: Path) -> Iterator[None]:
         raise BadInput(f"{file}: not the metadata of a rosbag2, entry {error} is missing") from None
     except (TypeError, ValueError, AttributeError, IndexError):
         raise BadInput(f"{file}: not the metadata of a rosbag2, an entry has an unexpected type or value") from None
-
-
-def read_custom_data(folder: Path) -> dict[str, str]:
-    """Notes in the metadata, by name; none where the metadata is missing or of another kind."""
-    content = _read(folder / NAME)
-    return custom_data(content.get(INFORMATION) if isinstance(content, dict) else None)
 
 
 def _read(file: Path) -> Any:
@@ -91,21 +86,18 @@ def file_names(folder: Path, information: Mapping[str, Any]) -> list[str]:
 
 def type_digests(folder: Path, information: Mapping[str, Any]) -> dict[tuple[str, str], str]:
     """(topic, message type) -> RIHS01 hash of the type, "" where the metadata has none."""
+    found = {}
     with _as_metadata(folder / NAME):
-        return dict(_digests(information))
+        for entry in information.get("topics_with_message_count") or ():
+            topic = entry["topic_metadata"]
+            texts = topic["name"], topic["type"], topic.get("type_description_hash") or ""
+            if not all(isinstance(text, str) for text in texts):
+                raise TypeError
+            found[texts[0], texts[1]] = texts[2]
+    return found
 
 
-def _digests(information: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
-    for entry in information.get("topics_with_message_count") or ():
-        topic = entry["topic_metadata"]
-        texts = topic["name"], topic["type"], topic.get("type_description_hash") or ""
-        if not all(isinstance(text, str) for text in texts):
-            raise TypeError
-        yield (texts[0], texts[1]), texts[2]
-
-
-def custom_data(information: Any) -> dict[str, str]:
-    """Notes, by name."""
+def _custom_data(information: Any) -> dict[str, str]:
     found = information.get("custom_data") if isinstance(information, dict) else None
     if not isinstance(found, dict):
         return {}
@@ -148,6 +140,15 @@ def in_order(files: list[Path]) -> list[Path]:
         return (match[1], int(match[2]), path.name) if match else (path.name, -1, path.name)
 
     return sorted(files, key=key)
+
+
+def sha256(path: Path) -> bytes:
+    """SHA-256 of a file."""
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.digest()
 
 
 def one_line(error: BaseException) -> str:
@@ -228,14 +229,15 @@ def write_notes(path: Path, notes: Mapping[str, str]) -> None:
     information = read_information(path)
     if information is None:
         raise BadInput(f"{path}: has no metadata.yaml, expected a finished bag")
-    information["custom_data"] = {**custom_data(information), **notes}
+    information["custom_data"] = {**_custom_data(information), **notes}
     write_information(path, information)
 
 
 def read_notes(path: str | Path) -> dict[str, str]:
-    """Notes of a bag, by name; empty without metadata or notes."""
+    """Notes of a bag, by name; empty without metadata or notes, or with metadata of another kind."""
     path = Path(path)
-    return read_custom_data(path if path.is_dir() else path.parent)
+    content = _read((path if path.is_dir() else path.parent) / NAME)
+    return _custom_data(content.get(INFORMATION) if isinstance(content, dict) else None)
 
 
 def sealed_muscles(path: str | Path) -> tuple[int, ...]:

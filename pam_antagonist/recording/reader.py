@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +15,19 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import plausible, signals, stamps
-from .cdr import CdrError, Decoded, decode
-from .compression import CompressionError
+from .cdr import CdrError, Decoded, decode, stores_of
 from .corrections import Corrections
-from .messages import stores_of
 from .naming import READ_TOPICS, choose_topics, joints_in, values_of_joint
 from .notes import Issue, noted_issues
-from .raw import RawTopic
+from .plausible import UNITS
+from .raw import CompressionError, RawBag, RawTopic, unpack_messages
 from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
 from .stamps import Restarts
-from .storage import RawBag, read_raw, unpack_messages
+from .storage import read_raw
 from .topics import STATE_TOPICS, TOPICS
-from .units import UNITS
 
 Floats = NDArray[np.float64]
+_Convert = Callable[["_Topic", str, str, Floats], Floats]
 
 
 @dataclass
@@ -48,8 +48,8 @@ class _Topic:
 
     def compared(self) -> Floats | None:
         """What two messages with one stamp must agree in (K, m); None for topics that no result is made from."""
-        fields = ("position", "effort") if self.joint is not None else _COMPARED.get(self.name)
-        return None if fields is None else np.column_stack([np.asarray(self.values(name), float) for name in fields])
+        fields = _OF_JOINT if self.joint is not None else _SIGNALS.get(self.name, ())[:1]
+        return np.column_stack([np.asarray(self.values(name), float) for name in fields]) if fields else None
 
     def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
         """A field of numbers (K, *shape), NaN where the message definition in the bag has no such field."""
@@ -114,7 +114,7 @@ def read_bag(
         if path.is_dir():
             bag.issues += noted_issues(path)
         chosen = _chosen(bag, topics, namespace, joint_name, restarts == "last", fixes.align_clocks)
-        recording = _recording(bag, chosen, _Values(str(path), bag.issues, fixes, judge), also)
+        recording = _recording(bag, chosen, partial(_converted, bag, fixes, judge), also)
         recording = recording if corrections is None else corrections.arranged(recording)
     except MemoryError:
         what = "needs more memory than there is; split the recording, or use a larger machine"
@@ -134,7 +134,7 @@ def _chosen(
     """The package's topics by logical name, decoded and in order, of one joint and one clock."""
     chosen = {name: _decode(bag.path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
     live = chosen["joint_states"].decoded if "joint_states" in chosen else None
-    for topic in (chosen[name] for name in ("measured_joint_states", "angle_sensor") if name in chosen):
+    for topic in (chosen[name] for name in _JOINT_STATES if name in chosen):
         topic.joint, there = values_of_joint(bag, topic.actual, topic.decoded, joint_name, live)
         topic.keep = topic.keep[there[topic.keep]]
     if cut:
@@ -148,7 +148,7 @@ def _chosen(
     return chosen
 
 
-def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Values, also: Sequence[str]) -> Recording:
+def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Convert, also: Sequence[str]) -> Recording:
     """Samples at the stamps of pressures and commands, and everything else at these samples."""
     drive = "valve" if "valve_state" in chosen else "regulator"
     state = STATE_TOPICS[drive]
@@ -158,11 +158,12 @@ def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Values, also
     episode_ns = signals.read_episodes(bag, beside, samples)
     pressure, voltage = _samples(bag, {name: chosen[name] for name in names}, samples, convert, episode_ns)
 
-    def measured(name: str, field: str, what: str) -> Floats | None:
-        topic = chosen.get(name)
-        return None if topic is None else _validation(bag, topic, samples, what, topic.values(field), convert)
-
-    angle, torque, external = (measured(*each) for each in _MEASURED)
+    validation = [("measured_joint_states", (field, field, quantity)) for field, quantity in _OF_JOINT.items()]
+    validation.append(("measured_external_torque", _SIGNALS["measured_external_torque"]))
+    angle, torque, external = (
+        _validation(bag, chosen[name], samples, convert, *signal) if name in chosen else None
+        for name, signal in validation
+    )
     estimate, reference, sensor = (chosen.get(name) for name in ("joint_estimate", "reference", "angle_sensor"))
     remembered, joints = chosen.get("filter_checkpoint"), joints_in(bag)
     mine = [joint for joint in joints if TOPICS[state].resolve(joint) == chosen[state].actual]
@@ -228,8 +229,7 @@ def _sort(path: Path, topic: _Topic, issues: list[str]) -> None:
 
 def _one_clock(path: Path, chosen: Mapping[str, _Topic], issues: list[str], align: bool) -> None:
     """Judge whether one clock stamps all topics that a recording is made from; pair topics as asked."""
-    names = [name for name in (*_COMPARED, "measured_joint_states", "angle_sensor")
-             if name in chosen and len(chosen[name].keep)]  # fmt: skip
+    names = [name for name in (*_SIGNALS, *_JOINT_STATES) if name in chosen and len(chosen[name].keep)]
     times = {chosen[name].actual: (chosen[name].arrival.log_ns, chosen[name].arrival.stamp_ns) for name in names}
     shifts = stamps.clock_shifts(str(path), times, issues, align)
     samples = chosen[names[0]].arrival.stamp_ns
@@ -242,50 +242,40 @@ def _one_clock(path: Path, chosen: Mapping[str, _Topic], issues: list[str], alig
         topic.keep = topic.keep[np.diff(its, prepend=0) > 0]
 
 
-@dataclass(frozen=True)
-class _Values:
-    """Converts recorded values: corrects them, replaces infinite ones by NaN, and judges their plausibility."""
-
-    where: str
-    issues: list[str]
-    corrections: Corrections
-    judge: bool
-
-    def of(self, topic: str, what: str, quantity: str, values: Floats) -> Floats:
-        """Values of one quantity in SI units, NaN where not finite."""
-        values = plausible.finite_only(f"{what} on {topic}", values, self.issues)
-        convert = {
-            "pressure": self.corrections.pressure, "position": self.corrections.angle, "effort": self.corrections.torque
-        }.get(what)  # fmt: skip
-        values = values if convert is None else convert(values)
-        if self.judge:
-            name = {"position": "position", "effort": "torque"}.get(what, what)
-            label = topic if quantity in ("pressure", "voltage") else f"the {name} on {topic}"
-            signal = plausible.Signal(label, quantity, values, next(iter(UNITS[quantity])))
-            plausible.judge(self.where, signal, self.issues)
-        return values
+_SIGNALS: Mapping[str, tuple[str, str, str]] = {
+    "pressure_1": ("fluid_pressure", "pressure", "pressure"),
+    "pressure_2": ("fluid_pressure", "pressure", "pressure"),
+    "valve_state": ("voltage", "voltage", "voltage"),
+    "pressure_state": ("pressure", "command", "pressure"),
+    "measured_external_torque": ("wrench.torque.z", "torque about z", "torque"),
+}
+"""Topics that samples are made from -> field of the message, its name and its quantity. Messages with one stamp must
+agree in that field."""
+_JOINT_STATES = ("measured_joint_states", "angle_sensor")
+_OF_JOINT = {"position": "angle", "effort": "torque"}
+"""Field of a JointState -> its quantity."""
 
 
-_COMPARED: Mapping[str, tuple[str, ...]] = {
-    "pressure_1": ("fluid_pressure",), "pressure_2": ("fluid_pressure",), "valve_state": ("voltage",),
-    "pressure_state": ("pressure",), "measured_external_torque": ("wrench.torque.z",),
-}  # fmt: skip
-"""Topics that samples are made from -> the fields in which messages with one stamp must agree."""
-
-_MEASURED = (
-    ("measured_joint_states", "position", "position"), ("measured_joint_states", "effort", "effort"),
-    ("measured_external_torque", "wrench.torque.z", "torque about z"),
-)  # fmt: skip
-"""Topic, field and name of each validation signal."""
-_FIELDS = {"valve_state": ("voltage", "voltage", "voltage"), "pressure_state": ("pressure", "command", "pressure")}
-"""Topic -> field of its message, its name and its quantity, for messages other than FluidPressure."""
+def _converted(
+    bag: RawBag, fixes: Corrections, judge: bool, topic: _Topic, what: str, quantity: str, values: Floats
+) -> Floats:
+    """Values of one quantity of a topic, corrected, in SI units, NaN where not finite; refused if implausible."""
+    values = plausible.finite_only(f"{what} on {topic.actual}", values, bag.issues)
+    correct = {"pressure": fixes.pressure, "position": fixes.angle, "effort": fixes.torque}.get(what)
+    values = values if correct is None else correct(values)
+    if judge:
+        name = "torque" if what == "effort" else what
+        label = topic.actual if quantity in ("pressure", "voltage") else f"the {name} on {topic.actual}"
+        signal = plausible.Signal(label, quantity, values, next(iter(UNITS[quantity])))
+        plausible.judge(str(bag.path), signal, bag.issues)
+    return values
 
 
 def _samples(
     bag: RawBag,
     chosen: Mapping[str, _Topic],
     samples: NDArray[np.int64],
-    convert: _Values,
+    convert: _Convert,
     episode_ns: NDArray[np.int64] | None,
 ) -> tuple[Floats, Floats]:
     """Pressures, and voltages or pressure commands, at the sample stamps (N, 2) each."""
@@ -295,8 +285,8 @@ def _samples(
     for name, topic in chosen.items():
         if len(topic.keep) == 0:
             raise BadInput(f"{where}: {topic.actual} has no samples after the last restart")
-        field, what, quantity = _FIELDS.get(name, ("fluid_pressure", "pressure", "pressure"))
-        values = convert.of(topic.actual, what, quantity, topic.values(field))
+        field, what, quantity = _SIGNALS[name]
+        values = convert(topic, what, quantity, topic.values(field))
         stamp_ns = topic.arrival.stamp_ns
         others = [other.arrival.stamp_ns for other in chosen.values() if other is not topic]
         if others and len(stamp_ns) > 1.1 * min(map(len, others)):
@@ -323,18 +313,19 @@ def _angle_sensor(bag: RawBag, topic: _Topic, samples: NDArray[np.int64]) -> Flo
 
 
 def _validation(
-    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], what: str, values: Floats, convert: _Values
+    bag: RawBag, topic: _Topic, samples: NDArray[np.int64], convert: _Convert, field: str, what: str, quantity: str
 ) -> Floats | None:
     """A validation signal at the sample stamps (N,), None where it has no finite value.
 
     A signal with the stamps of the samples is not changed. A signal with stamps of its own (another driver, another
     rate) is interpolated, which is reported as an issue.
     """
+    values = topic.values(field)
     if not np.any(np.isfinite(values)):
         shown = {"position": "angle (field position)", "effort": "torque (field effort)"}.get(what, what)
         bag.issues.append(f"{topic.actual} holds no {shown}")
         return None
-    values = convert.of(topic.actual, what, "angle" if what == "position" else "torque", values)
+    values = convert(topic, what, quantity, values)
     stamp_ns = topic.arrival.stamp_ns
     paired = np.isin(stamp_ns, samples, assume_unique=True)
     stamps.judge_publishers(str(bag.path), topic.actual, stamp_ns, values, paired)

@@ -6,17 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import override
+from typing_extensions import Self, override
 
 from ..errors import BadInput, number
 from ..optional import needs
 from ..shown import Shown
 from .notes import Issue
-from .signals import FurtherSignal
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -42,6 +41,13 @@ class Arrival(NamedTuple):
 
     log_ns: Stamps
     stamp_ns: Stamps
+
+
+class FurtherSignal(NamedTuple):
+    """A further signal."""
+
+    values: Floats  # at the samples (N,), NaN where missing
+    unit: str
 
 
 def _frozen(value: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
@@ -80,10 +86,32 @@ _COLUMNS = ("stamp_ns", "pressure", "voltage", "angle", "torque", "external_torq
 """What a recording has for each sample."""
 _ROUNDING = 1.0
 """[Pa] Largest difference between a pressure and a command that was logged in its place."""
+_WHOLE = dict.fromkeys(("subsystem", "flags", "mode"), np.uint8)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RecordedEstimate(Shown):
+class _Messages(Shown):
+    """Messages as columns, with a row for each."""
+
+    _NAME: ClassVar[str]
+    stamp_ns: Stamps
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            name, shape = item.name, (len(self.stamp_ns), *ESTIMATE_SHAPES.get(item.name, ()))
+            dtype = np.int64 if name.endswith("_ns") else _WHOLE.get(name, np.float64)
+            object.__setattr__(self, name, _frozen(getattr(self, name), dtype, shape, f"{self._NAME}.{name}"))
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def take(self, index: Any) -> Self:
+        """The messages chosen by a slice, mask or index array."""
+        return type(self)(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordedEstimate(_Messages):
     """The estimator's output (M samples), named as in ``pam_antagonist_msgs/msg/JointEstimate``.
 
     Attributes:
@@ -105,7 +133,7 @@ class RecordedEstimate(Shown):
         external_torque_covariance: With angle, velocity, torque and itself (M, 4); NaN likewise.
     """
 
-    stamp_ns: Stamps
+    _NAME = "estimate"
     started_ns: Stamps
     angle: Floats
     velocity: Floats
@@ -122,17 +150,10 @@ class RecordedEstimate(Shown):
     external_torque: Floats
     external_torque_covariance: Floats
 
+    @override
     def __post_init__(self) -> None:
-        size = len(self.stamp_ns)
-        for name in ("stamp_ns", "started_ns"):
-            object.__setattr__(self, name, _frozen(getattr(self, name), np.int64, (size,), f"estimate.{name}"))
-        for name, shape in ESTIMATE_SHAPES.items():
-            dtype = np.uint8 if name in ("subsystem", "flags") else np.float64
-            object.__setattr__(self, name, _frozen(getattr(self, name), dtype, (size, *shape), f"estimate.{name}"))
+        super().__post_init__()
         _check_increasing(self.stamp_ns, "estimate.stamp_ns")
-
-    def __len__(self) -> int:
-        return len(self.stamp_ns)
 
     @classmethod
     def from_rows(cls, stamp_ns: Stamps, started_ns: Stamps, rows: NDArray[Any]) -> RecordedEstimate:
@@ -145,13 +166,9 @@ class RecordedEstimate(Shown):
         """
         return cls(stamp_ns, started_ns, **{name: rows[name] for name in ESTIMATE_SHAPES})
 
-    def take(self, index: Any) -> RecordedEstimate:
-        """The samples chosen by a slice, mask or index array."""
-        return RecordedEstimate(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RecordedReference(Shown):
+class RecordedReference(_Messages):
     """References of the joint (K messages, in the order of reception).
 
     Attributes:
@@ -162,24 +179,11 @@ class RecordedReference(Shown):
         damping: (K,) [N m s/rad]; NaN likewise.
     """
 
-    stamp_ns: Stamps
+    _NAME = "reference"
     mode: NDArray[np.uint8]
     value: Floats
     stiffness: Floats
     damping: Floats
-
-    def __post_init__(self) -> None:
-        size = len(self.stamp_ns)
-        for item in fields(self):
-            name, dtype = item.name, {"stamp_ns": np.int64, "mode": np.uint8}.get(item.name, np.float64)
-            object.__setattr__(self, name, _frozen(getattr(self, name), dtype, (size,), f"reference.{name}"))
-
-    def __len__(self) -> int:
-        return len(self.stamp_ns)
-
-    def take(self, index: Any) -> RecordedReference:
-        """The messages chosen by a slice, mask or index array."""
-        return RecordedReference(**{item.name: getattr(self, item.name)[index] for item in fields(self)})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

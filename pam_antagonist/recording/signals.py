@@ -8,7 +8,7 @@ topic ``episode`` (std_msgs/Header). The time between two episodes is not known,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,22 +16,19 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from . import stamps
 from .cdr import CdrError, Decoded, Group, decode, encode
-from .compression import CompressionError
 from .notes import Issue
-from .storage import RawBag, unpack_messages
-from .topics import TOPICS, Topic
+from .raw import CompressionError, RawBag, unpack_messages
+from .recording import FurtherSignal
+from .topics import ALSO, TOPICS, Topic
 
 if TYPE_CHECKING:
     from ..estimation.checkpoint import Checkpoint
-    from .recording import Recording
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 EPISODE = Topic("episode", "episode", "std_msgs/msg/Header", "an episode begins: the sample before tells nothing of it")
 """Marks the first sample of each episode; written by ``import_csv``."""
-ALSO = "also/"
-"""Namespace of further signals, relative to the joint's."""
 KINDS: Mapping[str, tuple[str, str]] = {
     "sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa"),
     "sensor_msgs/msg/JointState": ("position", "rad"),
@@ -40,43 +37,8 @@ KINDS: Mapping[str, tuple[str, str]] = {
 """Message type -> field that holds the signal, and its unit."""
 _MOST_RIGS = 100  # messages of the topic rig that are read, the last ones; each restart of a node adds one
 _TEXT_HEAD = 8  # [bytes] of a std_msgs/String in CDR before its text: encapsulation, and length with the closing zero
-_TYPE_OF = {unit: kind for kind, (_, unit) in KINDS.items()}
-
-
-class FurtherSignal(NamedTuple):
-    """A further signal."""
-
-    values: Floats  # at the samples (N,), NaN where missing
-    unit: str
-
-
-def blocks(
-    recording: Recording, header: Mapping[str, Any], stamp: Mapping[str, Any], frame_id: str
-) -> dict[Topic, tuple[Stamps, NDArray[np.uint8]]]:
-    """Topic -> stamps (K,) and messages (K, L) of the further signals and of the episodes' beginnings."""
-    out: dict[Topic, tuple[Stamps, NDArray[np.uint8]]] = {}
-    size = len(recording)
-    for name, (values, unit) in recording.signals.items():
-        kind = _TYPE_OF[unit]
-        field = KINDS[kind][0]
-        fields: dict[str, Any] = {**header, field: values, "variance": 0.0}
-        if unit == "rad":
-            fields = {**header, **joint_fields(name, size, {"position": values})}
-        there = np.isfinite(values)
-        matrix = encode(kind, size, fields)[there]
-        out[Topic(name, f"{ALSO}{name}", kind, "")] = recording.stamp_ns[there], matrix
-    if recording.episode_ns is not None:
-        columns = {**stamp, "frame_id": frame_id}
-        out[EPISODE] = recording.episode_ns, encode(EPISODE.type, len(recording.episode_ns), columns)
-    return out
-
-
-def joint_fields(
-    name: str, size: int, given: Mapping[str, Floats], there: NDArray[np.bool_] | slice = slice(None)
-) -> dict[str, Any]:
-    """Fields of JointState messages of one joint beside their headers; ``there`` are the samples with a message."""
-    nothing = dict.fromkeys(("position", "velocity", "effort"), np.empty((size, 0)))
-    return {"name": [name], **nothing, **{field: values[there, None] for field, values in given.items()}}
+FRAME = "joint"
+"""Frame and joint name in the messages that are written."""
 
 
 def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[str] = ()) -> dict[str, FurtherSignal]:
@@ -202,10 +164,10 @@ def _checkpoint(group: Group, place: int, stamp_ns: int, started_ns: int) -> Che
     return Checkpoint(stamp_ns, started_ns, identity, rejected=int(columns["rejected"][place]), **arrays)
 
 
-def checkpoint_message(checkpoint: Checkpoint, frame_id: str) -> bytes:
+def checkpoint_message(checkpoint: Checkpoint) -> bytes:
     """A checkpoint as a serialised message."""
     columns: dict[str, Any] = {name: np.asarray(getattr(checkpoint, name)).reshape(1, -1) for name in _ARRAYS}
-    columns |= vars(checkpoint.identity) | {"rejected": checkpoint.rejected, "header.frame_id": frame_id}
+    columns |= vars(checkpoint.identity) | {"rejected": checkpoint.rejected, "header.frame_id": FRAME}
     for path, time_ns in (("header.stamp", checkpoint.stamp_ns), ("started", checkpoint.started_ns)):
         columns[f"{path}.sec"], columns[f"{path}.nanosec"] = divmod(time_ns, 1_000_000_000)
     return encode(TOPICS["filter_checkpoint"].type, 1, columns)[0].tobytes()

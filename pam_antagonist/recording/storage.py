@@ -6,18 +6,17 @@ import hashlib
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from ..errors import BadInput
 from . import notes
-from .compression import ZSTD_MAGIC, CompressionError, Room, inflate_file, inflate_message, most_unpacked
 from .mcap import MAGIC as MCAP_MAGIC
-from .mcap import scan_mcap
+from .mcap import Lost, scan_mcap
 from .notes import Issue, one_line
-from .raw import Payloads, RawTopic
+from .raw import ZSTD_MAGIC, CompressionError, RawBag, RawTopic, Room, inflate_file, most_unpacked
 from .sqlite import MAGIC as SQLITE_MAGIC
 from .sqlite import read_sqlite
 
@@ -31,26 +30,7 @@ MAX_UNPACKED = 4 << 30
 """Largest file that is unpacked from zstd [bytes]."""
 
 
-@dataclass
-class RawBag:
-    """A bag as raw messages."""
-
-    path: Path
-    # Topic name -> messages; of several message types the one with most messages.
-    topics: dict[str, RawTopic] = field(default_factory=dict)
-    # Topic name -> its message types, for topics with more than one.
-    conflicts: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    issues: list[str] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class _Files:
-    """Message files of a bag; ``closed`` is False where the recorder did not finish them."""
-
-    paths: list[Path]
-    digests: Mapping[tuple[str, str], str]
-    issues: list[str]
-    closed: bool = True
+_Digests = Mapping[tuple[str, str], str]
 
 
 def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> RawBag:
@@ -59,19 +39,20 @@ def read_raw(path: Path, types: Collection[str], *, recover: bool = False) -> Ra
     `recover`: Read what is left of a damaged or cut off bag instead of refusing it.
     """
     try:
-        files = _locate(path)
-        bag = RawBag(path, issues=list(files.issues))
-        parts: list[RawTopic] = []
-        room = Room(sum(file.stat().st_size for file in files.paths))
-        for file in files.paths:
-            parts.extend(_read_file(bag, file, types, room, recover, files.closed))
+        files, digests = _locate(path)
+        bag, parts = RawBag(path), list[RawTopic]()
+        if digests is None:
+            bag.issues.append(f"{files[0].parent} has no metadata.yaml, as after a recording that was not closed")
+        room = Room(sum(file.stat().st_size for file in files))
+        for file in files:
+            parts.extend(_read_file(bag, file, types, room, recover, digests is not None))
     except (BadInput, MemoryError):
         raise
     except OSError as exc:
         raise BadInput(f"{path}: cannot be read ({exc.strerror or exc})") from exc
     except Exception as exc:  # on damaged files sqlite, zstd and rosbags raise exceptions of any type
         raise BadInput(f"{path}: damaged, or not a rosbag2 ({one_line(exc)})") from exc
-    _merge(bag, parts, files.digests)
+    _merge(bag, parts, digests or {})
     return bag
 
 
@@ -85,19 +66,11 @@ def bag_hash(path: str | Path) -> str:
         BadInput: Not a bag, or not readable.
     """
     path = Path(path)
-    digests = []
     try:
-        for file in _locate(path).paths:
-            digest = hashlib.sha256()
-            with file.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    digest.update(block)
-            digests.append(digest)
+        digests = [notes.sha256(file) for file in _locate(path)[0]]
     except OSError as exc:
         raise BadInput(f"{path}: cannot be read ({exc.strerror or exc})") from exc
-    if len(digests) == 1:
-        return digests[0].hexdigest()
-    return hashlib.sha256(b"".join(digest.digest() for digest in digests)).hexdigest()
+    return digests[0].hex() if len(digests) == 1 else hashlib.sha256(b"".join(digests)).hexdigest()
 
 
 def recording_hash(recording: Recording) -> str:
@@ -123,8 +96,8 @@ def bag_name(path: str | Path) -> str:
     return "/".join(Path(path).resolve().parts[-2:]).lstrip("/")
 
 
-def _locate(path: Path) -> _Files:
-    """Find the message files of a bag."""
+def _locate(path: Path) -> tuple[list[Path], _Digests | None]:
+    """The message files of a bag, and the hashes of its types; None where the recorder did not finish the files."""
     if "\0" in str(path):
         raise BadInput(f"{path}: no bag can have this name")
     if path.name == notes.NAME and path.is_file():
@@ -134,7 +107,7 @@ def _locate(path: Path) -> _Files:
     if path.is_file():
         if path.suffix == ".bag":
             raise BadInput(f"{path}: this is a ROS 1 bag, expected a rosbag2; convert it with rosbags-convert")
-        return _Files([path], {}, [])
+        return [path], {}
     if not path.is_dir():
         raise BadInput(f"{path}: neither a file nor a folder, {_EXPECTED}")
     information = notes.read_information(path)
@@ -147,10 +120,9 @@ def _locate(path: Path) -> _Files:
         if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", r".\2", file.name) for file in found}) > 1:
             several = ", ".join(sorted(file.name for file in found)[:_LISTED])
             raise BadInput(f"{path}: has no metadata.yaml, and files of several bags ({several}); expected one of them")
-        issue = f"{path} has no metadata.yaml, as after a recording that was not closed"
-        return _Files(notes.in_order(found), {}, [issue], closed=False)
+        return notes.in_order(found), None
     names = notes.file_names(path, information)
-    return _Files([path / name for name in names], notes.type_digests(path, information), [])
+    return [path / name for name in names], notes.type_digests(path, information)
 
 
 def _read_file(
@@ -169,10 +141,10 @@ def _read_file(
                 raise BadInput(f"{file}: is empty")
             bag.issues.append(f"{file} holds no messages: the recording ended right after its start")
             return []
-        damage, lost = packing_damage, []
+        damage, lost = packing_damage, list[Lost]()
         if magic.startswith(MCAP_MAGIC):
-            contents = scan_mcap(plain, types, room)
-            parts, damage, lost = contents.topics, packing_damage or contents.damage, contents.lost
+            parts, damage, lost = scan_mcap(plain, types, room)
+            damage = packing_damage or damage
         elif magic == SQLITE_MAGIC and damage is None:
             parts, damage = read_sqlite(plain, types, whole=closed and not recover)
             log = file.with_name(f"{file.name}-wal")
@@ -220,7 +192,7 @@ def _unpacked(file: Path) -> Iterator[tuple[Path, str | None]]:
         yield target, damage
 
 
-def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str], str]) -> None:
+def _merge(bag: RawBag, parts: list[RawTopic], digests: _Digests) -> None:
     """Join the pieces of each topic."""
     by_topic: dict[str, dict[str, list[RawTopic]]] = {}
     for part in parts:
@@ -232,16 +204,3 @@ def _merge(bag: RawBag, parts: list[RawTopic], digests: Mapping[tuple[str, str],
         msgtype, pieces = max(by_type.items(), key=lambda item: sum(map(len, item[1])))
         first = replace(pieces[0], topic=topic, digest=pieces[0].digest or digests.get((topic, msgtype), ""))
         bag.topics[topic] = first.joined(pieces[1:])
-
-
-def unpack_messages(raw: RawTopic) -> Payloads:
-    """The messages without rosbag2's message compression; a plain one never starts with the magic number of zstd."""
-    payloads = raw.payloads
-    assert payloads is not None
-    if not len(payloads) or payloads.data[:4].tobytes() != ZSTD_MAGIC:
-        return payloads
-    messages, room = [], Room(payloads.data.nbytes)
-    for packed in payloads.each():
-        messages.append(inflate_message(packed))
-        room.take(len(messages[-1]))
-    return Payloads.of(messages)

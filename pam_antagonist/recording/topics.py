@@ -124,6 +124,9 @@ STATE_TOPICS: Mapping[str, str] = MappingProxyType({"valve": "valve_state", "reg
 COMMAND_TOPICS: Mapping[str, str] = MappingProxyType({"valve": "valve_command", "regulator": "pressure_command"})
 """Drive of a joint -> the topic of its commands."""
 
+ALSO = "also/"
+"""Namespace of further signals, relative to the joint's; in a list of columns their prefix."""
+
 
 def find_topic(name: str) -> Topic | None:
     """Topic of a logical name ("measured_joint_states") or a relative one ("measured/joint_states"), else None."""

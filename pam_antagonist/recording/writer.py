@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import signals
-from .bag_files import MODES, PLUGINS, BagFiles, Compression, Limits, Storage
-from .cdr import encode
-from .messages import typestore
+from .bag_files import BagFiles, Limits
+from .cdr import encode, typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
-from .topics import DEFAULT_NAMESPACE, STATE_TOPICS, TOPICS, Topic
+from .topics import ALSO, DEFAULT_NAMESPACE, STATE_TOPICS, TOPICS, Topic
 
 _FLUSH_S = 1.0  # [s] between flushes: the most that is lost when the recorder is killed or loses power
 _BATCH = 4096  # messages that are handed to the writing thread at once
@@ -30,7 +29,7 @@ Item = tuple[str, int, bytes | memoryview]
 
 
 class BagWriter:
-    """Writes one bag; use it as a context manager.
+    """Writes one bag of compressed MCAP files; use it as a context manager.
 
     All file work is done by a separate thread. So ``write`` never waits for a disk, and an interrupt, which Python
     raises in the main thread, never leaves half a message. Leaving the context for any reason writes all messages so
@@ -40,9 +39,7 @@ class BagWriter:
 
     Args:
         path: Bag folder to be made; parents are made as well.
-        storage: "mcap" or "sqlite3".
-        compression: "chunk" (MCAP only), "message", "file" or "none"; None is "chunk" for MCAP and "none" for sqlite3.
-        limits: When to begin the next file (MCAP only); default: never.
+        limits: When to begin the next file; default: never.
         durable: Whether flushed data must survive a power cut as well; costs one fsync a second.
         backlog: Bytes that may wait for the disk; with more, messages are dropped and counted. None: no limit.
 
@@ -58,29 +55,18 @@ class BagWriter:
         self,
         path: str | Path,
         *,
-        storage: Storage = "mcap",
-        compression: Compression | None = None,
         limits: Limits = Limits(),  # noqa: B008  (frozen)
         durable: bool = False,
         backlog: int | None = None,
     ) -> None:
         self.path = Path(path)
-        if storage not in PLUGINS:
-            raise BadInput(f"storage {storage!r} of {path} is unknown, expected mcap or sqlite3")
-        compression = compression or ("chunk" if storage == "mcap" else "none")
-        if compression not in MODES or (compression == "chunk" and storage != "mcap"):
-            raise BadInput(f"compression {compression!r} of {path} is not possible with {storage}")
-        if storage == "sqlite3" and set("?#%") & set(str(path)):
-            raise BadInput(f"{path}: sqlite3 would take ?, # or % in a name for something else; choose another output")
-        if limits.split and storage != "mcap":
-            raise BadInput(f"{path}: a bag with {storage} storage is one file, expected mcap for several")
         try:
             if self.path.exists() or self.path.is_symlink():
                 raise BadInput(f"{path}: exists already, and nothing is overwritten; choose another output")
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except (OSError, ValueError) as exc:
             raise BadInput(f"{path}: cannot be made ({exc})") from exc
-        self._files = BagFiles(self.path, storage, compression, limits, durable)
+        self._files = BagFiles(self.path, limits, durable)
         self._types: dict[str, str] = {}
         self._queue: queue.SimpleQueue[list[Item] | tuple[str, str] | None] = queue.SimpleQueue()
         self._limit = backlog
@@ -244,9 +230,6 @@ def write_bag(
     *,
     namespace: str = DEFAULT_NAMESPACE,
     estimate: RecordedEstimate | None = None,
-    storage: Storage = "mcap",
-    compression: Compression | None = None,
-    frame_id: str = "joint",
     pressure_variance: float = 0.0,
 ) -> None:
     """Write a Recording as a bag with the package's topics.
@@ -259,9 +242,6 @@ def write_bag(
         recording: What to write.
         namespace: Namespace of the topics.
         estimate: Estimate to write in place of ``recording.estimate``.
-        storage: "mcap" or "sqlite3".
-        compression: As for :class:`BagWriter`.
-        frame_id: Frame and joint name in the messages.
         pressure_variance: Variance of the pressures to state [Pa^2]; 0 means unknown.
 
     Raises:
@@ -271,8 +251,8 @@ def write_bag(
         raise BadInput(f"bag: found a value of type {type(path).__name__}, expected the path of a new folder")
     if not isinstance(recording, Recording):
         raise BadInput(f"recording: found a value of type {type(recording).__name__}, expected a Recording")
-    blocks = _blocks(recording, recording.estimate if estimate is None else estimate, frame_id, pressure_variance)
-    with BagWriter(path, storage=storage, compression=compression) as bag:
+    blocks = _blocks(recording, recording.estimate if estimate is None else estimate, pressure_variance)
+    with BagWriter(path) as bag:
         items: list[Item] = []
         for kind, (stamp_ns, matrix) in blocks.items():
             topic = kind.resolve(namespace)
@@ -283,9 +263,7 @@ def write_bag(
         if recording.checkpoints:
             topic = TOPICS["filter_checkpoint"].resolve(namespace)
             bag.add_topic(topic, TOPICS["filter_checkpoint"].type)
-            items.extend(
-                (topic, item.stamp_ns, signals.checkpoint_message(item, frame_id)) for item in recording.checkpoints
-            )
+            items.extend((topic, item.stamp_ns, signals.checkpoint_message(item)) for item in recording.checkpoints)
         items.sort(key=lambda item: item[1])  # stable: messages of one time keep the order of the topics
         bag.write_many(items)
 
@@ -302,23 +280,26 @@ def _log_times(recording: Recording, name: str, stamp_ns: NDArray[np.int64]) -> 
     return times
 
 
-def _header(stamp_ns: NDArray[np.int64], frame_id: str) -> dict[str, Any]:
-    return {**_time("header.stamp", stamp_ns), "header.frame_id": frame_id}
-
-
 def _time(path: str, stamp_ns: NDArray[np.int64]) -> dict[str, Any]:
     return {f"{path}.sec": stamp_ns // 1_000_000_000, f"{path}.nanosec": stamp_ns % 1_000_000_000}
 
 
+def _joint_fields(name: str, **given: NDArray[np.float64]) -> dict[str, Any]:
+    """Fields of JointState messages of one joint beside their headers."""
+    nothing = np.empty((len(next(iter(given.values()))), 0))
+    fields = dict.fromkeys(("position", "velocity", "effort"), nothing)
+    return {"name": [name], **fields, **{field: values[:, None] for field, values in given.items()}}
+
+
 def _blocks(
-    recording: Recording, estimate: RecordedEstimate | None, frame_id: str, variance: float
+    recording: Recording, estimate: RecordedEstimate | None, variance: float
 ) -> dict[Topic, tuple[NDArray[np.int64], NDArray[np.uint8]]]:
     """Topic -> stamps (K,) and messages (K, L)."""
     blocks = {}
 
-    def add(name: str, stamp_ns: NDArray[np.int64], fields: dict[str, Any], frame: str = frame_id) -> None:
-        columns = {**_header(stamp_ns, frame), **fields}
-        blocks[TOPICS[name]] = (stamp_ns, encode(TOPICS[name].type, len(stamp_ns), columns))
+    def add(topic: Topic, stamp_ns: NDArray[np.int64], fields: dict[str, Any], frame: str = signals.FRAME) -> None:
+        columns = {**_time("header.stamp", stamp_ns), "header.frame_id": frame, **fields}
+        blocks[topic] = (stamp_ns, encode(topic.type, len(stamp_ns), columns))
 
     stamp_ns = recording.stamp_ns
     there: Any  # mask of the samples that have a value (N,)
@@ -327,10 +308,10 @@ def _blocks(
         if recording.drive == "regulator" and not there.any():
             continue  # the pressures were not measured or not recorded
         fields = {"fluid_pressure": recording.pressure[there, muscle], "variance": variance}
-        add(f"pressure_{muscle + 1}", stamp_ns[there], fields, f"muscle_{muscle + 1}")
+        add(TOPICS[f"pressure_{muscle + 1}"], stamp_ns[there], fields, f"muscle_{muscle + 1}")
     there = np.isfinite(recording.voltage).any(axis=1)
     field = {"valve": "voltage", "regulator": "pressure"}[recording.drive]
-    add(STATE_TOPICS[recording.drive], stamp_ns[there], {field: recording.voltage[there]})
+    add(TOPICS[STATE_TOPICS[recording.drive]], stamp_ns[there], {field: recording.voltage[there]})
     joints = {
         "measured_joint_states": {"position": recording.angle, "effort": recording.torque},
         "angle_sensor": {"position": recording.angle_sensor},
@@ -339,19 +320,28 @@ def _blocks(
         known = {field: values for field, values in given.items() if values is not None}
         if known:
             there = np.isfinite(np.column_stack(list(known.values()))).any(axis=1)
-            add(name, stamp_ns[there], signals.joint_fields(frame_id, int(there.sum()), known, there))
+            seen = {field: values[there] for field, values in known.items()}
+            add(TOPICS[name], stamp_ns[there], _joint_fields(signals.FRAME, **seen))
     if recording.external_torque is not None:
         there = np.isfinite(recording.external_torque)
         wrench: dict[str, Any] = {f"wrench.{kind}.{axis}": 0.0 for kind in ("force", "torque") for axis in "xyz"}
         wrench["wrench.torque.z"] = recording.external_torque[there]
-        add("measured_external_torque", stamp_ns[there], wrench)
+        add(TOPICS["measured_external_torque"], stamp_ns[there], wrench)
     if recording.reference is not None:
         reference = recording.reference
         names = ("mode", "value", "stiffness", "damping")
-        add("reference", reference.stamp_ns, {name: getattr(reference, name) for name in names})
+        add(TOPICS["reference"], reference.stamp_ns, {name: getattr(reference, name) for name in names})
     if estimate is not None:
         columns = {name: getattr(estimate, name).reshape(len(estimate), -1) for name in ESTIMATE_SHAPES}
         columns = {name: values if values.shape[1] > 1 else values[:, 0] for name, values in columns.items()}
-        add("joint_estimate", estimate.stamp_ns, {**_time("started", estimate.started_ns), **columns})
-    marks = {} if recording.episode_ns is None else _time("stamp", recording.episode_ns)
-    return blocks | signals.blocks(recording, _header(stamp_ns, frame_id), marks, frame_id)
+        add(TOPICS["joint_estimate"], estimate.stamp_ns, {**_time("started", estimate.started_ns), **columns})
+    for name, (values, unit) in recording.signals.items():
+        kind, field = next((kind, field) for kind, (field, its) in signals.KINDS.items() if its == unit)
+        there = np.isfinite(values)
+        fields = {field: values[there], "variance": 0.0}
+        fields = _joint_fields(name, position=values[there]) if unit == "rad" else fields
+        add(Topic(name, f"{ALSO}{name}", kind, ""), stamp_ns[there], fields)
+    if (marks := recording.episode_ns) is not None:
+        mark = {**_time("stamp", marks), "frame_id": signals.FRAME}
+        blocks[signals.EPISODE] = marks, encode(signals.EPISODE.type, len(marks), mark)
+    return blocks

@@ -15,7 +15,7 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.replays.channels import CHANNELS, TORQUE, Channel
+from pam_antagonist.replays.result import CHANNELS, TORQUE, Channel
 from pam_antagonist.report import close_loop_figures as drawn
 from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings
 from pam_antagonist.report.document import (

@@ -16,7 +16,7 @@ from pam_antagonist.estimation.metrics import rmse
 from pam_antagonist.recording import Recording
 from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
-from pam_antagonist.replays.channels import judged
+from pam_antagonist.replays.result import judged
 from pam_antagonist.replays.result import numbers as replay_numbers
 from pam_antagonist.report.document import Block, Document, Section, Table, Text, number, percent
 from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND, TIME, Axis, Figure, FloatArray, Line, Panel

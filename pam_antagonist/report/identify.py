@@ -15,7 +15,7 @@ from pam_antagonist.identification.held_out import COLUMNS, errors_of, known, ri
 from pam_antagonist.identification.identified import Identified, ParameterEntry
 from pam_antagonist.identification.result import FromPressures, Held, Step
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
-from pam_antagonist.replays.channels import CHANNELS
+from pam_antagonist.replays.result import CHANNELS
 from pam_antagonist.report.document import (
     MISSING,
     Block,

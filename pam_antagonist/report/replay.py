@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
-from pam_antagonist.replays.channels import CHANNELS, Judged, joined, joint_text, judged
 from pam_antagonist.replays.live import ENDED, LiveComparison
-from pam_antagonist.replays.result import Replay, ReplayReport, columns, numbers, write_estimate
+from pam_antagonist.replays.result import (
+    CHANNELS,
+    Judged,
+    Replay,
+    ReplayReport,
+    columns,
+    joined,
+    joint_text,
+    judged,
+    numbers,
+    write_estimate,
+)
 from pam_antagonist.report.document import (
     MISSING,
     Block,

@@ -18,7 +18,7 @@ from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.replays.channels import TORQUE
+from pam_antagonist.replays.result import TORQUE
 from pam_antagonist.report.close_loop import document
 from pam_antagonist.report.close_loop_findings import calibration_findings
 from pam_antagonist.report.document import Tiles

@@ -15,7 +15,7 @@ import pydantic
 import pytest
 
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.recording.messages import typestore
+from pam_antagonist.recording.cdr import typestore
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist.rig.learned import LAWS
 

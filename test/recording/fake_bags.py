@@ -11,7 +11,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import read_bag
-from pam_antagonist.recording.messages import typestore
+from pam_antagonist.recording.cdr import typestore
 
 FLUID = "sensor_msgs/msg/FluidPressure"
 VALVE = "pam_antagonist_msgs/msg/ValveCommand"

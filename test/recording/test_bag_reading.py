@@ -12,8 +12,8 @@ from fake_bags import ESTIMATE, FIRST_NS, JOINT, PERIOD_NS, REFERENCE, FakeRig, 
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import bag_hash, read_bag
+from pam_antagonist.recording.cdr import typestore
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.messages import typestore
 
 
 @pytest.mark.parametrize(

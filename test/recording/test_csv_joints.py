@@ -11,9 +11,8 @@ from csv_files import ROWS, Lab
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import bag_hash, read_bag, write_bag
-from pam_antagonist.recording.csv_import import notes, read_csv
+from pam_antagonist.recording.csv_import import LEAST_ROWS, PAUSE_NS, notes, read_csv
 from pam_antagonist.recording.csv_map import load_map
-from pam_antagonist.recording.csv_time import LEAST_ROWS, PAUSE_NS
 from pam_antagonist.recording.notes import read_notes, sealed_muscles, write_notes
 
 SEALED = {"constant": 0.0, "unit": "V", "sealed": True}
@@ -97,18 +96,8 @@ def episodes(
     """Episodes whose time begins anew, of a joint with regulators; the map's plain entries are ``changes``."""
     names = ("episode", "t", "p1", "p2", "q", "a", "row", "s1", "s2")
     rows = [
-        (
-            number,
-            begin + k * PERIOD,
-            300 + number,
-            500 - k,
-            400 + k,
-            10 * number,
-            100 * number + k,
-            2 + 0.1 * k,
-            4 - 0.1 * k,
-        )
-        for number, length in enumerate(lengths)
+        (n, begin + k * PERIOD, 300 + n, 500 - k, 400 + k, 10 * n, 100 * n + k, 2 + 0.1 * k, 4 - 0.1 * k)
+        for n, length in enumerate(lengths)
         for k in range(length)
     ]
     entries = {"valve_1": None, "valve_2": None, "drive": drive, "episode": "episode", **changes}

@@ -11,9 +11,9 @@ import pytest
 from csv_files import MAP, Lab
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.csv_import import START_NS
 from pam_antagonist.recording.csv_map import example_text, load_map, map_names
-from pam_antagonist.recording.csv_time import START_NS
-from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.plausible import UNITS
 
 GAUGE = {"column": "p1", "unit": "kPa", "reference": "gauge"}
 ABSOLUTE = {"column": "p1", "unit": "kPa", "reference": "absolute"}

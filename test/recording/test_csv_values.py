@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from csv_files import HEADER, MAP, ROWS, Lab
 
-from pam_antagonist.recording.units import UNITS
+from pam_antagonist.recording.plausible import UNITS
 
 BY_HAND = [
     # 1 psi = 6.894757293168361 kPa (NIST SP 811)

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 from bombs import assert_refused_in_a_gigabyte
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_bag_fuzz import DEEP, EDIT, EXAMPLES, edited
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import read_force_map, read_volumes
@@ -20,12 +21,7 @@ from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.rig import load_rig
 
-DEEP = bool(os.environ.get("PAM_PROOF"))
-EXAMPLES = settings(
-    max_examples=1500 if DEEP else 25,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+FEWER = settings(EXAMPLES, max_examples=EXAMPLES.max_examples if DEEP else 25)
 FILES: dict[str, tuple[Path, Callable[[str], Any]]] = {
     "rig": (config_dir() / "rigs" / "shin2022.yaml", load_rig),
     "sealed": (config_dir() / "rigs" / "sealed_joint.yaml", load_rig),
@@ -53,7 +49,7 @@ EDITS = st.lists(
 )
 
 
-def edited(text: str, edits: list[tuple[str, int, Any]]) -> bytes:
+def edited_lines(text: str, edits: list[tuple[str, int, Any]]) -> bytes:
     lines: list[Any] = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     raw = None
     for kind, where, what in edits:
@@ -102,10 +98,10 @@ def test_damaged_yaml(tmp_path: Path, name: str) -> None:
     source, load = FILES[name]
     text, path = source.read_text(encoding="utf-8"), tmp_path / "file.yaml"
 
-    @EXAMPLES
+    @FEWER
     @given(EDITS)
     def run(edits: list[tuple[str, int, Any]]) -> None:
-        path.write_bytes(edited(text, edits))
+        path.write_bytes(edited_lines(text, edits))
         refused(lambda: load(str(path)))
 
     run()
@@ -116,35 +112,20 @@ CELLS = [
     "", " ", "nan", "inf", "-inf", "1e999", "1e-400", "1_000", "0x10", "١٢", "1,5", "--", "NaN", '"', '""', '"1', "'1'",
     "1" * 5000, "=cmd()", "\x00", "\ufeff", "\r", "\t", ";", "1;2;3", "2026-01-01", "12:00:00", "1e308", "-1e308", "é",
 ]  # fmt: skip
-CSV = st.lists(
-    st.one_of(
-        st.tuples(st.just("cell"), st.integers(0, 10**4), st.sampled_from(CELLS)),
-        st.tuples(st.just("cut"), st.integers(0, 10**4), st.just("")),
-        st.tuples(st.just("drop"), st.integers(0, 10**4), st.just("")),
-        st.tuples(st.just("insert"), st.integers(0, 10**4), st.binary(min_size=1, max_size=40)),
-        st.tuples(st.just("bytes"), st.integers(0, 10**4), st.binary(min_size=1, max_size=8)),
-    ),
-    min_size=1,
-    max_size=4,
-)
+CELL = st.tuples(st.just("cell"), st.integers(0, 10**4), st.sampled_from(CELLS))
+CSV = st.lists(st.one_of(CELL, EDIT), min_size=1, max_size=4)
 
 
 def edited_csv(text: str, edits: list[tuple[str, int, Any]]) -> bytes:
     data = text.encode()
     for kind, where, what in edits:
-        at = where % (len(data) + 1)
         if kind == "cell":
+            at = where % (len(data) + 1)
             begin = max(data.rfind(b",", 0, at), data.rfind(b"\n", 0, at)) + 1
             end = min((k for k in (data.find(b",", at), data.find(b"\n", at)) if k >= 0), default=len(data))
             data = data[:begin] + what.encode() + data[max(begin, end) :]
-        elif kind == "cut":
-            data = data[:at]
-        elif kind == "drop":
-            data = data[:at] + data[at + 20 :]
-        elif kind == "insert":
-            data = data[:at] + what + data[at:]
         else:
-            data = data[:at] + what + data[at + len(what) :]
+            data = edited(data, [(kind, where, what)], [])
     return data
 
 
@@ -171,7 +152,7 @@ def test_damaged_csv(tmp_path: Path, name: str) -> None:
         def load() -> Any:
             return read_volumes(path)
 
-    @EXAMPLES
+    @FEWER
     @given(CSV)
     def run(edits: list[tuple[str, int, Any]]) -> None:
         path.write_bytes(edited_csv(text, edits))
