@@ -6,6 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,10 @@ import machine
 import numpy as np
 import pytest
 
+from pam_antagonist.api.simulate import FIRST_STAMP_NS, simulate
 from pam_antagonist.recording import Recording, read_bag, write_bag
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation import excitation
-from pam_antagonist.simulation.plant import Plant
 
 # A busy machine is slow now and then, which is no defect of what is tested.
 hypothesis.settings.register_profile("project", deadline=None)
@@ -57,33 +58,24 @@ def rig() -> Rig:
     return load_rig("shin2022")
 
 
-def _record(rig: Rig, folder: Path, joint: str, seconds: float) -> Recording:
-    plant = Plant(rig, joint=joint, seed=5, mismatch=0.01)
-    voltage = excitation.profile("steps", seconds, rig.sample_period, seed=2)
-    samples = [plant.step(u) for u in voltage]
-    stamps = FIRST_NS + np.arange(1, len(samples) + 1) * 1_000_000
-    recording = Recording(
-        path=folder,
-        stamp_ns=stamps,
-        pressure=np.array([sample.pressure for sample in samples]),
-        voltage=voltage,
-        angle=np.array([sample.angle for sample in samples]),
-        torque=np.array([sample.torque for sample in samples]),
-    )
-    write_bag(folder, recording)
+def _record(rig: Rig, folder: Path, joint: str) -> Recording:
+    """Six seconds, 6000 samples, read back from a bag."""
+    voltage = excitation.profile("steps", 6.0, rig.sample_period, seed=2)
+    made = simulate(rig, voltage, joint=joint, seed=5, mismatch=0.01)
+    write_bag(folder, replace(made, stamp_ns=made.stamp_ns - FIRST_STAMP_NS + FIRST_NS))
     return read_bag(folder)
 
 
 @pytest.fixture(scope="session")
 def free(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Six seconds of a free joint, 6000 samples, read back from a bag."""
-    return _record(rig, tmp_path_factory.mktemp("bags") / "free", "free", 6.0)
+    """A free joint."""
+    return _record(rig, tmp_path_factory.mktemp("bags") / "free", "free")
 
 
 @pytest.fixture(scope="session")
 def locked(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Six seconds of a joint that is held at 0, with encoder noise."""
-    return _record(rig, tmp_path_factory.mktemp("bags") / "locked", "locked", 6.0)
+    """A joint that is held at 0, with encoder noise."""
+    return _record(rig, tmp_path_factory.mktemp("bags") / "locked", "locked")
 
 
 @pytest.fixture(scope="session")

@@ -178,37 +178,3 @@ def test_compiling_is_told_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) 
     compiling.on_start(None)
     compiling.on_end(None)
     assert log.getvalue() == "" and compiling.kernels == 3 and compiling.seconds > 0.0
-
-
-FIRST = """
-import numpy as np
-
-from pam_antagonist._jit import COMPILING
-from pam_antagonist.cli.first_start import FITS, REPLAY, compile_first
-from pam_antagonist.estimation import simulate_model
-from pam_antagonist.model import lanes
-from pam_antagonist.rig import load_rig
-
-rig = load_rig("shin2022")
-before = COMPILING.kernels
-assert {"model", "lanes"} < set(FITS) and "model" in REPLAY
-compile_first(["model", "lanes"], rig)
-simulate_model(rig, np.full((2, 2), 5.0), np.full(2, 4e5))
-starts, vectors = [np.array([0.0, 0.0, 4e5, 4e5])] * lanes.LANES, [rig.parameters("free")] * lanes.LANES
-lanes.courses(starts, np.full((2, 2), 5.0), vectors, 1e-3, 1)
-print(COMPILING.kernels - before)
-"""
-
-
-@pytest.mark.slow(15)
-def test_at_a_first_start_the_models_of_a_fit_are_compiled_by_processes_of_their_own(tmp_path: Path) -> None:
-    """The filter is compiled in the same way; without it, this takes half a minute of processor time."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    said = []
-    for _ in range(2):
-        done = subprocess.run(
-            [sys.executable, "-c", FIRST], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
-        )
-        assert done.stdout == "0\n"
-        said.append(done.stderr)
-    assert "compiling for a rig without effects, once" in said[0] and said[1] == ""

@@ -78,9 +78,6 @@ ROS = re.compile(r"rclpy|rcl_interfaces|builtin_interfaces|rosgraph_msgs|std_srv
 LABORATORY = "validation"
 """Measures the product from a checkout, and is not installed: nothing in the package may import it."""
 
-KNOWN: set[tuple[str, str]] = set()
-"""Arrows that are still to be removed: (file, layer)."""
-
 
 class Import(NamedTuple):
     """One import statement.
@@ -138,7 +135,7 @@ def forbidden(package: Path) -> list[str]:
             where = f"{item.file}:{item.line}"
             if first == package.name:
                 to = layer_of(item.module)
-                if to not in (item.layer, *MAY_IMPORT.get(item.layer, ())) and (item.file, to) not in KNOWN:
+                if to not in (item.layer, *MAY_IMPORT.get(item.layer, ())):
                     found.append(f"{where}: {item.layer} -> {to} ({item.module})")
             elif first == LABORATORY:
                 found.append(f"{where}: {item.layer} -> {LABORATORY} ({item.module})")
@@ -166,11 +163,6 @@ def test_the_table_has_no_circle() -> None:
     order = list(MAY_IMPORT)
     for layer, below in MAY_IMPORT.items():
         assert all(order.index(other) < order.index(layer) for other in below), f"{layer} imports a layer after it"
-
-
-def test_exceptions_are_needed() -> None:
-    found = [item for path in (ROOT / PACKAGE).rglob("*.py") for item in imports(path, ROOT / PACKAGE)]
-    assert {(item.file, layer_of(item.module)) for item in found if item.module.startswith(PACKAGE)} >= KNOWN
 
 
 @pytest.mark.parametrize(

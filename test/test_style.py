@@ -19,6 +19,7 @@ def test_ruff() -> None:
     _passes("ruff", "check", "--no-cache", "--output-format=concise", ".")
 
 
+@pytest.mark.slow(60)
 @pytest.mark.skipif(pydantic.VERSION.startswith("1."), reason="the types follow pydantic 2")
 def test_mypy() -> None:
     _passes("mypy")

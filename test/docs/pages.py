@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 _OUTSIDE = ("README", "CONTRIBUTING", "CHANGELOG", "examples/README")
@@ -78,3 +81,13 @@ def commands(text: str) -> Iterator[list[str]]:
         words = match[1].split("#")[0].split()
         if words and re.fullmatch(r"[a-z_]+", words[0]):
             yield words
+
+
+def printed(script: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """What a script prints in a folder. It runs in this process, which has loaded all that is slow to load."""
+    capsys.readouterr()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr("sys.argv", [str(script)])
+        runpy.run_path(str(script), run_name="__main__")
+    return capsys.readouterr().out

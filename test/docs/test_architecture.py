@@ -48,28 +48,10 @@ def test_every_folder_of_the_package_stands_in_the_table() -> None:
     assert there == set(re.findall(r">(\w+)/<", drawing))
 
 
-def test_pipeline_has_the_five_steps_in_this_order() -> None:
-    source = (ROOT / "pam_antagonist" / "diagnosis" / "pipeline.py").read_text(encoding="utf-8")
-    for function, steps in (
-        ("diagnose", ("prepare", "describe")),
-        ("verdicts", ("by_itself_or_in_turn", "search", "judge")),
-    ):
-        body = source.split(f"def {function}(")[1].split("\ndef ")[0]
-        places = [re.search(rf"\b{step}\(", body).start() for step in steps]
-        assert places == sorted(places)
-
-
 def test_the_docstring_of_the_diagnosis_names_all_of_its_modules() -> None:
     folder = ROOT / "pam_antagonist" / "diagnosis"
     named = set(re.findall(r":mod:`(\w+)`", (folder / "__init__.py").read_text(encoding="utf-8")))
     assert named == {path.stem for path in folder.glob("*.py")} - {"__init__"}
-
-
-def test_each_folder_of_the_table_says_where_to_begin() -> None:
-    table = pages.read(PAGE).split("## What is where")[1].split("\n\n")[1]
-    for row in table.splitlines()[2:]:
-        first, _, begin = (cell.strip() for cell in row.strip("|").split("|"))
-        assert not begin or begin.startswith("[`"), f"{first}: {begin}"
 
 
 GLOSSARY = pages.read(pages.ROOT / "docs" / "reference" / "glossary.md")

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pages
@@ -18,21 +15,12 @@ from pam_antagonist.recording import read_bag, write_bag
 
 ROOT = pages.ROOT
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
-SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+EXAMPLES = ROOT / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+Capture = pytest.CaptureFixture[str]
 
 
-def run(*arguments: str, cwd: Path, status: int = 0) -> str:
-    """What a program in Python prints; it has to end with a status."""
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-    done = subprocess.run(
-        [sys.executable, *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False,
-        timeout=900,
-    )  # fmt: skip
-    assert done.returncode == status, f"{arguments}\n{done.stdout}{done.stderr}"
-    return done.stdout
-
-
-def command(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+def command(words: list[str], folder: Path, capsys: Capture) -> str:
     """What a command prints in a folder; in this process, which has the compiled code already."""
     capsys.readouterr()
     with pytest.MonkeyPatch.context() as patch:
@@ -56,47 +44,47 @@ def test_scripts_are_short() -> None:
 
 
 def test_recordings_are_small() -> None:
-    bags = [*(ROOT / "examples" / "recordings").rglob("*.mcap")]
+    bags = [*(EXAMPLES / "recordings").rglob("*.mcap")]
     assert len(bags) == 2 and sum(path.stat().st_size for path in bags) < 8e6
 
 
-def test_replay_script_draws_the_angle(tmp_path: Path) -> None:
-    out = run(str(ROOT / "examples" / "replay_a_bag.py"), cwd=tmp_path)
+def test_replay_script_draws_the_angle(tmp_path: Path, capsys: Capture) -> None:
+    out = pages.printed(EXAMPLES / "replay_a_bag.py", tmp_path, capsys)
     error, share = re.match(r"angle RMSE ([\d.]+)°, ([\d.]+)% within", out).groups()
     assert float(error) < 0.2 and float(share) > 95.0
     assert (tmp_path / "angle.png").stat().st_size > 10_000
 
 
-def test_step_script_tells_one_estimate_every_five_seconds(tmp_path: Path) -> None:
-    lines = run(str(ROOT / "examples" / "step_by_step.py"), cwd=tmp_path).splitlines()
+def test_step_script_tells_one_estimate_every_five_seconds(tmp_path: Path, capsys: Capture) -> None:
+    lines = pages.printed(EXAMPLES / "step_by_step.py", tmp_path, capsys).splitlines()
     rows = [[float(word) for word in line.split()] for line in lines[1:-1]]
     assert [row[0] for row in rows] == [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]
     assert lines[-1].startswith("Counts(processed=30000, predicted_only=0, missing=0")
 
 
-def test_regulator_script_does_without_measured_pressures(tmp_path: Path) -> None:
-    lines = run(str(ROOT / "examples" / "regulators.py"), cwd=tmp_path).splitlines()
+def test_regulator_script_does_without_measured_pressures(tmp_path: Path, capsys: Capture) -> None:
+    lines = pages.printed(EXAMPLES / "regulators.py", tmp_path, capsys).splitlines()
     assert [line.split(":")[0] for line in lines] == ["pressures measured", "pressures not measured"]
     measured, blind = (float(re.search(r"angle RMSE ([\d.]+)°", line).group(1)) for line in lines)
     assert blind < 1.2 * measured < 0.6
 
 
 @pytest.mark.slow(25)
-def test_diagnosis_script_finds_the_leak_of_each_recording(tmp_path: Path) -> None:
+def test_diagnosis_script_finds_the_leak_of_each_recording(tmp_path: Path, capsys: Capture) -> None:
     """In most of each recording: the whole ones are those of the first hour, below."""
-    script = shutil.copy(ROOT / "examples" / "diagnose_a_leak.py", tmp_path)
+    script = shutil.copy(EXAMPLES / "diagnose_a_leak.py", tmp_path)
     for name in ("leak_free", "leak_locked"):
-        whole = read_bag(ROOT / "examples" / "recordings" / name)
+        whole = read_bag(EXAMPLES / "recordings" / name)
         write_bag(tmp_path / "recordings" / name, whole.slice(0.0, 21.0))
-    out = run(script, cwd=tmp_path)
+    out = pages.printed(script, tmp_path, capsys)
     assert out.startswith("effect - ")
     assert re.findall(r"^(\w+), muscle (\d)", out, re.MULTILINE) == [("leak", "1"), ("leak", "2")]
 
 
 @pytest.mark.slow(50)
-def test_commands_of_the_first_hour(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_of_the_first_hour(tmp_path: Path, capsys: Capture) -> None:
     """Without the demo, which needs ROS 2; what the page shows of the output is what is printed."""
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    (tmp_path / "examples").symlink_to(EXAMPLES)
     page = ROOT / "docs" / "tutorials" / "first_hour.md"
     printed = ""
     for block in pages.blocks(page):
@@ -117,7 +105,7 @@ def test_commands_of_the_first_hour(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.slow(100)
-def test_commands_of_your_own_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_of_your_own_rig(tmp_path: Path, capsys: Capture) -> None:
     """A guessed rig is commissioned in a rehearsal, and what the page shows of the output is what is printed."""
     page, printed = ROOT / "docs" / "tutorials" / "your_own_rig.md", ""
     for block in pages.blocks(page):

@@ -52,7 +52,8 @@ def found(result: IdentifyResult) -> FromPressures:
 
 
 def run(folder: Path, names: Sequence[str], out: Path) -> int:
-    return command.main([*(str(folder / name) for name in names), "--rig", str(folder / "rig.yaml"), "--out", str(out)])
+    bags = [str(folder / name) for name in names]
+    return command.main([*bags, "--rig", str(folder / "rig.yaml"), "--out", str(out), "--no-figures"])
 
 
 @pytest.mark.slow(12)
@@ -96,7 +97,7 @@ def test_the_report_has_the_numbers_and_the_rig_is_one_that_replay_takes(
     assert values == {**joint.values, **air.values}
     assert load_rig(str(out / "rig.yaml")).identified
     write_bag(tmp_path / "free_2", trials[2])
-    words = [str(tmp_path / "free_2"), "--rig", str(out / "rig.yaml"), "--out", str(tmp_path / "again")]
+    words = [str(tmp_path / "free_2"), "--rig", str(out / "rig.yaml"), "--out", str(tmp_path / "again"), "--no-figures"]
     assert replay.main(words) == 0
     again = json.loads((tmp_path / "again" / "report.json").read_text())
     assert again["ukf"]["angle"]["rmse_deg"] < 1.2 * numbers["held_out"][0]["errors_deg"]["identified"]
@@ -275,7 +276,8 @@ def test_recordings_of_other_laboratories(
     errors, covered = [], []
     for bag in use["held_out"]:
         out = tmp_path / f"{bag}_replay"
-        assert replay.main([str(tmp_path / bag), "--rig", str(tmp_path / "out" / "rig.yaml"), "--out", str(out)]) == 0
+        words = [str(tmp_path / bag), "--rig", str(tmp_path / "out" / "rig.yaml"), "--out", str(out), "--no-figures"]
+        assert replay.main(words) == 0
         angle = json.loads((out / "report.json").read_text())["ukf"]["angle"]
         errors.append(angle["rmse_deg"])
         covered.append(angle["coverage95"])

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from pam_antagonist import simulate
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.runs import Run, runs_of
 from pam_antagonist.identification.valve_curve import (
@@ -17,7 +16,6 @@ from pam_antagonist.identification.valve_curve import (
     valve_curve,
 )
 from pam_antagonist.model import parameters as par
-from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation.plant import Plant
@@ -46,10 +44,9 @@ def test_the_relation_depends_on_neither_areas_nor_polytropic_indices() -> None:
 
 
 def test_a_staircase_gives_the_plants_curve_back() -> None:
-    plant = Plant(RIG, joint="locked", seed=3, mismatch=0.0)
     levels = np.array([4.2, 4.6, 5.0, 5.5, 6.0, 6.6, 7.0])
     voltage = np.repeat(levels, 25_000)
-    pressure = np.array([plant.step((u, u)).pressure for u in voltage])
+    pressure = simulate(RIG, voltage[:, None] * np.ones(2), joint="locked", seed=3).pressure
     points = steady_points(voltage, pressure[:, 1], RIG.sample_period)
     assert np.allclose(points.voltage, levels)
     volts, rates = valve_curve(points, RIG.parameters())
@@ -70,16 +67,8 @@ def _with_curve(shift: float) -> Rig:
 
 
 def _staircase(rig: Rig) -> list[Run]:
-    plant = Plant(rig, joint="locked", seed=4)
-    voltage = np.repeat(np.array([4.6, 5.0, 5.5, 6.0]), 30_000)[:, None] * np.ones(2)
-    samples = [plant.step(row) for row in voltage]
-    stamps = np.arange(1, len(samples) + 1, dtype=np.int64) * 1_000_000
-    pressure = np.array([sample.pressure for sample in samples])
-    measured = [np.array([getattr(sample, name) for sample in samples]) for name in ("angle", "torque")]
-    recording = Recording(
-        path=Path("staircase"), stamp_ns=stamps, pressure=pressure, voltage=voltage, angle=measured[0],
-        torque=measured[1],
-    )  # fmt: skip
+    voltage = np.repeat([4.6, 5.0, 5.5, 6.0], 30_000)[:, None] * np.ones(2)
+    recording = simulate(rig, voltage, joint="locked", seed=4)
     return runs_of(recording, JointCondition("locked", 0.0, "command line"), "staircase")
 
 

@@ -36,7 +36,7 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
     return write_rigs(tmp_path_factory.mktemp("rigs"))
 
 
-@pytest.mark.slow(110)
+@pytest.mark.slow(3)
 @pytest.mark.parametrize("case", cases(COUNT, SEED), ids=str)
 def test_no_command_crashes_or_says_what_is_not_so(
     case: Case, rigs: dict[str, Rig], tmp_path: Path, capfd: pytest.CaptureFixture[str]
