@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from pam_antagonist.estimation.errors import ChannelErrors, ModelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors, ModelErrors
 from pam_antagonist.replays.result import JointFacts, ReplayReport
 from pam_antagonist.shown import number
 
