@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.output import output_folder
+from pam_antagonist.paths import output_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTER, INNER = "pam_antagonist", "pam_antagonist_msgs"

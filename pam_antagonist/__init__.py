@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pam_antagonist.recording.reader import read_bag
     from pam_antagonist.recording.recording import Recording
     from pam_antagonist.recording.writer import write_bag
-    from pam_antagonist.rig.load import load_rig
+    from pam_antagonist.rig.file import load_rig
     from pam_antagonist.rig.schema import Rig
 
 _NAMES = {
@@ -36,7 +36,7 @@ _NAMES = {
     "recording.reader": ("read_bag",),
     "recording.writer": ("write_bag",),
     "rig.schema": ("Rig",),
-    "rig.load": ("load_rig",),
+    "rig.file": ("load_rig",),
     "api.check": ("CheckResult", "check"),
     "api.diagnose": ("DiagnoseResult", "diagnose"),
     "api.excite": ("ExciteResult", "excite"),

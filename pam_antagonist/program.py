@@ -1,10 +1,12 @@
-"""The way to call a command in the user's environment, for help and hints."""
+"""The program itself: how a command of it is called in the user's environment, and versions that made a result."""
 
 from __future__ import annotations
 
 import os
+import platform
 import sys
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 
 VARIABLE = "PAM_PROGRAM"
@@ -43,3 +45,17 @@ def piped(work: Callable[[], int]) -> int:
 def typed(command: str) -> str:
     """A command, with its arguments, as the user would type it."""
     return f"{program()} {command}"
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of the software that its results depend on."""
+    try:
+        own = metadata.version("pam_antagonist")
+    except metadata.PackageNotFoundError:
+        own = "not installed"
+    return {
+        "pam_antagonist": own,
+        "python": platform.python_version(),
+        "numpy": metadata.version("numpy"),
+        "numba": metadata.version("numba"),
+    }

@@ -74,6 +74,29 @@ class Strict(BaseModel):
         return self.dict(**how) if _OLD else self.model_dump(**how)
 
 
+class Line(Strict):
+    """A line of JSON; keys of later versions are left out."""
+
+    if _OLD:
+
+        class Config:
+            """Settings of pydantic 1."""
+
+            extra = "ignore"
+
+    else:
+        model_config = pydantic.ConfigDict(extra="ignore")
+
+    def text(self) -> str:
+        """The line, without what has its default value."""
+        return self.json(exclude_defaults=True) if _OLD else self.model_dump_json(exclude_defaults=True)
+
+    @classmethod
+    def read(cls, line: bytes) -> Self:
+        """What a line holds; raises pydantic's ``ValidationError``."""
+        return cls.parse_raw(line) if _OLD else cls.model_validate_json(line)
+
+
 Schema = TypeVar("Schema", bound=BaseModel)
 
 

@@ -143,7 +143,7 @@ def test_all_that_kernels_are_made_of_counts_and_nothing_else() -> None:
     package = ROOT / "pam_antagonist"
     found = {path.relative_to(package).as_posix() for path in _jit._kernel_sources()}
     assert found >= {"model/dynamics.py", "model/effects/leak.py", "model/parameters.py", "estimation/filter.py"}
-    assert not found & {"estimation/estimator.py", "estimation/errors.py", "estimation/metrics.py"}
+    assert not found & {"estimation/estimator.py", "estimation/metrics.py"}
     modules = {
         ".".join(("pam_antagonist", *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__"): path
         for folder in ("model", "estimation")

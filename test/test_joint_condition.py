@@ -18,7 +18,7 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.recording import RecordedEstimate, Recording, write_bag
 from pam_antagonist.recording.joint import JointCondition, joint_condition, with_stops
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 Changed = Callable[..., Recording]
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
 BASE = "base"  # errors, optional, blas, program, shown, _jit: what every module may use
-FILES = "files"  # paths, output, strict_yaml, strict_json, software: reading and writing files
+FILES = "files"  # paths, strict_yaml, strict_json: reading and writing files
 PLACES = {
     "errors": BASE,
     "blas": BASE,
@@ -27,10 +27,8 @@ PLACES = {
     "shown": BASE,
     "_jit": BASE,
     "paths": FILES,
-    "output": FILES,
     "strict_yaml": FILES,
     "strict_json": FILES,
-    "software": FILES,
 }
 """Layer of a module that lies in no folder. A folder is a layer of its own name."""
 
@@ -96,7 +94,7 @@ class Import(NamedTuple):
 
 
 def layer_of(module: str) -> str:
-    """The layer of a module of the package, such as ``rig`` for ``pam_antagonist.rig.load``."""
+    """The layer of a module of the package, such as ``rig`` for ``pam_antagonist.rig.file``."""
     first = module.split(".")[1] if "." in module else BASE
     return PLACES.get(first, first)
 
@@ -169,7 +167,7 @@ def test_the_table_has_no_circle() -> None:
     ("file", "line", "arrow"),
     [
         ("model/law.py", "from pam_antagonist.rig import Rig", "model -> rig"),
-        ("model/law.py", "def f():\n    import pam_antagonist.rig.load", "model -> rig"),
+        ("model/law.py", "def f():\n    import pam_antagonist.rig.file", "model -> rig"),
         ("model/law.py", "if TYPE_CHECKING:\n    from pam_antagonist import rig", "model -> rig"),
         ("model/effects/law.py", "from ...rig import load", "model -> rig"),
         ("model/law.py", "import scipy", "model -> scipy"),

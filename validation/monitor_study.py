@@ -28,7 +28,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal
 from pam_antagonist.report.document import Table, markdown
 from pam_antagonist.rig import Encoder, Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.strict_json import write_json
 from validation.monitored import Fault, Joint, Samples, faults, size_of
 from validation.rigs.rehearsed import DESCRIBED, written

@@ -22,10 +22,10 @@ from pam_antagonist.control.stiffness import Box
 from pam_antagonist.diagnosis.monitor import RATE, slower
 from pam_antagonist.diagnosis.monitor_responses import hypotheses
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import rest_pressure, rest_voltage
+from pam_antagonist.rig.physical import rest_pressure, rest_voltage
 from pam_antagonist.simulation.plant import scattered
 
 Floats = NDArray[np.float64]
@@ -120,7 +120,7 @@ class Joint:
 
 def readings(states: Floats, p: Floats) -> Floats:
     """Pressures as the sensors show them without noise (N, 2) [Pa]."""
-    gains = [[sensor.reading(i, value, p) for value in (0.0, 1e5)] for i in (0, 1)]
+    gains = [[dynamics.reading(i, value, p) for value in (0.0, 1e5)] for i in (0, 1)]
     return np.column_stack([low + (high - low) * states[:, 2 + i] * 1e-5 for i, (low, high) in enumerate(gains)])
 
 

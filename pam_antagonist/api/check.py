@@ -14,7 +14,7 @@ from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import terminal
 from pam_antagonist.report.result import frame_of
 from pam_antagonist.rig import as_rig
-from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import assumption
 from pam_antagonist.shown import widened
 from pam_antagonist.strict_json import write_json
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from pam_antagonist.output import output_folder
+from pam_antagonist.paths import output_folder
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
 from pam_antagonist.recording.csv_map import CsvMap, load_map

@@ -24,9 +24,8 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import vented
-from pam_antagonist.rig.physical import unphysical
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
+from pam_antagonist.rig.physical import unphysical, vented
 
 _FASTEST = 20.0
 """[1/s] Rate at which a pressure's error is corrected; a slow log has a lower one."""

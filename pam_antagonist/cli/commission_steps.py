@@ -34,7 +34,7 @@ from pam_antagonist.report.commission import CommissionResult, Step
 from pam_antagonist.report.commission import Driven as DrivenStep
 from pam_antagonist.report.excite import ExciteResult
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.shown import widened
 
 if TYPE_CHECKING:

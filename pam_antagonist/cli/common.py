@@ -23,7 +23,7 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.optional import available, install
-from pam_antagonist.output import check_output, output_folder
+from pam_antagonist.paths import check_output, output_folder
 from pam_antagonist.program import piped, program, typed
 
 

@@ -46,7 +46,7 @@ from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import angle_range
+from pam_antagonist.rig.physical import angle_range
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.client import ReferenceClient

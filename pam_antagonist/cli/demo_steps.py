@@ -14,7 +14,7 @@ from pam_antagonist.control.pi import FAST_GAINS, PUBLISHED_GAINS
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, RigIdentity, differences, load_rig
-from pam_antagonist.rig.limits import angle_range, largest_torque
+from pam_antagonist.rig.physical import angle_range, largest_torque
 
 GAINS = {"fast": FAST_GAINS, "published": PUBLISHED_GAINS}
 """Gains of the PI for the joint of the paper, by name."""

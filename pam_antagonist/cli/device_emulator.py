@@ -66,7 +66,7 @@ def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.hardware.protocol import Feature
     from pam_antagonist.nodes.spin import hurry
     from pam_antagonist.rig import load_rig
-    from pam_antagonist.rig.limits import rest_voltage
+    from pam_antagonist.rig.physical import rest_voltage
     from pam_antagonist.simulation.plant import Plant
 
     faults = [parse_fault(text) for text in arguments.fault]

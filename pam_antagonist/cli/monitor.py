@@ -26,7 +26,7 @@ from pam_antagonist.optional import needs_ros
 from pam_antagonist.report.document import Table
 from pam_antagonist.report.terminal import render
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import rest_pressure, rest_voltage
+from pam_antagonist.rig.physical import rest_pressure, rest_voltage
 
 _SETTLING, _SECONDS = 95, 60
 """[s] Before the minute that counts, and that minute."""

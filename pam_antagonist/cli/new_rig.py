@@ -30,9 +30,9 @@ from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.new import Contradiction, Facts, starting_point
 from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
-from pam_antagonist.rig.write import write_rig
 
 
 def parser() -> common.Parser:

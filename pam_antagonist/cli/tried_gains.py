@@ -21,7 +21,7 @@ from pam_antagonist.control.reference import Wanted
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import angle_range, rest_pressure, rest_voltage
+from pam_antagonist.rig.physical import angle_range, rest_pressure, rest_voltage
 from pam_antagonist.simulation.plant import Plant
 
 _HOLD_S, _LAST_S = 5.0, 1.0

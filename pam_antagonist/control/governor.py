@@ -30,13 +30,13 @@ from pam_antagonist.control.command import Mode
 from pam_antagonist.control.model_law import ModelController, Seen, known_torque, voltage_towards, wanted_pressures
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, equilibrium, integration, lever_arm, muscle
+from pam_antagonist.model import dynamics, equilibrium, integration, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY, WITH_EFFECTS
 from pam_antagonist.model.parameters import LENGTH, POLYTROPIC_VOLUME, RADIUS
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
-_leverage, _length, _volume = lever_arm.leverage, muscle.length, muscle.volume
+_leverage, _length, _volume = muscle.leverage, muscle.length, muscle.volume
 _forces, _torque_slope, _rk4_step = dynamics.forces, dynamics.torque_slope, integration.rk4_step
 _make_steady = equilibrium.make_steady
 

@@ -42,12 +42,12 @@ from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.control.command import Command, Law, Mode, Status, VoltageLimits
 from pam_antagonist.control.stiffness import Box, set_pressures
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import composition, dynamics, equilibrium, flow, lever_arm, muscle
+from pam_antagonist.model import composition, dynamics, equilibrium, flow, muscle
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY, WITH_EFFECTS
 from pam_antagonist.model.parameters import FORCE_FORM, SLOT_OF, STATES, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
-_leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
+_leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
 _flow_for, _open_rate_for, _voltage_for = flow.flow_for, flow.open_rate_for, flow.voltage_for
 _pull, _make_steady, _mass_loss = equilibrium.pull, equilibrium.make_steady, composition.mass_loss
 _torque, _sliding_friction = dynamics.torque, dynamics.sliding_friction

@@ -28,7 +28,7 @@ from pam_antagonist._jit import in_place
 from pam_antagonist.control.model_law import Seen, wanted_pressures
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import flow, lever_arm, muscle
+from pam_antagonist.model import flow, muscle
 from pam_antagonist.model.dynamics import PRESSURE_1
 from pam_antagonist.model.parameters import SLOT_OF, STATES, SUPPLY
 
@@ -148,7 +148,7 @@ def _step(time: Floats, reference: float, before: float, error: Floats) -> Step:
     return Step(start, length, reference, steady, settling)
 
 
-_leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
+_leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
 _flow_for, _valve_flow = flow.flow_for, flow.valve_flow
 
 _PHASES = 24

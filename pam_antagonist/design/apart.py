@@ -34,7 +34,7 @@ from pam_antagonist.inference.likelihood import BLOCKS_PER_ERROR
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.simulation import excitation
 
 Floats = NDArray[np.float64]

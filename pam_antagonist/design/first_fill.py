@@ -21,7 +21,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 
 Floats = NDArray[np.float64]
 

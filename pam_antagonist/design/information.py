@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.free_parameters import Direction, free_parameters
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, TORQUE
-from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import rest_pressure
+from pam_antagonist.rig.physical import rest_pressure
 
 Floats = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class Information:
         runs = [integration.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
         shown = [
             np.column_stack(
-                [states[1:, 0], torque[1:], sensor.readings(states[1:, 2:4], p), *self._gauges(states[1:], p)]
+                [states[1:, 0], torque[1:], dynamics.readings(states[1:, 2:4], p), *self._gauges(states[1:], p)]
             )
             for (states, torque), p in zip(runs, self.vectors, strict=True)
         ]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 
 Floats = NDArray[np.float64]
 

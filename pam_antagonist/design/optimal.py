@@ -24,7 +24,7 @@ from pam_antagonist.design.information import Course, Information, predicted_std
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Direction, free_parameters
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.shown import Shown
 
 Floats = NDArray[np.float64]

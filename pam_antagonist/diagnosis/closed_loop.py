@@ -19,12 +19,12 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
+from pam_antagonist.program import versions
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.file import refusal, write_rig
 from pam_antagonist.rig.schema import Calibration
-from pam_antagonist.rig.write import refusal, write_rig
-from pam_antagonist.software import versions
+from pam_antagonist.rig.units import assumption
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -17,7 +17,7 @@ from pam_antagonist.identification.from_pressures import CLEAR
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal, write_rig
+from pam_antagonist.rig.file import refusal, write_rig
 from pam_antagonist.shown import Shown, number, percent
 
 

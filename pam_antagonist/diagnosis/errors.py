@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE
 from pam_antagonist.estimation import metrics
-from pam_antagonist.estimation.errors import ChannelErrors, channel_errors
+from pam_antagonist.estimation.metrics import ChannelErrors, channel_errors
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.model import dynamics, equilibrium, flow, integration, lever_arm, muscle
+from pam_antagonist.model import dynamics, equilibrium, flow, integration, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND, VELOCITY
 from pam_antagonist.model.integration import STAGES
@@ -15,7 +15,7 @@ from pam_antagonist.model.parameters import FRICTION_STEP
 _rk4_step, _initial_state = integration.rk4_step_within, equilibrium.initial_state
 _torque, _needed = dynamics.torque, dynamics.torque_needed
 _open_rate, _valve_flow = flow.open_rate, flow.valve_flow
-_length, _volume, _leverage = muscle.length, muscle.volume, lever_arm.leverage
+_length, _volume, _leverage = muscle.length, muscle.volume, muscle.leverage
 
 
 @kernel

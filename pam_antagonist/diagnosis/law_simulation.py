@@ -20,7 +20,7 @@ from pam_antagonist.diagnosis.law_kernels import along_pressures
 from pam_antagonist.diagnosis.law_regression import Regression, roughness
 from pam_antagonist.diagnosis.residual_equations import base_groups, with_base
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
-from pam_antagonist.model import command_driven, sensor
+from pam_antagonist.model import driven, dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
 from pam_antagonist.model.parameters import LONGEST_STEP
@@ -134,18 +134,18 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = _PARTS, law: Law
     held = p.copy()
     held[par.LOCKED] = 1.0
     if "air" in parts:
-        start = sensor.pressures_behind(course.measured[:1, :2] - raised[:1], p)
+        start = dynamics.pressures_behind(course.measured[:1, :2] - raised[:1], p)
         whole, begun = np.array([0, len(course.time)]), np.array([True])
-        shown = command_driven.pressures(whole, start, course.time, course.command, angle, held, _LONGEST, begun)
+        shown = driven.pressures(whole, start, course.time, course.command, angle, held, _LONGEST, begun)
         # By the simulated pressures, which hold none of the noise that is to be explained.
-        out[:, :2] = _blocks(sensor.readings(shown, p) + misread(law, shown, angle, period)[0], course.size)
+        out[:, :2] = _blocks(dynamics.readings(shown, p) + misread(law, shown, angle, period)[0], course.size)
     wanted = {
         "torque": "torque" in parts and bool(np.isfinite(course.measured[:, 2]).any()),
         "angle": "angle" in parts and not course.locked,
     }
     if not any(wanted.values()):
         return out
-    behind = sensor.pressures_behind(course.pressure - raised, p)
+    behind = dynamics.pressures_behind(course.pressure - raised, p)
     reach = max(round(_SLOPE_S / period), 1)
     velocity = np.zeros(len(course.time))
     if not course.locked:

@@ -21,7 +21,7 @@ import numpy as np
 from pam_antagonist._jit import in_place
 from pam_antagonist.estimation.estimator import considered
 from pam_antagonist.inference.free_parameters import base_directions
-from pam_antagonist.model import integration, sensor
+from pam_antagonist.model import dynamics, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
@@ -32,7 +32,7 @@ from pam_antagonist.rig.schema import ENCODER_ZERO
 
 READINGS = 3
 """Both pressures and the angle."""
-_step, _behind, _reading = integration.rk4_step_within, sensor.pressure_behind, sensor.reading
+_step, _behind, _reading = integration.rk4_step_within, dynamics.pressure_behind, dynamics.reading
 
 
 class Responses(NamedTuple):

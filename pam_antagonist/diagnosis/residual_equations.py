@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.law_kernels import air_columns, motions, observed, torques
-from pam_antagonist.model import integration, sensor
+from pam_antagonist.model import dynamics, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
 from pam_antagonist.rig import Rig
@@ -133,7 +133,7 @@ def equations(
     step = size * period
     parts = [{key: np.asarray(v)[: len(v) // size * size] for key, v in part.items()} for part in stretches]
     parts = [
-        {**part, "pressure": sensor.pressures_behind(part["pressure"], p)}
+        {**part, "pressure": dynamics.pressures_behind(part["pressure"], p)}
         for part in parts if len(part["time"]) >= 10 * size
     ]  # fmt: skip
     joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}

@@ -32,7 +32,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
-from pam_antagonist.model import dynamics, flow, integration, lever_arm, muscle, sensor
+from pam_antagonist.model import dynamics, flow, integration, muscle
 
 Floats = NDArray[np.float64]
 
@@ -265,7 +265,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
         first, p = block * size + size // 2, p_at[block]
         run, _ = integration.course(x, trial.given[first : first + (span + 1) * size], p, trial.dt, trial.substeps)
         end = run[span * size - size // 2 :][:size].mean(axis=0)
-        return np.array([sensor.reading(0, end[2], p), sensor.reading(1, end[3], p), end[0]])
+        return np.array([dynamics.reading(0, end[2], p), dynamics.reading(1, end[3], p), end[0]])
 
     values = np.full((len(begin), 4), np.nan)
     ends = np.array([ends_at(int(b), start[b]) for b in begin])
@@ -320,13 +320,13 @@ def _measured_states(states: Floats, shown: Floats, trial: Trial, moves: bool, p
         x[:, 1] = (shown[high, ANGLE] - shown[low, ANGLE]) / ((high - low) * trial.block_s)
     for i in (0, 1):
         readings = shown[:, PRESSURE_1 + i]
-        x[:, 2 + i] = [sensor.pressure_behind(i, value, p) for value, p in zip(readings, p_at, strict=True)]
+        x[:, 2 + i] = [dynamics.pressure_behind(i, value, p) for value, p in zip(readings, p_at, strict=True)]
     return x
 
 
 def _flow_of_rate(i: int, x: Floats, p: Floats) -> float:
     """Mass flow [kg/s] that moves a pressure by 1 Pa/s, by equation (4)."""
-    sine, _, _ = lever_arm.leverage(x[0], p)
+    sine, _, _ = muscle.leverage(x[0], p)
     chamber, _ = muscle.volume(i, muscle.length(i, sine, p), p)
     still, moved = (flow.pressure_rate(x[2 + i], chamber, 0.0, m, p) for m in (0.0, 1.0))
     return float(1.0 / (moved - still))

@@ -19,11 +19,11 @@ import math
 
 from pam_antagonist._jit import in_place
 from pam_antagonist.estimation import ukf
-from pam_antagonist.model import integration, sensor
+from pam_antagonist.model import dynamics, integration
 from pam_antagonist.model.dynamics import PRESSURE_1
 
 _plain_step, _step = integration.plain_step, integration.rk4_step_within
-_predict, _innovate, _pressure_behind = ukf.predict, ukf.innovate, sensor.pressure_behind
+_predict, _innovate, _pressure_behind = ukf.predict, ukf.innovate, dynamics.pressure_behind
 _ROUNDS = 12
 """Bisections: ū to 1/4096 of the range."""
 _UNIFORM = math.sqrt(1.0 / 12.0)

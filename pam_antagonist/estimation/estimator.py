@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import checkpoint as checkpoints
-from pam_antagonist.estimation import encoder, possible, push, readings, stamps, ukf
+from pam_antagonist.estimation import encoder, possible, stamps, start, ukf
 from pam_antagonist.estimation import filter as kernels
-from pam_antagonist.estimation.checkpoint import Checkpoint, FilterIdentity
-from pam_antagonist.estimation.memory import ESTIMATE_DTYPE, Settings, make_memory
+from pam_antagonist.estimation import memory as memories
+from pam_antagonist.estimation.memory import ESTIMATE_DTYPE, Checkpoint, Counts, FilterIdentity, Settings, make_memory
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
@@ -28,39 +27,6 @@ _FASTEST = 100.0
 
 ANGLE_SENSORS = ("none", "encoder")
 """Choices of the sensor that measures the angle for a filter."""
-
-
-@dataclass(frozen=True)
-class Counts:
-    """Counts of the samples that an estimator was given, by outcome.
-
-    Attributes:
-        processed: samples with an estimate.
-        predicted_only: of the processed ones, those without a usable pressure.
-        missing: samples with a missing value.
-        outliers: samples with a pressure beyond the gate.
-        late: samples older than the last one, dropped.
-        duplicates: samples with the same stamp as the last one, dropped.
-        gaps: samples that came after missing ones.
-        repaired: samples at which the covariance was repaired.
-        restarts: how often the filter began again.
-        angles_used: samples whose measured angle was used.
-        angles_refused: samples whose measured angle was not used: outliers, and all readings of a refused encoder.
-        repeated: samples whose pressures repeat the last reading of sensors that are slower: prediction only.
-    """
-
-    processed: int
-    predicted_only: int
-    missing: int
-    outliers: int
-    late: int
-    duplicates: int
-    gaps: int
-    repaired: int
-    restarts: int
-    angles_used: int = 0
-    angles_refused: int = 0
-    repeated: int = 0
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,7 +185,7 @@ class Estimator:
         self._memory = make_memory(n, m)
         self._identity = FilterIdentity(
             rig.name, fingerprint(rig), tuning, joint, lock_angle, tuple(self._added),
-            checkpoints.settings_hash(self._settings),
+            memories.settings_hash(self._settings),
         )  # fmt: skip
         # Plain tuples for the kernel, see filter.process_all.
         self._fields = tuple(self._memory), tuple(self._settings), tuple(ukf.make_work(n, sets))
@@ -253,12 +219,12 @@ class Estimator:
         """Forget the estimate; the next sample with both pressures and voltages starts the filter."""
         self._memory.clock[:] = 0
         self._memory.encoder[:] = encoder.new()
-        self._memory.readings[:] = readings.new(2)
+        self._memory.readings[:] = stamps.new_readings(2)
 
     @property
     def estimates_external_torque(self) -> bool:
         """Whether the rig has the external torque as a state."""
-        return push.EXTERNAL_TORQUE in self._added
+        return start.EXTERNAL_TORQUE in self._added
 
     @property
     def encoder_complaint(self) -> str:
@@ -324,7 +290,7 @@ class Estimator:
 
     def checkpoint(self) -> Checkpoint | None:
         """The filter's whole memory after the last sample; None if it is not started."""
-        return checkpoints.take(self._memory, self._identity) if self.started_ns is not None else None
+        return memories.take(self._memory, self._identity) if self.started_ns is not None else None
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint: later samples give the same bits as in the filter of the checkpoint.
@@ -335,7 +301,7 @@ class Estimator:
         Raises:
             BadInput: it is of another filter, or damaged; the filter stays unchanged.
         """
-        checkpoints.put(checkpoint, self._memory, self._identity)
+        memories.put(checkpoint, self._memory, self._identity)
 
     @property
     def counts(self) -> Counts:

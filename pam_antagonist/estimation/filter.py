@@ -17,9 +17,9 @@ arrival:
 * a joint with pressure regulators: commanded pressures take the place of the voltages. At a start, a commanded pressure
   also replaces a missing measured one;
 * both pressures as in the last sample, of sensors that are slower than the samples: prediction only
-  (:mod:`~pam_antagonist.estimation.readings`);
+  (:mod:`~pam_antagonist.estimation.stamps`);
 * a measured angle, where the filter uses one: see :mod:`~pam_antagonist.estimation.encoder`;
-* an innovation beyond the declared ``onset`` of pushes: see :mod:`~pam_antagonist.estimation.push`;
+* an innovation beyond the declared ``onset`` of pushes: see :mod:`~pam_antagonist.estimation.start`;
 * an innovation beyond the gate (Mahalanobis distance): the pressure with the larger normalised innovation is left out,
   then the other one if it is beyond the gate as well. After ``PATIENCE`` such samples in a row the filter is
   taken to be wrong, not the sensor, and the pressures are used again.
@@ -35,7 +35,7 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, merged
-from pam_antagonist.estimation import bridge, encoder, push, readings, stamps, start, ukf
+from pam_antagonist.estimation import bridge, encoder, stamps, start, ukf
 from pam_antagonist.estimation.memory import (
     COUNTERS,
     GAP,
@@ -50,7 +50,7 @@ from pam_antagonist.estimation.memory import (
 )
 from pam_antagonist.estimation.stamps import LAST, LONGEST_GAP_NS, REJECTED, RESTART_AFTER_NS, RUNNING, STARTED
 from pam_antagonist.estimation.ukf import Work
-from pam_antagonist.model import dynamics, sensor
+from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import SLOT_OF
 
@@ -62,35 +62,15 @@ _VERDICT, _WITHOUT, _PATIENCE = encoder.VERDICT, encoder.WITHOUT, stamps.PATIENC
 ) = range(len(COUNTERS))  # fmt: skip
 
 _innovate, _update, _torque_moments = ukf.innovate, ukf.update, ukf.torque_moments
-_forces, _torque_slope, _start_state = dynamics.forces, dynamics.torque_slope, start.start
-_subsystem, _pressure_behind = dynamics.subsystem, sensor.pressure_behind
-_EXTERNAL_TORQUE = SLOT_OF[push.EXTERNAL_TORQUE]
+_forces, _torque_slope, _start = dynamics.forces, dynamics.torque_slope, start.start
+_subsystem, _pressure_behind = dynamics.subsystem, dynamics.pressure_behind
+_EXTERNAL_TORQUE = SLOT_OF[start.EXTERNAL_TORQUE]
 _REGULATED = SLOT_OF["regulator_rate_1"]
 _examine, _correct_angle = encoder.examine, encoder.correct
-_jumped, _widen = push.jumped, push.widen
+_jumped, _widen = start.jumped, start.widen
 _propagate, _over_gap = bridge.propagate, bridge.over_gap
-_repeats, _forget = readings.repeats, readings.forget
+_repeats, _forget = stamps.repeats, stamps.forget
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
-
-
-@in_place
-def _start(y, effects, memory, settings, work):
-    """Set state and covariance from a first sample."""
-    _start_state(
-        y,
-        memory.held,
-        settings.parameter_sets[0],
-        settings.initial,
-        settings.measurement_noise,
-        settings.gain_noise,
-        settings.lock_angle,
-        memory.x,
-        memory.covariance,
-        memory.cross,
-        memory.innovation,
-        effects,
-        work,
-    )
 
 
 @inlined

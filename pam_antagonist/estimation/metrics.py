@@ -1,4 +1,4 @@
-"""Figures of merit of an estimate: its errors, and whether its covariance fits them.
+"""Figures of merit of an estimate or a model: its errors as report.json has them, and whether its covariance fits them.
 
 The three figures of Shin, Ibayashi and Kogiso (2022), section "Model Validation", are
 
@@ -12,6 +12,10 @@ squared (NIS) against its chi-square law, and the whiteness of the innovations.
 
 Samples that are not finite (nothing was measured, or nothing was used) are left out throughout. If none is left, the
 result is NaN.
+
+`error` is the estimate minus the measurement (N,), `variance` that of the estimate (N,), `reference` has the errors of
+the reference sensor, all in one unit. `level` is the probability of an interval. `series` is (N, m), one row a sample
+at a constant step; rows with NaN are left out.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,10 +50,7 @@ def _complete(series: FloatArray) -> NDArray[np.bool_]:
 
 
 def rmse(error: ArrayLike) -> float:
-    """Root mean square of an error: the paper's I, divided by the number of samples.
-
-    `error`: estimate minus measurement, (N,), in any unit.
-    """
+    """Root mean square of an error: the paper's I, divided by the number of samples."""
     z = _finite(error)
     return float(np.sqrt(np.mean(z * z))) if z.size else float("nan")
 
@@ -62,7 +64,7 @@ def max_error(error: ArrayLike) -> float:
 def estimation_ratio(error: ArrayLike, signal: ArrayLike) -> float:
     """Largest error over the range of the measured signal: the paper's Q, as a fraction.
 
-    `error`: estimate minus measurement, (N,). `signal`: the measured signal, (N,), in the unit of `error`.
+    `signal`: the measured signal, (N,), in the unit of `error`.
     """
     measured = _finite(signal)
     span = float(np.ptp(measured)) if measured.size else 0.0
@@ -113,10 +115,8 @@ def interval_half_width(variance: ArrayLike, reference: Reading = EXACT, level: 
     The interval includes the errors of the reference sensor. Its noise adds to the variance of the estimate, and its
     converter rounds by half a step at most.
 
-    `variance`: variance of the estimate, (N,). `reference`: errors of the reference sensor, in the unit of the
-    estimate. `level`: probability of the two-sided interval, between 0 and 1. Returns the quantile of a normal error
-    plus a uniform one of a converter's step, (N,): for 95 %, this is 1.96 sqrt(variance + std^2) without a step, and
-    0.475 step with nothing but a step.
+    Returns the quantile of a normal error plus a uniform one of a converter's step, (N,): for 95 %, this is 1.96
+    sqrt(variance + std^2) without a step, and 0.475 step with nothing but a step.
     """
     std = np.sqrt(np.asarray(variance, dtype=np.float64) + reference.std**2)
     if reference.step == 0.0:
@@ -132,9 +132,7 @@ def interval_half_width(variance: ArrayLike, reference: Reading = EXACT, level: 
 def coverage(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT, level: float = 0.95) -> float:
     """Share of the samples whose measured value lies inside the estimate's interval.
 
-    `error`: estimate minus measurement, (N,). `variance`: variance of the estimate, (N,). `level`: probability of the
-    interval, between 0 and 1. Returns a share between 0 and 1 (`level` if the covariance is right), NaN if no sample is
-    finite.
+    Returns a share between 0 and 1 (`level` if the covariance is right), NaN if no sample is finite.
     """
     z = np.asarray(error, dtype=np.float64)
     half = interval_half_width(variance, reference, level)
@@ -148,8 +146,7 @@ def nees(error: ArrayLike, variance: ArrayLike, reference: Reading = EXACT) -> f
     The NIS tests the pressures. The NEES tests an estimated quantity that was measured as well (Bar-Shalom, Li and
     Kirubarajan 2001, section 5.4). The variance of the reference sensor adds to that of the estimate.
 
-    `error`: estimate minus measurement, (N,). `variance`: variance of the estimate, (N,). Returns 1 where the
-    covariance is right, more where it is too small; NaN if no sample is finite.
+    Returns 1 where the covariance is right, more where it is too small; NaN if no sample is finite.
     """
     z = np.asarray(error, dtype=np.float64)
     total = np.asarray(variance, dtype=np.float64) + reference.error**2
@@ -225,8 +222,7 @@ def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
 
     The mean is not removed: innovations of a right model have mean 0, and an offset is a correlation at every lag.
 
-    `series`: (N, m), one row a sample at a constant step; rows with NaN are left out. Returns (lags + 1, m, m): mean of
-    e(t) e(t - k)^T for k = 0..lags, NaN without a pair.
+    Returns (lags + 1, m, m): mean of e(t) e(t - k)^T for k = 0..lags, NaN without a pair.
     """
     e = np.asarray(series, dtype=np.float64)
     present = _complete(e)
@@ -244,8 +240,7 @@ def largest_autocorrelation(series: ArrayLike, lags: int = 20) -> float:
 
     It measures the size of the correlation, while :func:`whiteness_p` tests whether there is one.
 
-    `series`: (N, m), one row a sample at a constant step; rows with NaN are left out. Returns between -1 and 1; NaN
-    where there are not enough samples.
+    Returns between -1 and 1; NaN where there are not enough samples.
     """
     gamma = np.diagonal(autocorrelation(series, lags), axis1=1, axis2=2)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -280,3 +275,89 @@ def whiteness_p(series: ArrayLike, lags: int = 20) -> float:
             statistic += pairs * float(np.trace(gamma[k].T @ inverse @ gamma[k] @ inverse))
             dof += e.shape[1] ** 2
     return float(gammaincc(0.5 * dof, 0.5 * statistic)) if dof else float("nan")
+
+
+@dataclass(frozen=True)
+class ChannelErrors:
+    """Errors of an angle or a torque."""
+
+    unit: Literal["deg", "nm"]
+    rmse: float
+    largest: float
+    ratio: float
+    # share of the measured values in the filter's 95 % interval; None for a model without one.
+    coverage95: float | None = None
+    # half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
+    width: float | None = None
+    delay_s: float | None = None  # delay of the estimated external torque [s]; None for other channels
+
+    def to_json(self) -> dict[str, float]:
+        """``rmse_deg`` or ``rmse_nm``, and so on."""
+        out = {f"rmse_{self.unit}": self.rmse, f"max_{self.unit}": self.largest, "q": self.ratio}
+        shown = {"coverage95": self.coverage95, "interval_over_rmse": self.width, "delay_s": self.delay_s}
+        return out | {name: value for name, value in shown.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class PressureErrors:
+    """Errors of both muscles' pressures, as :class:`ChannelErrors` has them."""
+
+    rmse_pa: tuple[float, float]  # root mean square error (2,) [Pa]
+    max_pa: tuple[float, float]  # largest error (2,) [Pa]
+    q: tuple[float, float]  # largest error over the range of the measured pressure (2,) [-]
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Errors of the model alone; None where a channel was not measured."""
+
+    angle: ChannelErrors | None
+    torque: ChannelErrors | None
+    pressure: PressureErrors
+
+
+@dataclass(frozen=True)
+class FilterErrors(ModelErrors):
+    """Errors of the filter, which may estimate the external torque as well."""
+
+    external_torque: ChannelErrors | None
+
+
+def channel_errors(
+    measured: FloatArray | None,
+    value: FloatArray,
+    unit: Literal["deg", "nm"],
+    variance: FloatArray | None = None,
+    reading: Reading = EXACT,
+) -> ChannelErrors | None:
+    """Errors of an angle [rad] or torque [N m]; None where it was not measured.
+
+    `measured`: (N,), NaN where there is no value. `value`: of the estimate or the model (N,). `variance`: of the
+    estimate (N,), to check its 95 % interval.
+    """
+    if measured is None or not np.isfinite(measured).any():
+        return None
+    if variance is None and not np.isfinite(value).all():
+        return ChannelErrors(unit, math.inf, math.inf, math.inf)  # a model that diverged has no error that is a number
+    error, scale = value - measured, math.degrees(1.0) if unit == "deg" else 1.0
+    size, covered, width = rmse(error), None, None
+    if variance is not None:
+        covered = coverage(error, variance, reading)
+        width = rmse(interval_half_width(variance, reading)) / size if size > 0.0 else None
+    largest, ratio = max_error(error) * scale, estimation_ratio(error, measured)
+    return ChannelErrors(unit, size * scale, largest, ratio, covered, width)
+
+
+def pressure_errors(measured: FloatArray, value: FloatArray) -> PressureErrors:
+    """Errors of both pressures, measured and estimated (N, 2) [Pa]."""
+    if not np.isfinite(value).all():
+        return PressureErrors(*((math.inf, math.inf),) * 3)
+    error = value - measured
+    return PressureErrors(
+        (rmse(error[:, 0]), rmse(error[:, 1])),
+        (max_error(error[:, 0]), max_error(error[:, 1])),
+        (
+            estimation_ratio(error[:, 0], measured[:, 0]),
+            estimation_ratio(error[:, 1], measured[:, 1]),
+        ),
+    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -70,14 +70,14 @@ def simulate_model(
         raise BadInput("the model alone needs two finite pressures and voltages to start from")
     if external_torque is not None:
         held = np.column_stack([held, np.nan_to_num(external_torque)])
-    pressures = [sensor.pressure_behind(i, shown[i], p) for i in (0, 1)]
+    pressures = [dynamics.pressure_behind(i, shown[i], p) for i in (0, 1)]
     if joint == "locked":
         angle = lock_angle
     else:
         angle = equilibrium.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
     start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
     states, torques, sigma = integration.simulate(start, held, p, every, substeps)
-    readings = sensor.readings(states[:, 2:4], p)
+    readings = dynamics.readings(states[:, 2:4], p)
     return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)
 
 

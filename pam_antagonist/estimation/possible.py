@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.model import lever_arm, muscle, sensor
+from pam_antagonist.model import dynamics, muscle
 from pam_antagonist.rig import Rig
 
 FURTHEST = 0.5 * math.pi
@@ -70,13 +70,13 @@ def _pressures(rig: Rig, i: int, p: NDArray[np.float64]) -> tuple[float, float]:
     else:
         high = max(_VALVE * supply, supply + _SPREAD * spread)
     low = _LOW * rig.atmosphere.pressure
-    return float(sensor.reading(i, low, p)), float(sensor.reading(i, high, p))
+    return float(dynamics.reading(i, low, p)), float(dynamics.reading(i, high, p))
 
 
 def _compression(rig: Rig, i: int, p: NDArray[np.float64]) -> float:
     """Pressure of a closed chamber at its least volume, by that at angle 0."""
     stop = _RANGE if rig.joint.stop is None else rig.joint.stop
-    volumes = [muscle.volume(i, muscle.length(i, lever_arm.leverage(a, p)[0], p), p)[0] for a in (-stop, 0.0, stop)]
+    volumes = [muscle.volume(i, muscle.length(i, muscle.leverage(a, p)[0], p), p)[0] for a in (-stop, 0.0, stop)]
     return float(max(1.0, volumes[1] / min(volumes)) ** rig.gas.polytropic_volume)
 
 

@@ -18,19 +18,20 @@ gain is an option of a tuning). Rows of the matrix square root in (14), (15) are
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.estimation import sigma_steps
-from pam_antagonist.estimation.factor import factorise
-from pam_antagonist.model import dynamics, integration
+from pam_antagonist.model import dynamics, integration, lanes
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1
 from pam_antagonist.model.lane_values import LANES
 
-_advance, _torque = sigma_steps.advance, dynamics.torque
+_advance, _torque = lanes.advance, dynamics.torque
 OUTPUTS = 2
+_TOLERANCE = 1e-12
+"""A pivot below this share of its diagonal entry is a rounding error."""
 
 
 class Work(NamedTuple):
@@ -63,7 +64,7 @@ def make_work(states: int, parameter_sets: np.ndarray) -> Work:
         gain=np.zeros((n, 2)),
         torques=np.zeros(points),
         stages=np.zeros((integration.STAGES + 1, n)),
-        lane_sets=sigma_steps.beside(parameter_sets, points),
+        lane_sets=lanes.sigma_points_beside(parameter_sets, points),
         lane_states=np.zeros((n, LANES)),
         lane_stages=np.zeros((integration.STAGES + 1, n, LANES)),
         inputs=np.zeros((3, 2)),
@@ -73,6 +74,48 @@ def make_work(states: int, parameter_sets: np.ndarray) -> Work:
         before_covariance=np.zeros((n, n)),
         before_cross=np.zeros((n, (len(parameter_sets) - 1) // 2)),
     )
+
+
+@in_place
+def factorise(matrix, lower):
+    """Lower Cholesky factor L with L Lᵀ = matrix; lost pivots are repaired.
+
+    A state without variance (a locked joint's angle) gets a zero column. A pivot that rounding has made
+    negative or nearly zero is lifted to ``_TOLERANCE`` of the diagonal entry, and the column below it is
+    bounded so that the product stays positive definite.
+
+    `matrix`: symmetric (n, n); the lower triangle is read. `lower`: result (n, n); the strict upper triangle is set to
+    zero. Returns how many pivots were repaired; -1 where the matrix is not finite, and ``lower`` is of no use.
+    """
+    n = matrix.shape[0]
+    repaired = 0
+    for j in range(n):
+        for i in range(j):
+            lower[i, j] = 0.0
+        diagonal = matrix[j, j]
+        pivot = diagonal
+        for k in range(j):
+            pivot -= lower[j, k] * lower[j, k]
+        if not math.isfinite(pivot):
+            return -1
+        least = _TOLERANCE * abs(diagonal)
+        if diagonal == 0.0 and pivot == 0.0:
+            for i in range(j, n):
+                lower[i, j] = 0.0
+            continue
+        lost = pivot <= least
+        if lost:
+            repaired += 1
+            pivot = max(least, 1e-300)
+        root = math.sqrt(pivot)
+        lower[j, j] = root
+        for i in range(j + 1, n):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            # A repaired pivot holds no information, so neither does its column.
+            lower[i, j] = 0.0 if lost else total / root
+    return repaired
 
 
 @in_place

@@ -1,6 +1,6 @@
 """Chambers and valves, or regulators, from the measured motion: the joint's mechanics need not be known.
 
-Commands and the measured angle drive the chambers (:mod:`pam_antagonist.model.command_driven`), and the simulated
+Commands and the measured angle drive the chambers (:mod:`pam_antagonist.model.driven`), and the simulated
 pressures are compared with the measured ones. The simulation starts anew from the measured pressures after a horizon of
 a second at most: a valve that is shut leaves a pressure to an integrator, whose free run says nothing.
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.inference.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.command_driven import pressures
+from pam_antagonist.model.driven import pressures
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.schema import limits
 

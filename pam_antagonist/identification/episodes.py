@@ -24,8 +24,8 @@ from pam_antagonist.inference.held_episodes import held_out, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.file import refusal
 from pam_antagonist.rig.physical import unphysical
-from pam_antagonist.rig.write import refusal
 from pam_antagonist.shown import number
 
 _USED = 600

@@ -59,7 +59,7 @@ from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.unknowns import FAR, Fit, Unknown, fitted, parameters
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal
+from pam_antagonist.rig.file import refusal
 
 __all__ = ["FromPressures", "Held", "concluded", "fitted_until", "identify", "parts_of", "with_joint"]
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.identification.result import Held
 from pam_antagonist.replays.result import ANGLE, CHANNELS, Channel, ReplayReport, judged
 from pam_antagonist.rig.physical import is_positive

@@ -26,15 +26,14 @@ from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures, Held, pooled
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
 from pam_antagonist.inference.unknowns import Fit, Unknown
+from pam_antagonist.program import versions
 from pam_antagonist.recording import Recording, recording_hash
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.assumption import assumption
-from pam_antagonist.rig.units import unit_of
-from pam_antagonist.rig.write import RefusedRig, refusal, write_rig, write_unread
+from pam_antagonist.rig.file import RefusedRig, refusal, write_rig, write_unread
+from pam_antagonist.rig.units import assumption, unit_of
 from pam_antagonist.shown import Shown
-from pam_antagonist.software import versions
 from pam_antagonist.strict_json import picked
 
 STRONG = 0.9

@@ -1,6 +1,6 @@
 """Joint and muscles from measured pressures: no valve has to be known.
 
-The measured pressures drive the joint (:mod:`pam_antagonist.model.pressure_driven`), and the simulated angle is
+The measured pressures drive the joint (:mod:`pam_antagonist.model.driven`), and the simulated angle is
 compared with the measured one. Where the torque was measured, the torque of the muscles at the measured angle is
 compared as well. The simulation starts anew from the measurement after a horizon, which grows from a fraction of a
 second to whole runs, so that no start runs away. A fit that begins far off may still end in a false minimum. So another
@@ -23,9 +23,9 @@ from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.driven import angles
+from pam_antagonist.model.driven import torques as given_torques
 from pam_antagonist.model.equilibrium import initial_state, rest_angle
-from pam_antagonist.model.pressure_driven import angles
-from pam_antagonist.model.pressure_driven import torques as given_torques
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]

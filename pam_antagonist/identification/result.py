@@ -21,7 +21,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.replays import Replay, after, replay
 from pam_antagonist.replays.result import ReplayReport
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import refusal
+from pam_antagonist.rig.file import refusal
 
 Floats = NDArray[np.float64]
 

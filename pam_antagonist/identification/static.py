@@ -16,10 +16,10 @@ from pam_antagonist.identification.static_fit import UNITS, VOLUME, StaticFit, c
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
 from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.model import lever_arm, muscle
+from pam_antagonist.model import muscle
+from pam_antagonist.program import versions
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
-from pam_antagonist.software import versions
 
 _OFFSET = {"linear": "w2", "hildebrandt": "c4", "sarosi": "c6", "polynomial": "c1", "braided": "c3"}
 """The coefficient of each form that is a force offset, which is uncertain in a rig by default; the rubber's is one at
@@ -49,7 +49,7 @@ def reach(rig: Rig) -> Reach:
     """Lengths and pressures that a rig's muscles get to, by the model's geometry."""
     p = rig.parameters()
     bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
-    lengths = [muscle.length(0, lever_arm.leverage(angle, p)[0], p) for angle in (-bound, bound)]
+    lengths = [muscle.length(0, muscle.leverage(angle, p)[0], p) for angle in (-bound, bound)]
     pressures = rig.command_limits if rig.drive == "regulator" else (rig.atmosphere.pressure, rig.supply.pressure)
     return Reach(min(lengths), max(lengths), *pressures)
 

@@ -1,7 +1,7 @@
 """The pressure regulators of a joint in many short recordings: their commands are the input.
 
 The model of the chambers runs from the first row of each episode, with the commands and with the measured motion
-(:mod:`pam_antagonist.model.command_driven`). Its pressures are compared with the measured ones. The lag is free; other
+(:mod:`pam_antagonist.model.driven`). Its pressures are compared with the measured ones. The lag is free; other
 effects of a regulator are candidates.
 """
 
@@ -19,7 +19,7 @@ from pam_antagonist.inference.episodes import EpisodeModel, Episodes, noise_of
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
 from pam_antagonist.inference.point import Point
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.command_driven import pressures
+from pam_antagonist.model.driven import pressures
 from pam_antagonist.model.effects import CATALOGUE, Form, parameter_path
 
 Floats = NDArray[np.float64]

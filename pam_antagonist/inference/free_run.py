@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
-from pam_antagonist.model import equilibrium, lanes, sensor
+from pam_antagonist.model import dynamics, equilibrium, lanes
 from pam_antagonist.model import parameters as par
 
 Floats = NDArray[np.float64]
@@ -141,7 +141,7 @@ def _shown(trial: Trial, model: Run, course: Course) -> Floats:
     shown = np.empty((len(states), 2))
     with np.errstate(over="ignore", invalid="ignore"):
         for rows, vector in _parts(trial, model):
-            shown[rows] = sensor.readings(states[rows, 2:4], vector)
+            shown[rows] = dynamics.readings(states[rows, 2:4], vector)
     out = np.column_stack([states[:, 0], torque, shown])
     lost = ~np.all(np.abs(out) < SANE, axis=1)
     if lost.any():
@@ -197,7 +197,7 @@ def initial_state(trial: Trial, p: Floats, start: Start, shift: Floats | None = 
     `p`: parameter vector (P,). `shift`: deviation of the true start from that (3,) [rad, Pa, Pa].
     """
     moved = np.zeros(3) if shift is None else shift
-    pressures = [sensor.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
+    pressures = [dynamics.pressure_behind(i, start.pressure[i] + moved[1 + i], p) for i in (0, 1)]
     angle = equilibrium.rest_angle(pressures[0], pressures[1], p) if start.angle is None else start.angle + moved[0]
     given = trial.voltage if trial.external is None else trial.given
     return np.asarray(equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], p))

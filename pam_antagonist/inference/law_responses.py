@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.pressure_driven import linearised, remembered, responses
+from pam_antagonist.model.driven import linearised, remembered, responses
 from pam_antagonist.rig.learned import Law
 
 Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Responses:
         self, first: Indices, start: Floats, time: Floats, pressure: Floats, signals: Floats, p: Floats, longest: float,
         names: list[str], laws: dict[int, Law],
     ) -> None:  # fmt: skip
-        """The arguments before the last two are those of :func:`~pam_antagonist.model.pressure_driven.linearised`.
+        """The arguments before the last two are those of :func:`~pam_antagonist.model.driven.linearised`.
 
         `names`: of the further signals. `laws`: of the model, by their numbers.
         """

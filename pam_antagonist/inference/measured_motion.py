@@ -29,7 +29,7 @@ from pam_antagonist.inference.free_run import initial_state
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
-from pam_antagonist.model import dynamics, integration, sensor
+from pam_antagonist.model import dynamics, integration
 from pam_antagonist.model import parameters as par
 
 Floats = NDArray[np.float64]
@@ -225,7 +225,7 @@ class MeasuredMotion(ValveDriven):
     @override
     def _shown(self, trial: Trial, point: Point) -> Floats:
         states, torque, imbalance = self._course(trial, point)
-        return np.column_stack([imbalance, torque, sensor.readings(states[:, 2:4], self.parameters(point))])
+        return np.column_stack([imbalance, torque, dynamics.readings(states[:, 2:4], self.parameters(point))])
 
     @override
     def _made_of_each(self, trial: Trial, points: Sequence[Point], made: Callable[[Floats], Floats]) -> list[Floats]:

@@ -22,8 +22,8 @@ from pam_antagonist.inference.law_responses import Responses
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step, white_std
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.driven import angles
 from pam_antagonist.model.effects import CATALOGUE, Form
-from pam_antagonist.model.pressure_driven import angles
 from pam_antagonist.rig.learned import value_path
 
 Floats = NDArray[np.float64]

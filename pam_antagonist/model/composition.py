@@ -9,7 +9,7 @@ each hook, which calls the functions of the registered effects by name, one afte
    ``x``, a quantity an expression.
 2. The text is kept in the folder of the compiled kernels. The name of the file contains a hash of the text, so that
    later processes find the module and its kernels.
-3. The module is imported from there (:mod:`pam_antagonist.model.written`); its functions become names of this module.
+3. The module is imported from there, as one below this module, whose names its functions become.
 
 An absent effect costs one comparison: a function is called only if a size of its effect is not 0, or if its state is
 present. A state is present if the rig has it *and* ``x`` holds it: ``x`` with four entries holds no added state. The
@@ -36,7 +36,6 @@ from typing import Any
 from pam_antagonist._jit import cache_dir
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model import written
 from pam_antagonist.model.effects import CATALOGUE, AddedState, Effect, EffectParameter, learned, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.hooks import (
@@ -48,6 +47,9 @@ from pam_antagonist.model.effects.hooks import (
     MUSCLE_STEADY,
     Hook,
 )
+
+__path__ = [str(cache_dir())]
+"""Where generated modules are found: with their kernels, so that those of an earlier process find what they call."""
 
 _EXPRESSIONS = {
     "atmosphere": "p[ATMOSPHERE]",
@@ -353,33 +355,16 @@ def imported(text: str, what: str) -> ModuleType:
         finally:
             draft.unlink(missing_ok=True)
         importlib.invalidate_caches()
-    return importlib.import_module(f"{written.__name__}.{name}")
+    return importlib.import_module(f"pam_antagonist.model.composition.{name}")
 
 
 _composed = imported(source_text(CATALOGUE), "effects")
 
-spool_voltage: Any = _composed.spool_voltage
-voltage_shift: Any = _composed.voltage_shift
-open_rate_shift: Any = _composed.open_rate_shift
-open_rate: Any = _composed.open_rate
-supply_change: Any = _composed.supply_change
-chamber_pressure: Any = _composed.chamber_pressure
-mass_loss: Any = _composed.mass_loss
-swelling: Any = _composed.swelling
-cooling: Any = _composed.cooling
-valve_pressure_rate: Any = _composed.valve_pressure_rate
-contraction_force: Any = _composed.contraction_force
-muscle_force: Any = _composed.muscle_force
-coulomb_torque: Any = _composed.coulomb_torque
-disturbance_torque: Any = _composed.disturbance_torque
-joint_torque: Any = _composed.joint_torque
-sensor_reading: Any = _composed.sensor_reading
-sensor_inverse: Any = _composed.sensor_inverse
-muscle_rates: Any = _composed.muscle_rates
-joint_rates: Any = _composed.joint_rates
-muscle_steady: Any = _composed.muscle_steady
-joint_steady: Any = _composed.joint_steady
-small_signal_lags: Any = _composed.small_signal_lags
+
+def __getattr__(name: str) -> Any:
+    """A function of the composed module."""
+    return getattr(_composed, name)
+
 
 if __name__ == "__main__":
     print(source_text(CATALOGUE))

@@ -1,4 +1,4 @@
-"""The state-space model, equations (1) and (11): derivative, output, subsystem.
+"""The state-space model, equations (1) and (11): derivative, output, subsystem, readings of the pressure sensors.
 
 State ``x = [ψ, ψ̇, P_1, P_2]`` [rad, rad/s, Pa, Pa], input ``u = [u_1, u_2]`` [V], parameters ``p``
 (:mod:`pam_antagonist.model.parameters`). Arguments come in the order state, input, parameters, step.
@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.model import composition, flow, joint, lever_arm, muscle
+from pam_antagonist._jit import in_place, inlined, kernel
+from pam_antagonist.model import composition, flow, joint, muscle
 from pam_antagonist.model.parameters import (
     BASE_STATES,
     INERTIA,
@@ -29,7 +29,7 @@ WITH_EFFECTS = np.int64(1)
 another version for that type, which is smaller and faster."""
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
-_leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
+_leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
 _force, _force_length_slope, _linear_force = muscle.force, muscle.force_length_slope, muscle.linear_force
 _valve_flow, _pressure_rate = flow.valve_flow, flow.pressure_rate
 _open_rate, _flow_regime = flow.open_rate, flow.flow_regime
@@ -48,13 +48,44 @@ _muscle_rates, _joint_rates = composition.muscle_rates, composition.joint_rates
 small_signal_lags = composition.small_signal_lags
 """Time constants [s] for small changes (L,), of the added states that may be as quick as milliseconds."""
 
+_sensor_reading, _sensor_inverse = composition.sensor_reading, composition.sensor_inverse
+
+
+@inlined
+def reading(i, pressure, p):
+    """Reading [Pa] of the sensor of muscle i at a pressure [Pa]: the pressure itself, unless an effect changes it."""
+    return _sensor_reading(pressure, i, p)
+
+
+@inlined
+def pressure_behind(i, shown, p):
+    """The pressure [Pa] behind a reading [Pa] of the sensor of muscle i; the inverse of :func:`reading`."""
+    return _sensor_inverse(shown, i, p)
+
+
+@kernel
+def readings(pressure, p):
+    """Readings of both sensors (N, 2) [Pa] at pressures (N, 2) [Pa]."""
+    shown = np.empty(pressure.shape)
+    for k in range(len(pressure)):
+        for i in range(2):
+            shown[k, i] = reading(i, pressure[k, i], p)
+    return shown
+
+
+@kernel
+def pressures_behind(shown, p):
+    """The pressures (N, 2) [Pa] behind readings of both sensors (N, 2) [Pa]; the inverse of :func:`readings`."""
+    pressure = np.empty(shown.shape)
+    for k in range(len(shown)):
+        for i in range(2):
+            pressure[k, i] = pressure_behind(i, shown[k, i], p)
+    return pressure
+
 
 @inlined
 def chamber_pressure(i, x, p):
-    """Pressure [Pa] in muscle i. It equals P_i of the state, the pressure at the sensor, unless an effect changes it.
-
-    `x`: state (n,).
-    """
+    """Pressure [Pa] in muscle i: P_i of the state, the pressure at the sensor, unless an effect changes it."""
     return _chamber(x[PRESSURE_1 + i], i, x, p)
 
 
@@ -92,10 +123,7 @@ def torque(x, p, effects=True):
 
 @inlined
 def torque_slope(x, p, effects=True):
-    """Slope ∂τ/∂ψ of the torque [N m/rad], minus the stiffness, at constant pressures, from (2), (6), (7), (9).
-
-    `x`: state (n,). `p`: parameter vector (m,).
-    """
+    """Slope ∂τ/∂ψ of the torque [N m/rad], minus the stiffness, at constant pressures, from (2), (6), (7), (9)."""
     force_1, force_2 = forces(x, p, effects)
     sine, cosine, bend = _leverage(x[ANGLE], p)
     # ∂l_1/∂ψ = −r cos ψ and ∂l_2/∂ψ = +r cos ψ: the length rates at 1 rad/s.
@@ -175,7 +203,7 @@ def torque_needed(x, acceleration, direction, p):
 def imbalance(x, acceleration, direction, p):
     """Imbalance of all torques [N m] of a motion without a torque from outside.
 
-    `x`: state (n,). `acceleration`: ψ̈ [rad/s²]. `direction`: −1 or 1; 0: friction may have any value up to its level.
+    `acceleration`: ψ̈ [rad/s²]. `direction`: −1 or 1; 0: friction may have any value up to its level.
     """
     if direction != 0.0:
         return torque_needed(x, acceleration, direction, p)
@@ -188,9 +216,8 @@ def imbalance(x, acceleration, direction, p):
 def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, p, effects):
     """The rows of equation (11a) without added states, as scalars: a sigma point stays in the processor's registers.
 
-    `angle`: ψ [rad]. `velocity`: dψ/dt [rad/s]. `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa]. `alpha_1`: open rate
-    [-] of valve 1. `alpha_2`: likewise of valve 2. `external`: torque from outside [N m]. `effects`: None where the rig
-    is known to be plain: the branches of options and effects are left out.
+    `alpha_1`: open rate [-] of valve 1. `alpha_2`: likewise of valve 2. `external`: torque from outside [N m].
+    `effects`: None where the rig is known to be plain: the branches of options and effects are left out.
     """
     velocity = _stopped(angle, velocity, p)
     sine, cosine, _ = _leverage(angle, p)
@@ -226,8 +253,7 @@ def external_torque(u):
 def rows(x, u, wanted_1, wanted_2, p, dx):
     """All rows of equation (11a), with any added states, from the same functions as :func:`slopes`.
 
-    `x`: state (n,). `u`: input, as for :func:`derivative`. `wanted_1`: open rate [-] that the voltage of valve 1 asks
-    for. `wanted_2`: likewise of valve 2. `dx`: result (n,).
+    `wanted_1`: open rate [-] that the voltage of valve 1 asks for. `wanted_2`: likewise of valve 2. `dx`: result (n,).
     """
     angle = x[ANGLE]
     velocity = _stopped(angle, x[VELOCITY], p)
@@ -284,7 +310,7 @@ def subsystem(x, p, effects=True):
     σ = 1 + 6 a + 2 b + c with the flow regimes a, b of muscles 1 and 2 (0: only the inflow choked,
     1: both, 2: only the outflow) and c = 1 where the joint slides.
 
-    `x`: state (n,). `effects`: as for :func:`forces`.
+    `effects`: as for :func:`forces`.
     """
     slides = 0.0
     if p[LOCKED] == 0.0:

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, kernel
-from pam_antagonist.model import composition, dynamics, flow, lever_arm, muscle
+from pam_antagonist.model import composition, dynamics, flow, muscle
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND
 from pam_antagonist.model.numeric import power
 from pam_antagonist.model.parameters import CHARGE, POLYTROPIC_VOLUME, STATES, STIFFNESS, STOP, SUPPLY
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
-_leverage, _length, _length_rate, _volume = lever_arm.leverage, muscle.length, muscle.length_rate, muscle.volume
+_leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume
 _open_rate, _valve_flow, _torque = flow.open_rate, flow.valve_flow, dynamics.torque
 _joint_torque, _muscle_steady = composition.joint_torque, composition.muscle_steady
 _joint_steady = composition.joint_steady
@@ -24,10 +24,7 @@ _LARGEST_WITHOUT_STOP = math.pi / 3.0
 
 @inlined
 def largest_angle(p):
-    """Largest angle at which a joint may rest, to both sides [rad]: its stop, or 60° without one.
-
-    `p`: parameter vector (m,).
-    """
+    """Largest angle at which a joint may rest, to both sides [rad]: its stop, or 60° without one."""
     return p[STOP] if p[STOP] < math.inf else _LARGEST_WITHOUT_STOP
 
 
@@ -47,8 +44,6 @@ def rest_angle(pressure_1, pressure_2, p, effects=True):
     """Angle [rad] at which the muscles' torque balances k_s ψ, friction aside; within :func:`largest_angle`.
 
     A balance beyond it gives the nearer bound.
-
-    `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa].
     """
     high = largest_angle(p)
     low = -high
@@ -69,10 +64,7 @@ def rest_angle(pressure_1, pressure_2, p, effects=True):
 
 @inlined
 def closed_pressure(i, angle, p):
-    """Pressure [Pa] of a sealed muscle: by equation (4) without flow, P V^k_2 stays constant after the charge.
-
-    `angle`: ψ [rad].
-    """
+    """Pressure [Pa] of a sealed muscle: by equation (4) without flow, P V^k_2 stays constant after the charge."""
     travel, _, _ = _leverage(angle, p)
     volume, _ = _volume(i, _length(i, travel, p), p)
     charged, _ = _volume(i, _length(i, 0.0, p), p)
@@ -85,8 +77,6 @@ def start_angle(pressure_1, pressure_2, p, effects=True):
 
     If the charge of sealed muscles is known, it is the angle at which the closed chambers have this ratio of
     pressures. Otherwise it is the angle of rest.
-
-    `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa].
     """
     if p[CHARGE] <= 0.0 or p[CHARGE + 1] <= 0.0:
         return rest_angle(pressure_1, pressure_2, p, effects)
@@ -110,7 +100,6 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
     The pressure drop of a line belongs to the valve flow at these pressures, so it is 0 if they are steady. With a
     velocity, the added states are those after a long motion at this velocity.
 
-    `angle`: ψ [rad]. `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa]. `u`: input, as for :func:`integration.rk4_step`.
     `velocity`: ψ̇ [rad/s] of the motion before; the velocity in the state is 0. Returns state (n,), n =
     p[parameters.STATES].
     """
@@ -123,8 +112,7 @@ def initial_state(angle, pressure_1, pressure_2, u, p, velocity=0.0):
 def make_steady(x, angle, pressure_1, pressure_2, u, p, velocity, effects):
     """:func:`initial_state`, written into an array.
 
-    `x`: the array (n,). `angle`: ψ [rad]. `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa]. `u`: input, as for
-    :func:`integration.rk4_step`. `velocity`: ψ̇ [rad/s] of the motion before.
+    `x`: the array (n,). `velocity`: ψ̇ [rad/s] of the motion before.
     """
     x[:] = 0.0
     x[ANGLE], x[PRESSURE_1], x[PRESSURE_2] = angle, pressure_1, pressure_2

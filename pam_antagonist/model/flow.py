@@ -50,7 +50,7 @@ def _on_curve(valve, voltage, p):
 def open_rate(valve, voltage, p):
     """α = κ(u) with the shifts of effects, limited to 0 and 1.
 
-    `voltage`: u [V]. Returns open rate in [0, 1].
+    Returns open rate in [0, 1].
     """
     shifted = _open_rate_shift(_on_curve(valve, _voltage_shift(voltage, valve, p), p), valve, p)
     return min(max(shifted, 0.0), 1.0)
@@ -70,8 +70,6 @@ def openings(alpha, overlap):
     overlap c each orifice is shut until its open rate is c: (α − c)/(1 − c) and (1 − α − c)/(1 − c). For c = 0.5 both
     are shut in the middle only. A larger c has a range of open rates at which no air passes (overlap), a smaller one
     a range at which both orifices are open (underlap).
-
-    `alpha`: open rate α [-]. `overlap`: c [-].
     """
     if overlap == 0.0:
         return alpha, 1.0 - alpha
@@ -87,8 +85,8 @@ def valve_flow(valve, alpha, pressure, supply, p):
     factor of both terms, so the sign is known before the area is. The drawn flow passes the inflow orifice, so
     its area is always A_1.
 
-    `alpha`: open rate α [-] of :func:`open_rate`. `pressure`: pressure at the valve [Pa]. `supply`: P_tank [Pa].
-    Returns mass flow into the chamber, and out of the supply [kg/s].
+    `alpha`: open rate α [-] of :func:`open_rate`. `pressure`: pressure at the valve [Pa]. Returns mass flow into the
+    chamber, and out of the supply [kg/s].
     """
     first = VALVE + valve * VALVE_SIZE
     filling, emptying = openings(alpha, p[first + OVERLAP])
@@ -102,8 +100,8 @@ def valve_flow(valve, alpha, pressure, supply, p):
 def open_rate_for(valve, flow, pressure, supply, p):
     """Equation (5) solved for α: the open rate at which a valve lets a mass flow pass.
 
-    `flow`: wanted into the chamber [kg/s]. `pressure`: pressure at the valve [Pa]. `supply`: P_tank [Pa]. Returns open
-    rate in [0, 1]; the nearest end where no open rate gives that flow.
+    `flow`: wanted into the chamber [kg/s]. `pressure`: pressure at the valve [Pa]. Returns open rate in [0, 1]; the
+    nearest end where no open rate gives that flow.
     """
     most, _ = valve_flow(valve, 1.0, pressure, supply, p)
     least, _ = valve_flow(valve, 0.0, pressure, supply, p)
@@ -151,10 +149,7 @@ def _lapped_open_rate(flow, most, least, inflow, outflow, overlap):
 
 @inlined
 def voltage_for(valve, alpha, p):
-    """Voltage [V] of an open rate, the inverse of κ; beyond the curve, the voltage of its nearest end.
-
-    `valve`: 0 or 1. `alpha`: open rate α [-].
-    """
+    """Voltage [V] of an open rate, the inverse of κ; beyond the curve, the voltage of its nearest end."""
     along, across = curve_shift(valve, p)
     wanted = alpha - across
     start = CURVE + valve * CURVE_SIZE
@@ -171,21 +166,8 @@ def voltage_for(valve, alpha, p):
 
 
 @inlined
-def mass_flow(valve, alpha, pressure, p):
-    """Mass flow m_i into the chamber [kg/s], equation (5): α m_in − (1 − α) m_out.
-
-    `alpha`: open rate α [-] of :func:`open_rate`. `pressure`: P_i [Pa].
-    """
-    flow, _ = valve_flow(valve, alpha, pressure, p[SUPPLY], p)
-    return flow
-
-
-@inlined
 def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
-    """Ṗ_i [Pa/s], equation (4): k_1 R T m / V − k_2 V̇ P / V.
-
-    `pressure`: P_i [Pa]. `chamber_volume`: V_i [m³]. `volume_rate`: V̇_i [m³/s]. `flow`: m_i [kg/s].
-    """
+    """Ṗ_i [Pa/s], equation (4): k_1 R T m / V − k_2 V̇ P / V."""
     supplied = p[POLYTROPIC_FLOW] * p[GAS_CONSTANT] * p[TEMPERATURE] * flow
     # The processor computes the reciprocal before it has the flow, so no division waits for the flow.
     return (supplied - p[POLYTROPIC_VOLUME] * volume_rate * pressure) * (1.0 / chamber_volume)
@@ -195,7 +177,7 @@ def pressure_rate(pressure, chamber_volume, volume_rate, flow, p):
 def flow_for(rate, pressure, chamber_volume, volume_rate, p):
     """Mass flow m_i [kg/s] that gives a rate of the pressure, the inverse of equation (4).
 
-    `rate`: Ṗ_i wanted [Pa/s]. `pressure`: P_i [Pa]. `chamber_volume`: V_i [m³]. `volume_rate`: V̇_i [m³/s].
+    `rate`: Ṗ_i wanted [Pa/s].
     """
     # pressure_rate is linear in the flow: its value without flow is the offset, its value for a unit of flow the slope.
     without = pressure_rate(pressure, chamber_volume, volume_rate, 0.0, p)

@@ -26,7 +26,7 @@ _slopes, _rows, _torque, _subsystem = dynamics.slopes, dynamics.rows, dynamics.t
 def apply_stop(x, p):
     """The mechanical stop, an inelastic impact: the angle is held at ±``joint.stop``, the velocity into it is lost.
 
-    `x`: state (n,), changed in place. `p`: parameter vector (m,).
+    `x`: state (n,), changed in place.
     """
     stop = p[STOP]
     if x[ANGLE] >= stop:
@@ -89,8 +89,7 @@ def _optional_step(x, u, p, dt, result):
 def plain_step(x, u, p, dt, result, scratch):
     """:func:`rk4_step_within` of a rig that is known to be plain.
 
-    `x`: state (4,), not changed unless it is also ``result``. `u`: input, as for :func:`rk4_step_within`. `dt`: step
-    [s]. `result`: state after the step (4,).
+    `x`: state (4,), not changed unless it is also ``result``. `result`: state after the step (4,).
     """
     _scalar_step(x, u, p, dt, result, None)
 
@@ -100,8 +99,8 @@ def rk4_step_within(x, u, p, dt, result, scratch):
     """One step of the fourth-order Runge-Kutta method with the input held, then the mechanical stop.
 
     `x`: state (n,), not changed unless it is also ``result``. `u`: valve voltages [V] over the step, and where it is
-    known the torque from outside [N m]; (2,) or (3,). `dt`: step [s]. `scratch`: (STAGES + 1, n), used where there are
-    added states or learned laws.
+    known the torque from outside [N m]; (2,) or (3,). `scratch`: (STAGES + 1, n), used where there are added states or
+    learned laws.
     """
     if p[PLAIN] != 0.0:
         _scalar_step(x, u, p, dt, result, None)
@@ -116,8 +115,8 @@ def rk4_step(x, u, p, dt, result, effects=True):
     """:func:`rk4_step_within` that allocates its scratch, which takes as long as the step: not for loops.
 
     `x`: state (n,), not changed unless it is also ``result``. `u`: valve voltages [V] over the step, and where it is
-    known the torque from outside [N m]; (2,) or (3,). `dt`: step [s]. `effects`: None where the rig is known to be
-    plain: less is compiled then.
+    known the torque from outside [N m]; (2,) or (3,). `effects`: None where the rig is known to be plain: less is
+    compiled then.
     """
     if effects is None:
         _scalar_step(x, u, p, dt, result, None)

@@ -33,10 +33,7 @@ _SIMPLE, _NONE = (float(FRICTION_LAWS.index(law)) for law in ("simple", "none"))
 
 @inlined
 def muscle_torque(cosine, force_1, force_2, p):
-    """τ [N m], equation (9): r cos ψ (F_1 − F_2).
-
-    `cosine`: lever arm over r, cos ψ for a lever [-]. `force_1`: F_1 [N]. `force_2`: F_2 [N].
-    """
+    """τ [N m], equation (9): r cos ψ (F_1 − F_2)."""
     return p[RADIUS] * cosine * (force_1 - force_2)
 
 
@@ -47,8 +44,6 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
     T_s = r_p μ_s |F_1 + F_2 − M g|;  T_p = μ_p (1/(P_1 − P_out)² + 1/(P_2 − P_out)²), where μ_p is the
     tables' T_p'. T_p is singular at atmospheric pressure: the gauge pressures in it are bounded below by
     ``friction.pressure_floor``.
-
-    `force_1`: F_1 [N]. `force_2`: F_2 [N]. `pressure_1`: P_1 [Pa]. `pressure_2`: P_2 [Pa].
     """
     shaft = p[SHAFT_RADIUS] * p[SHAFT_FRICTION] * abs(force_1 + force_2 - p[MASS] * p[GRAVITY])
     gauge_1 = max(pressure_1 - p[ATMOSPHERE], p[PRESSURE_FLOOR])
@@ -76,8 +71,7 @@ def kikuuwe_torque(velocity, applied, coulomb, viscous, p):
     inside the Runge-Kutta stages the law is a Coulomb friction whose jump at rest is a steep ramp with
     the time constant T_stp: a body that sticks comes to rest within a few steps and stays.
 
-    `velocity`: ψ̇ [rad/s]. `applied`: T_0 [N m], all torques but friction. `coulomb`: T_s + T_p [N m]. `viscous`: c_s
-    [N m s/rad]. Returns T_f [N m], and 1.0 where the joint slides or 0.0 where it sticks.
+    Returns T_f [N m], and 1.0 where the joint slides or 0.0 where it sticks.
     """
     # Divisions are slow. Those of parameters alone are the same in all stages of a step: the compiler does them once.
     z = p[FRICTION_STEP] / p[INERTIA]
@@ -101,8 +95,6 @@ def friction_torque(velocity, applied, coulomb, p):
     The laws that the paper compares with (10) (Table III) replace T_s + T_p and have no viscous torque:
     ``simple`` is a constant force on the lever, r F_r sgn ψ̇; ``tondu`` is
     ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` is no friction.
-
-    `velocity`: ψ̇ [rad/s]. `applied`: T_0 [N m], all torques but friction. `coulomb`: T_s + T_p [N m].
     """
     if p[FRICTION_LAW] == 0.0:
         return kikuuwe_torque(velocity, applied, coulomb, p[VISCOUS], p)
@@ -116,8 +108,7 @@ def friction_torque(velocity, applied, coulomb, p):
 def acceleration(angle, velocity, torque, coulomb, p, effects=True):
     """ψ̈ [rad/s²], equation (8): (τ − T_f − k_s ψ)/J, and whether the joint slides (1.0) or sticks (0.0).
 
-    `angle`: ψ [rad]. `velocity`: ψ̇ [rad/s]. `torque`: τ of the muscles [N m]. `coulomb`: T_s + T_p [N m]. `effects`:
-    None where the rig is known to be plain, so that the friction law is the paper's own.
+    `effects`: None where the rig is known to be plain, so that the friction law is the paper's own.
     """
     applied = torque - p[STIFFNESS] * angle
     if effects is None:

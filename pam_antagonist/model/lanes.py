@@ -1,19 +1,21 @@
 """Many models on the same inputs at once, four or eight in a step of the integration.
 
-A fit simulates the same recording with many parameter vectors. Four of them run side by side, with AVX-512 eight
-(:mod:`pam_antagonist.model.lane_values`), by the same equations (:mod:`pam_antagonist.model.lane_form`). Each result
-has the same bits as that of :func:`pam_antagonist.model.integration.course` for this model alone.
+A fit simulates the same recording with many parameter vectors, and a filter takes its sigma points over the same step.
+Four of them run side by side, with AVX-512 eight (:mod:`pam_antagonist.model.lane_values`), by the same equations
+(:mod:`pam_antagonist.model.lane_form`). Each has the same bits as alone, so results do not depend on the machine.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numba.core import types
 
+from pam_antagonist._jit import by_types
 from pam_antagonist.model import composition, integration, lane_form
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.lane_values import CHUNK, FEWEST, LANES
@@ -30,8 +32,8 @@ def courses(
     """
     out: list[Any] = [None] * len(vectors)
     for group in groups([[p] for p in vectors]):
-        run = _side_by_side() if len(group) >= FEWEST else None
-        if run is None:
+        together = _side_by_side() if len(group) >= FEWEST else None
+        if together is None:
             for k in group:
                 out[k] = integration.course(starts[k], voltage, vectors[k], dt, substeps)
             continue
@@ -40,7 +42,7 @@ def courses(
         x = np.stack([starts[k] for k in filled], axis=1)
         p = beside([vectors[k] for k in filled])
         states, torques = np.empty((LANES, len(voltage), len(x))), np.empty((LANES, len(voltage)))
-        run(x, voltage, p, dt, substeps, states, torques, _scratch(len(x)))
+        together.course(x, voltage, p, dt, substeps, states, torques, _scratch(len(x)))
         for lane, k in enumerate(group):
             out[k] = states[lane], torques[lane]
     return out
@@ -68,10 +70,8 @@ def step(plain: bool) -> Any:
     if plain:
         text = composition.remembered("plain_lanes", lambda: lane_form.lane_module((integration.plain_step,)))
         return composition.imported(text, "plain_lanes").plain_step
-    try:
-        return importlib.import_module("pam_antagonist.model.lane_course").rk4_step
-    except lane_form.NoLaneForm:
-        return None
+    together = _side_by_side()
+    return None if together is None else together.rk4_step
 
 
 def groups(models: Sequence[Sequence[np.ndarray]]) -> list[list[int]]:
@@ -94,9 +94,9 @@ def _structure(p: np.ndarray) -> bytes:
 
 @lru_cache(maxsize=1)
 def _side_by_side() -> Any:
-    """The compiled course of several models; None where an effect of another package has no lane form."""
+    """Module of the compiled course of several models; None where an effect of another package has no lane form."""
     try:
-        return importlib.import_module("pam_antagonist.model.lane_course").course
+        return importlib.import_module("pam_antagonist.model.lane_course")
     except lane_form.NoLaneForm:
         return None
 
@@ -104,3 +104,58 @@ def _side_by_side() -> Any:
 def _scratch(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Scratch of the course: for a step, and for states and torques of the last samples."""
     return np.empty((integration.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES)), np.empty((CHUNK, LANES))
+
+
+def sigma_points_beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
+    """Parameters of the sigma points, side by side in groups.
+
+    `parameter_sets`: sets of the first points (1 + 2 m, SIZE); the others have the first set. Returns (G, SIZE, LANES),
+    G groups; unused places of the last group have the first set.
+    """
+    steps = range(0, points, LANES)
+    each = [parameter_sets[k if k < len(parameter_sets) else 0] for k in range(len(steps) * LANES)]
+    return np.stack([beside(each[first : first + LANES]) for first in steps])
+
+
+def advance(points, u, parameter_sets, dt, effects, work):
+    """Propagate each sigma point over a step, in place; in compiled code only.
+
+    `points`: (K, n). `u`: input (2,) held over the step. `parameter_sets`: sets of the first points (1 + 2 m, SIZE);
+    the others have the first set. `dt`: step [s].
+    """
+    raise NotImplementedError("in compiled code only")
+
+
+@by_types(advance)
+def _advance(points, u, parameter_sets, dt, effects, work):
+    plain = isinstance(effects, types.NoneType)
+    together = step(plain)
+    if together is None:
+        return _one_by_one(integration.plain_step if plain else integration.rk4_step_within)
+    return _in_groups(together)
+
+
+def _one_by_one(step: Any) -> Callable[..., None]:
+    def advance(points, u, parameter_sets, dt, effects, work):
+        sets = parameter_sets.shape[0]
+        for k in range(points.shape[0]):
+            step(points[k], u, parameter_sets[k if k < sets else 0], dt, points[k], work.stages)
+
+    return advance
+
+
+def _in_groups(step: Any) -> Callable[..., None]:
+    def advance(points, u, parameter_sets, dt, effects, work):
+        states = work.lane_states
+        for group in range(work.lane_sets.shape[0]):
+            first = group * LANES
+            count = min(LANES, points.shape[0] - first)
+            for lane in range(count):
+                for i in range(points.shape[1]):
+                    states[i, lane] = points[first + lane, i]
+            step(states, u, work.lane_sets[group], dt, states, work.lane_stages)
+            for lane in range(count):
+                for i in range(points.shape[1]):
+                    points[first + lane, i] = states[i, lane]
+
+    return advance

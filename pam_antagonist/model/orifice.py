@@ -30,7 +30,7 @@ def orifice_flow(upstream, downstream, p):
 
 @inlined
 def _h(s, p):
-    """The polynomial of :mod:`pam_antagonist.model.subsonic`; pairs of terms need not wait for one another."""
+    """The polynomial of ``parameters.series``; pairs of terms need not wait for one another."""
     s2 = s * s
     s4 = s2 * s2
     first = (p[SUBSONIC] + s * p[SUBSONIC + 1]) + s2 * (p[SUBSONIC + 2] + s * p[SUBSONIC + 3])

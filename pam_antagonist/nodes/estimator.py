@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.estimation.checkpoint import Checkpoint
+from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.node import PamNode

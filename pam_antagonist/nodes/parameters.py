@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import angle_range, largest_torque, rest_pressure, rest_voltage, stop_angle
+from pam_antagonist.rig.physical import angle_range, largest_torque, rest_pressure, rest_voltage, stop_angle
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -20,7 +20,7 @@ from .notes import Issue
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from ..estimation.checkpoint import Checkpoint
+    from ..estimation.memory import Checkpoint
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -5,7 +5,7 @@ the angle moves in one row about as far as in the rows around it. A row with a m
 stays, is a reset. Nor can the pressure of a muscle jump within a few milliseconds.
 
 Where a sensor is slower than the log, the log repeats a reading until the next one comes. A repeated reading is no
-measurement (:mod:`pam_antagonist.estimation.readings` tells it from a coarse converter). A fit takes straight lines
+measurement (:mod:`pam_antagonist.estimation.stamps` tells it from a coarse converter). A fit takes straight lines
 between the readings.
 """
 
@@ -157,7 +157,7 @@ def _repeated(values: Floats, stamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     columns = values if values.ndim == 2 else values[:, None]
     if (np.diff(columns, axis=0) == 0.0).all(axis=1).sum() <= _FEW_REPEATS * len(columns):
         return np.zeros(len(columns), dtype=bool)
-    from ..estimation.readings import repeated  # takes a second, which most recordings do not need
+    from ..estimation.stamps import repeated  # takes a second, which most recordings do not need
 
     return repeated(columns, stamp_ns)
 

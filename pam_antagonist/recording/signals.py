@@ -22,7 +22,7 @@ from .recording import FurtherSignal
 from .topics import ALSO, TOPICS, Topic
 
 if TYPE_CHECKING:
-    from ..estimation.checkpoint import Checkpoint
+    from ..estimation.memory import Checkpoint
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -146,7 +146,7 @@ def read_checkpoints(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[Checkpoi
 
 
 def _checkpoint(group: Group, place: int, stamp_ns: int, started_ns: int) -> Checkpoint:
-    from ..estimation.checkpoint import Checkpoint, FilterIdentity  # takes a second that a bag alone does not need
+    from ..estimation.memory import Checkpoint, FilterIdentity  # takes a second that a bag alone does not need
 
     columns = group.columns
     texts = {name: columns[name][place].decode(errors="replace") for name in _TEXTS}

@@ -18,8 +18,14 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import ESTIMATE_DTYPE, EstimateRun, Estimator
-from pam_antagonist.estimation.checkpoint import Checkpoint
-from pam_antagonist.estimation.memory import LATE, MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, NO_ANGLE
+from pam_antagonist.estimation.memory import (
+    LATE,
+    MISSING_PRESSURE_1,
+    MISSING_PRESSURE_2,
+    MISSING_VALVE,
+    NO_ANGLE,
+    Checkpoint,
+)
 from pam_antagonist.recording import RecordedEstimate, Recording
 
 ENDED = "the recording ended while the live filter ran"

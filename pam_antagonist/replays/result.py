@@ -20,14 +20,14 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Counts, EstimateRun
-from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors, FilterErrors, ModelErrors
+from pam_antagonist.program import versions
 from pam_antagonist.recording import RecordedEstimate, Recording, write_bag
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.live import LiveComparison, Plan
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import assumption
 from pam_antagonist.shown import Shown, number
-from pam_antagonist.software import versions
 from pam_antagonist.strict_json import picked, plain
 
 FloatArray = NDArray[np.float64]

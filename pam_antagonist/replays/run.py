@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput, number
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics, possible, simulate_model
-from pam_antagonist.estimation.checkpoint import read_angle
-from pam_antagonist.estimation.errors import (
+from pam_antagonist.estimation.memory import read_angle
+from pam_antagonist.estimation.metrics import (
     ChannelErrors,
     FilterErrors,
     ModelErrors,
     channel_errors,
     pressure_errors,
 )
-from pam_antagonist.model import sensor
+from pam_antagonist.model import dynamics
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import Issue, sealed_muscles
@@ -355,7 +355,7 @@ def _live(recording: Recording, run: EstimateRun, planned: Plan, begin_ns: int |
 
 def _readings(rig: Rig, pressure: FloatArray) -> FloatArray:
     """Readings of the rig's sensors at pressures (M, 2) [Pa]."""
-    return np.asarray(sensor.readings(pressure, rig.parameters()))
+    return np.asarray(dynamics.readings(pressure, rig.parameters()))
 
 
 def _nees(measured: FloatArray | None, value: FloatArray, variance: FloatArray, reading: Reading) -> float | None:

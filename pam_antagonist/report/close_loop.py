@@ -38,8 +38,7 @@ from pam_antagonist.report.document import (
     words,
 )
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.rig.assumption import assumption
-from pam_antagonist.rig.units import readable
+from pam_antagonist.rig.units import assumption, readable
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -23,7 +23,7 @@ from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND, TIME
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
-from pam_antagonist.rig.limits import rest_pressure, rest_voltage
+from pam_antagonist.rig.physical import rest_pressure, rest_voltage
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance in the paper
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}

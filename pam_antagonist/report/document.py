@@ -16,9 +16,9 @@ from typing import Literal, TypeAlias
 import yaml
 
 from pam_antagonist import shown
+from pam_antagonist.program import versions
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.rig.units import readable
-from pam_antagonist.software import versions
 
 MISSING, number, percent = shown.MISSING, shown.number, shown.percent
 _AFTER_NUMBER = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")

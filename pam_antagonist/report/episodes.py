@@ -48,8 +48,8 @@ from pam_antagonist.report.episodes_tables import (
 )
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.learned import laws_of
-from pam_antagonist.rig.write import write_rig
 from pam_antagonist.strict_json import picked
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.inference.trend import FEWEST, Trend, significant, trend
+from pam_antagonist.program import versions
 from pam_antagonist.report.document import (
     MISSING,
     Block,
@@ -33,7 +34,6 @@ from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figu
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.logbook import Entry, Logbook
-from pam_antagonist.software import versions
 
 _LOSS = 0.8
 """Share of a muscle's first force that is its limit, if none is given."""

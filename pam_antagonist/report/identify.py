@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.identification.held_out import COLUMNS, errors_of, known, rigs_of
 from pam_antagonist.identification.identified import Identified, ParameterEntry
 from pam_antagonist.identification.result import FromPressures, Held, Step
@@ -37,8 +37,7 @@ from pam_antagonist.report.identify_findings import findings, verdict
 from pam_antagonist.report.replay_figures import replay_figures
 from pam_antagonist.report.result import Result, frame_of
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.assumption import assumption
-from pam_antagonist.rig.units import readable, unit_of
+from pam_antagonist.rig.units import assumption, readable, unit_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -18,7 +18,7 @@ from pam_antagonist.report.episodes import units_findings
 from pam_antagonist.report.episodes_tables import about_episodes, interval, intervals_frame, removes, shown, times
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig, write_unread
+from pam_antagonist.rig.file import write_rig, write_unread
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -47,7 +47,7 @@ from pam_antagonist.report.document import (
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.result import Result, frame_of
-from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.rig.units import assumption
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
-from pam_antagonist.output import output_folder
+from pam_antagonist.paths import output_folder
 from pam_antagonist.report import html, plotly_renderer, terminal
 from pam_antagonist.report.document import Document, figures_of
 from pam_antagonist.shown import Shown

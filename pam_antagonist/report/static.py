@@ -40,8 +40,8 @@ from pam_antagonist.report.figure import (
     Series,
 )
 from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.units import readable
-from pam_antagonist.rig.write import write_rig
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -343,7 +343,7 @@ def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = No
     what is left of each value's variance, as if these parts were wrong together. So each value keeps its standard
     deviation. Where only standard deviations are known (``std`` of the law), all values are taken to be wrong together.
     """
-    from pam_antagonist.rig.load import checked  # which imports this module
+    from pam_antagonist.rig.file import checked  # which imports this module
 
     taken = laws_of(rig)
     number = number or next((k for k in range(1, learned.LAWS + 1) if k not in taken), 0)

@@ -8,31 +8,30 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.fingerprint import RigIdentity, differences
+from pam_antagonist.strict_yaml import Line
 
 _ENDING = ".log.jsonl"
 _EARLIEST = datetime.datetime(2000, 1, 1, tzinfo=datetime.timezone.utc)
 """Stamps before it count from the start of a clock, not of the calendar."""
 
 
-class Measured(BaseModel):
+class Measured(Line):
     """A value with its standard error, in the unit that it has."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     value: float
     std: float | None = Field(None, ge=0.0)
     unit: str = ""
 
 
-class Span(BaseModel):
+class Span(Line):
     """A recording: its name, when it began, how long it is, and the hash of its files."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     name: str
     begin: datetime.datetime | None = None
     seconds: float = Field(0.0, ge=0.0)
@@ -45,10 +44,9 @@ class Span(BaseModel):
         return cls(name=name, begin=begin if begin >= _EARLIEST else None, seconds=seconds, sha256=sha256)
 
 
-class Entry(BaseModel):
+class Entry(Line):
     """What one command found."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     at: datetime.datetime
     command: str
     rig: str
@@ -91,7 +89,7 @@ def append(books: Sequence[Path], entry: Entry, earlier: Path | None = None) -> 
     Raises:
         BadInput: a file cannot be written.
     """
-    line = entry.model_dump_json(exclude_defaults=True) + "\n"
+    line = entry.text() + "\n"
     for book in books:
         try:
             new = not book.exists()
@@ -136,7 +134,7 @@ def read(books: Sequence[Path], rig: Rig) -> Logbook:
             if not line.strip():
                 continue
             try:
-                entry = Entry.model_validate_json(line)
+                entry = Entry.read(line)
                 apart = differences(ours, RigIdentity.read(entry.rig))
             except (ValidationError, BadInput):
                 damaged.append(number)

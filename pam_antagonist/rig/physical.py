@@ -1,4 +1,4 @@
-"""Checks of a rig that need several of its values: combinations that are not physical."""
+"""What follows from several values of a rig: whether they are physical, how far the joint may go, where it rests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from pam_antagonist.model import lever_arm, muscle
+from pam_antagonist.model import dynamics, equilibrium, flow, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.base import SIGNALS
@@ -24,6 +24,10 @@ _FAINT, _MORE = 1.0, 10.0
 """Noise in [Pa] that only low-passed readings have; largest ratio of the tuning's variance to the sensor's [-]."""
 _LINEAR = 0.75
 """Share of a value by which a change lowers it as it is; larger ones bring it nearer to 0, but never there."""
+_BEYOND = math.radians(1.0)
+"""[rad] A correct estimate does not get so far beyond the mechanical stop."""
+_REST_SHARE = (450.0 - 101.3) / (710.0 - 101.3)
+"""[-] Pressure at rest as a share of the supply's gauge pressure: 450 of 710 kPa absolute, as in the paper."""
 
 
 def is_positive(name: str) -> bool:
@@ -100,14 +104,14 @@ def _bad_regulators(rig: Rig) -> Iterator[str]:
 def _bad_muscles(rig: Rig) -> Iterator[str]:
     """Check volume and force map over the joint's range, with the functions of the model."""
     p = rig.parameters()
-    bound = rig.joint.stop if rig.joint.stop is not None else RANGE_WITHOUT_STOP
+    bound = angle_range(rig)
     for i, name in enumerate(("muscle_1", "muscle_2")):
         force = getattr(rig, name).force
         for key in ("c1", "c2", "c3", "c4", "c6", "c7") if rig.model.force == "braided" else ():
             if not (value := getattr(force, key)) > 0.0:
                 yield f"{name}.force.{key}: {value:g}, expected above 0 with model.force: braided"
         for angle in (-bound, 0.0, bound):
-            travel, _, _ = lever_arm.leverage(angle, p)
+            travel, _, _ = muscle.leverage(angle, p)
             length = muscle.length(i, travel, p)
             volume, _ = muscle.volume(i, length, p)
             if not _LEAST_VOLUME < volume < _LARGEST_VOLUME:
@@ -213,3 +217,57 @@ def _bad_curves(rig: Rig) -> Iterator[str]:
             yield f"{where}.voltage: expected increasing values [V]"
         if not (np.all(np.diff(rate) >= 0.0) and rate[0] >= 0.0 and rate[-1] <= 1.0):
             yield f"{where}.open_rate: expected values from 0 to 1 that do not decrease"
+
+
+def angle_range(rig: Rig) -> float:
+    """Largest angle to either side [rad]: the mechanical stop; without one, the range that is checked."""
+    return RANGE_WITHOUT_STOP if rig.joint.stop is None else rig.joint.stop
+
+
+def stop_angle(rig: Rig) -> float:
+    """Estimated angle to either side beyond which a controller stops the joint [rad]."""
+    return angle_range(rig) + _BEYOND
+
+
+def largest_torque(rig: Rig) -> float:
+    """Torque at angle 0 with the supply's pressure in one muscle and none in the other, the larger of both [N m]."""
+    p, (low, high) = rig.parameters("locked", 0.0), _pressures(rig)
+    at_rest = np.array([*(flow.voltage_for(i, 0.5, p) for i in (0, 1)), 0.0])
+    ways = [equilibrium.initial_state(0.0, *pair, at_rest, p) for pair in ((high, low), (low, high))]
+    return max(abs(float(dynamics.torque(x, p))) for x in ways)
+
+
+def rest_pressure(rig: Rig) -> float:
+    """Absolute pressure of both muscles at rest [Pa]."""
+    low, high = _pressures(rig)
+    return float(round(low + _REST_SHARE * (high - low))) if rig.drive == "valve" else 0.5 * (low + high)
+
+
+def vented(rig: Rig) -> tuple[float, tuple[float, float]]:
+    """Least pressure that the muscles can have [Pa], and the commands (2,) that let the air out."""
+    low = rig.command_limits[0]
+    return _pressures(rig)[0], (low, low)
+
+
+def rest_voltage(rig: Rig) -> tuple[float, float]:
+    """Voltages (2,) at which the valves keep the pressure at rest [V], to a hundredth of a volt."""
+    low, high = rig.valves.voltage_min, rig.valves.voltage_max
+    first, second = (round(min(max(u, low), high), 2) for u in steady_voltage(rig, rest_pressure(rig)))
+    return first, second
+
+
+def steady_voltage(rig: Rig, pressure: float) -> tuple[float, float]:
+    """Voltages (2,) [V] under which both muscles keep a pressure [Pa], by the valves' law (5).
+
+    In the steady state as much flows in as out: the orifice areas play no part. A valve that is closed in the middle
+    keeps any pressure there.
+    """
+    p = rig.parameters()
+    supply = p[par.SUPPLY]
+    first, second = (float(flow.voltage_for(i, flow.open_rate_for(i, 0.0, pressure, supply, p), p)) for i in (0, 1))
+    return first, second
+
+
+def _pressures(rig: Rig) -> tuple[float, float]:
+    """Least and largest pressure that the muscles can have [Pa]."""
+    return (rig.atmosphere.pressure, rig.supply.pressure) if rig.drive == "valve" else rig.command_limits

@@ -351,7 +351,7 @@ class Rig(Strict):
             >>> load_rig("shin2022").with_value("joint.inertia", 0.02).value("joint.inertia")
             0.02
         """
-        from pam_antagonist.rig.load import with_value  # which imports this module
+        from pam_antagonist.rig.file import with_value  # which imports this module
 
         return with_value(self, name, value)
 

@@ -1,4 +1,4 @@
-"""Readable units for people, such as mm² for orifices. Files use SI units."""
+"""A rig in words: readable units, such as mm² for orifices, where files use SI; and what its file claims unproven."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig.schema import Rig
+from pam_antagonist.shown import number
 from pam_antagonist.strict_yaml import described, fields_of
 
 
@@ -63,3 +64,26 @@ def unit_of(rig: Rig, name: str) -> str:
     kind = type(attrgetter(part)(rig) if part else rig)
     found = re.search(r"\[([^\]]*)\]", described(fields_of(kind)[last]))
     return found[1] if found else "-"
+
+
+def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> str | None:
+    """The uncertainty that a rig file claims without proof, in a sentence; None for an identified rig."""
+    if rig.identified:
+        return None
+    considered = rig.tuning(tuning).consider
+    claimed = [f"{name} ± {_size(rig.value(name), std)}" for name, std in rig.uncertainty.items() if considered]
+    if considered and rig.directions:
+        claimed.append(f"its {len(rig.directions)} directions")
+    known = f"as well as its file claims ({', '.join(claimed)})" if claimed else "exactly, as its file claims,"
+    its = "As configured, its" if identified else "Its"
+    also = " The intervals of the identified rig follow from the recordings." if identified else ""
+    return (
+        f"Assumption: rig {rig.name} was not identified. {its} 95 % intervals are right if its parameters are known "
+        f"{known} and if nothing else is wrong.{also} The NIS tests the pressures only: it cannot show whether that is "
+        "so."
+    )
+
+
+def _size(value: float, std: float) -> str:
+    """An uncertainty in per cent of the value; absolute where the value is 0."""
+    return f"{number(100.0 * std / abs(value), 2)} %" if value else number(std, 2)

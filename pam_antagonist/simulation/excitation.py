@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import flow, muscle
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import rest_pressure
+from pam_antagonist.rig.physical import rest_pressure
 
 FloatArray = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.limits import rest_pressure
+from pam_antagonist.rig.physical import rest_pressure
 
 # A muscle that is a percent weaker is so in its whole force map, for instance.
 SCATTER_GROUPS: tuple[tuple[str, ...], ...] = (
@@ -169,7 +169,7 @@ class Plant:
             # A regulator that swings about its command makes no vacuum.
             np.maximum(self._x[2:4], self._least, out=self._x[2:4])
         sensors, rng = self._sensors, self._rng
-        readings = [sensor.reading(i, self._x[2 + i], self._p) for i in (0, 1)]
+        readings = [dynamics.reading(i, self._x[2 + i], self._p) for i in (0, 1)]
         return PlantSample(
             pressure=np.array(
                 [self._measured(shown, sensors.pressure_std, sensors.pressure_step, rng) for shown in readings]

@@ -11,7 +11,7 @@ import pytest
 from pam_antagonist.cli import check, replay
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 
 @pytest.fixture(scope="session")

@@ -22,8 +22,8 @@ from pam_antagonist.design.first_fill import pulse_faults
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import vented
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
+from pam_antagonist.rig.physical import vented
 from pam_antagonist.simulation.plant import Plant
 
 COMMON = (

@@ -20,7 +20,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.nodes.processes import ProcessFailed
 from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 RIG = load_rig("shin2022")
 LEAKING = moved(RIG, {"effects.leak.area_1": 1e-9})

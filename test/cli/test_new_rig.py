@@ -11,7 +11,7 @@ import pytest
 from pam_antagonist import check, load_rig, replay, simulate
 from pam_antagonist.cli import new_rig
 from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.model import lever_arm, muscle, orifice
+from pam_antagonist.model import muscle, orifice
 from pam_antagonist.rig.parts import muscle_parts, regulator_parts, valve_parts
 
 # The joint of the paper, as somebody would measure it who knows neither its force map nor its valves' areas.
@@ -46,7 +46,7 @@ def test_a_recording_of_the_joint_passes_the_check_with_the_new_file(tmp_path, c
     # So far off its own joint is the declared one.
     p, true = rig.parameters(), load_rig("shin2022").parameters()
     for angle in (-0.3, 0.0, 0.3):
-        at = [muscle.length(0, lever_arm.leverage(angle, vector)[0], vector) for vector in (p, true)]
+        at = [muscle.length(0, muscle.leverage(angle, vector)[0], vector) for vector in (p, true)]
         force, real = (muscle.force(0, at[k], 450e3, vector) for k, vector in enumerate((p, true)))
         assert force == pytest.approx(real, rel=0.35)
 

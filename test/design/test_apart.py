@@ -14,7 +14,7 @@ from pam_antagonist.design.apart import SHORTEST, Question, chance, imitation, t
 from pam_antagonist.design.information import STEP
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.simulation import excitation
 
 

@@ -13,7 +13,7 @@ from pam_antagonist.cli import excite
 from pam_antagonist.design import Limits, Plan, designed, standard_errors
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.limits import steady_voltage
+from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant
 

@@ -23,7 +23,7 @@ from pam_antagonist.report.close_loop import document
 from pam_antagonist.report.close_loop_findings import calibration_findings
 from pam_antagonist.report.document import Tiles
 from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 
 @pytest.fixture(scope="module")

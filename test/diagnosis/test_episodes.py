@@ -25,7 +25,7 @@ from pam_antagonist.inference.bootstrap import drawn, ratio
 from pam_antagonist.inference.episode_search import ABOVE_NOISE, with_effect
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.model.pressure_driven import angles
+from pam_antagonist.model.driven import angles
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.recording import FurtherSignal
 from pam_antagonist.report import episodes as report

@@ -15,7 +15,7 @@ from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
 from pam_antagonist.diagnosis.checkpoint import Checkpoint, Kept
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
-from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import CATALOGUE

@@ -12,7 +12,7 @@ from pam_antagonist.diagnosis.monitor_blocks import alike
 from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Encoder, load_rig
-from pam_antagonist.rig.limits import rest_voltage
+from pam_antagonist.rig.physical import rest_voltage
 
 RIG = load_rig("shin2022").replaced(encoder=Encoder(std=5e-4))
 ONSET, SECONDS, AREA = 60, 90, 5e-10

@@ -14,7 +14,7 @@ from pam_antagonist.cli import close_loop
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 TRIALS = 4
 

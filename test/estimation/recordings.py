@@ -7,7 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from pam_antagonist.rig import load_rig
+from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.simulation.plant import Plant
 
 PERIOD_NS = 1_000_000
@@ -43,3 +44,12 @@ def trial(seconds: float, seed: int = 1, joint: str = "free", mismatch: float = 
         torque=np.array([sample.torque for sample in run]),
         truth=np.array([sample.truth for sample in run]),
     )
+
+
+def with_effects(*names: str) -> Rig:
+    """The rig of the paper with these effects at sizes that are seen."""
+    effects = {
+        name: {item.name: item.scale if item.is_size else item.neutral for item in CATALOGUE[name].parameters}
+        for name in names
+    }
+    return load_rig("shin2022").replaced(effects=effects)

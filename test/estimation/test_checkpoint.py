@@ -10,7 +10,7 @@ from recordings import trial
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.estimation.checkpoint import Checkpoint
+from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.rig import Rig, load_rig
 
 CLEAN = trial(4.0, seed=7)

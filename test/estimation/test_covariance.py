@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,9 +11,10 @@ from hypothesis import strategies as st
 from recordings import START_NS, trial
 
 from pam_antagonist import simulate
-from pam_antagonist.estimation import Estimator
-from pam_antagonist.estimation.factor import factorise
+from pam_antagonist.estimation import Estimator, simulate_model
+from pam_antagonist.estimation.ukf import factorise
 from pam_antagonist.model import dynamics
+from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import load_rig
 
 RIG = load_rig("shin2022")
@@ -72,16 +75,19 @@ def test_stiffness_and_forces_belong_to_the_estimate() -> None:
     assert row["stiffness"] > 0.0  # muscles pull back
 
 
+def _coverage(estimate: np.ndarray, variance: np.ndarray, measured: np.ndarray, sensor_std: float) -> float:
+    return float(np.mean(np.abs(estimate - measured) <= 1.96 * np.sqrt(variance + sensor_std**2)))
+
+
 def test_intervals_cover_the_truth_of_scattered_plants() -> None:
     """Honest on the whole: over plants scattered by 1 %, not on each of them."""
     angle, torque = [], []
     for seed in range(20):
         recording = trial(8.0, seed=seed)
         rows = Estimator(RIG).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
-        deviation = np.sqrt(rows["covariance"][:, 0, 0] + RIG.sensors.angle_std**2)
-        angle.append(np.mean(np.abs(rows["angle"] - recording.angle) < 1.96 * deviation))
-        deviation = np.sqrt(rows["covariance"][:, 2, 2] + RIG.sensors.torque_std**2)
-        torque.append(np.mean(np.abs(rows["torque"] - recording.torque) < 1.96 * deviation))
+        variance = rows["covariance"]
+        angle.append(_coverage(rows["angle"], variance[:, 0, 0], recording.angle, RIG.sensors.angle_std))
+        torque.append(_coverage(rows["torque"], variance[:, 2, 2], recording.torque, RIG.sensors.torque_std))
     assert 0.85 <= np.mean(angle) <= 0.99, np.round(angle, 2)
     assert 0.85 <= np.mean(torque) <= 0.99, np.round(torque, 2)
 
@@ -111,3 +117,26 @@ def test_lost_pivots_are_repaired_to_a_definite_product(matrix: list[list[float]
 def test_says_where_nothing_is_finite() -> None:
     assert factorise(np.array([[1.0, np.nan], [np.nan, 1.0]]), np.empty((2, 2))) == -1
     assert factorise(np.array([[np.inf, 0.0], [0.0, 1.0]]), np.empty((2, 2))) == -1
+
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "rig_a"
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"recordings of rig A are not at hand ({DATA})")
+@pytest.mark.parametrize("joint", ["free", "locked"])
+def test_default_tuning_is_honest_on_nominal(joint: str) -> None:
+    recording = read_bag(DATA / "nominal" / joint)
+    rows = Estimator(RIG, "default", joint).run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+    assert len(rows) == 60_000
+    angle = _coverage(rows["angle"], rows["covariance"][:, 0, 0], recording.angle, RIG.sensors.angle_std)
+    torque = _coverage(rows["torque"], rows["covariance"][:, 2, 2], recording.torque, RIG.sensors.torque_std)
+    assert 0.88 <= angle <= 1.0 and 0.88 <= torque <= 1.0
+    if joint == "free":
+        published = Estimator(RIG, "published").run(recording.stamp_ns, recording.pressure, recording.voltage).rows
+        model = simulate_model(RIG, recording.voltage, recording.pressure[0])
+        rmse = {
+            name: np.sqrt(np.mean((values - recording.angle) ** 2))
+            for name, values in (("default", rows["angle"]), ("published", published["angle"]), ("model", model.angle))
+        }
+        assert rmse["default"] <= 1.4 * rmse["model"]
+        assert rmse["default"] <= 0.5 * rmse["published"]

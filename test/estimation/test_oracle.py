@@ -10,7 +10,7 @@ from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter, unscented_
 from recordings import trial
 
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model.effects import ADDED_STATES
 from pam_antagonist.rig import Rig, load_rig
 
@@ -37,10 +37,10 @@ def _oracle(
         dim_z=2,
         dt=rig.sample_period,
         fx=advance,
-        hx=lambda x: np.array([sensor.reading(i, x[2 + i], p) for i in (0, 1)]),
+        hx=lambda x: np.array([dynamics.reading(i, x[2 + i], p) for i in (0, 1)]),
         points=JulierSigmaPoints(n, kappa=chosen.kappa),
     )
-    first = [sensor.pressure_behind(i, recording.pressure[0, i], p) for i in (0, 1)]
+    first = [dynamics.pressure_behind(i, recording.pressure[0, i], p) for i in (0, 1)]
     angle = 0.0 if joint == "locked" else equilibrium.rest_angle(*first, p)
     ukf.x = equilibrium.initial_state(angle, *first, recording.voltage[0], p)
     noise = [rig.value("effects.external_torque.noise") if effect == "external_torque" else by_name[state].noise
@@ -70,7 +70,7 @@ def _without_consider(rig: Rig, change: float = 0.0) -> Rig:
 
 @pytest.mark.parametrize(
     ("tuning", "joint", "change"),
-    [("published", "free", 0.0), ("default", "free", 0.0), ("published", "locked", 0.0), ("published", "free", 0.3)],
+    [("published", "free", 0.0), ("default", "free", 0.3), ("published", "locked", 0.0)],
 )
 def test_equals_filterpy_over_a_whole_recording(tuning: str, joint: str, change: float) -> None:
     rig = _without_consider(load_rig("shin2022"), change)

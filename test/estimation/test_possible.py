@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -89,9 +90,7 @@ def test_the_estimator_says_what_it_expected() -> None:
     }
     for k, ((p1, u1), words) in enumerate(said.items()):
         assert estimator.step(k * 1_000_000 + 1, p1, 450e3, u1, 5.5) is None
-        assert pytest.approx(0) != len(estimator.complaint)
-        with pytest.raises(AssertionError, match=words):
-            raise AssertionError(estimator.complaint)
+        assert re.search(words, estimator.complaint), estimator.complaint
     assert estimator.step(10_000_000, 450e3, math.nan, 5.5, 5.5) is None and estimator.complaint == ""
     assert estimator.step(11_000_000, 450e3, 450e3, 5.5, 5.5) is not None and estimator.complaint == ""
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numba
 import numpy as np
 import pytest
+from recordings import with_effects
 
-from pam_antagonist.estimation import Estimator, sigma_steps, ukf
+from pam_antagonist.estimation import Estimator, ukf
 from pam_antagonist.estimation.estimator import parameter_sets
 from pam_antagonist.model import dynamics, equilibrium, integration, lanes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.rig import load_rig
 
 RIG = load_rig("shin2022")
 STATES = ("hysteresis", "supply_droop", "creep", "thermal", "external_torque")
@@ -32,27 +33,20 @@ def both_ways(_on_any_machine):
     """For plain rigs and others: one by one, side by side. All of it is in compiled code that other tests need too."""
     return {
         plain: [numba.njit(error_model="numpy")(way(step)) for way, step in (
-            (sigma_steps._one_by_one, integration.plain_step if plain else integration.rk4_step_within),
-            (sigma_steps._side_by_side, lanes.step(plain)),
+            (lanes._one_by_one, integration.plain_step if plain else integration.rk4_step_within),
+            (lanes._in_groups, lanes.step(plain)),
         )]
         for plain in (True, False)
     }  # fmt: skip
 
 
-def with_effects(*names: str) -> Rig:
-    """The rig with these effects at sizes that are seen, the first of which is uncertain."""
-    effects = {
-        name: {item.name: item.scale if item.is_size else item.neutral for item in CATALOGUE[name].parameters}
-        for name in names
-    }
-    uncertain = {f"effects.{name}.{item.name}": 0.1 * item.scale
-                 for name in names[:1] for item in CATALOGUE[name].parameters if item.is_size}  # fmt: skip
-    return RIG.replaced(effects=effects, uncertainty={**RIG.uncertainty, **uncertain})
-
-
 @pytest.mark.parametrize("names", [(), ("leak",), ("valve_offset", "friction"), ("creep",), STATES], ids="+".join)
 def test_side_by_side_as_one_by_one(both_ways, names: tuple[str, ...]) -> None:
     rig = with_effects(*names)
+    # The first of the effects is uncertain: its sets of parameters differ.
+    sizes = [item for name in names[:1] for item in CATALOGUE[name].parameters if item.is_size]
+    uncertain = {f"effects.{names[0]}.{item.name}": 0.1 * item.scale for item in sizes}
+    rig = rig.replaced(uncertainty={**rig.uncertainty, **uncertain})
     sets = parameter_sets(rig, rig.tuning("default"))
     plain = bool(np.all(sets[:, par.PLAIN] != 0.0))
     assert plain == (not names)

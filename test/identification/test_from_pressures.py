@@ -22,7 +22,7 @@ from pam_antagonist.identification.joint_stage import DELAY, WEIGHT_COS, WEIGHT_
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 STRANGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "strangers"
 RIG = described(0.01)

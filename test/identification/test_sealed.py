@@ -23,7 +23,7 @@ from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.notes import SEALED, write_notes
 from pam_antagonist.replays import replay
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 FILE = Path(__file__).parents[3] / "shared" / "data" / "measured" / "sealed_joint" / "sealed_joint.csv"
 measured_only = pytest.mark.skipif(not FILE.exists(), reason="no ../shared/data/measured beside the project")

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
-from pam_antagonist.model import flow, joint, lever_arm, muscle, orifice
+from pam_antagonist.model import flow, joint, muscle, orifice
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig, load_rig
 
@@ -125,10 +125,10 @@ def test_travel_is_the_integral_of_the_arm_and_bend_its_slope(rig: Rig, kind: fl
     p = changed(rig, geometry__cam_1=0.4, geometry__cam_2=-0.7)
     p[par.PULLEY] = kind
     for angle in (-0.8, -0.1, 0.5):
-        travel, arm, bend = lever_arm.leverage(angle, p)
-        whole, _ = quad(lambda x: lever_arm.leverage(x, p)[1], 0.0, angle)
+        travel, arm, bend = muscle.leverage(angle, p)
+        whole, _ = quad(lambda x: muscle.leverage(x, p)[1], 0.0, angle)
         assert travel == pytest.approx(whole, abs=1e-12)
-        ahead, behind = (lever_arm.leverage(angle + step, p)[1] for step in (1e-6, -1e-6))
+        ahead, behind = (muscle.leverage(angle + step, p)[1] for step in (1e-6, -1e-6))
         assert bend == pytest.approx((ahead - behind) / 2e-6, rel=1e-6)
         assert arm == pytest.approx((1.0 if kind else math.cos(angle)) + 0.4 * angle - 0.7 * angle**2)
 
@@ -136,7 +136,7 @@ def test_travel_is_the_integral_of_the_arm_and_bend_its_slope(rig: Rig, kind: fl
 def test_without_a_cam_the_bits_are_the_paper_s(rig: Rig) -> None:
     p = rig.parameters()
     for angle in np.linspace(-0.5, 0.5, 11):
-        travel, arm, bend = lever_arm.leverage(angle, p)
+        travel, arm, bend = muscle.leverage(angle, p)
         assert travel == -bend and travel == pytest.approx(math.sin(angle), abs=1e-15)
         assert arm == pytest.approx(math.cos(angle), abs=1e-15)
 

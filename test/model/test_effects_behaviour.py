@@ -9,7 +9,7 @@ import pytest
 import transcription as paper
 from states import TANK, sealed
 
-from pam_antagonist.model import dynamics, equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
 
@@ -61,10 +61,10 @@ def test_a_line_starts_within_what_there_is(rig):
 def test_a_sensor_reads_by_offset_and_gain_and_its_inverse_undoes_it(rig):
     p = locked(rig, pressure_sensor={"offset_1": 4e3, "offset_2": -2e3, "gain_1": 0.02, "gain_2": -0.1})
     for pressure in (90e3, 450e3, 710e3):
-        assert sensor.reading(0, pressure, p) == pytest.approx(1.02 * pressure + 4e3, rel=1e-15)
-        assert sensor.reading(1, pressure, p) == pytest.approx(0.9 * pressure - 2e3, rel=1e-15)
+        assert dynamics.reading(0, pressure, p) == pytest.approx(1.02 * pressure + 4e3, rel=1e-15)
+        assert dynamics.reading(1, pressure, p) == pytest.approx(0.9 * pressure - 2e3, rel=1e-15)
         for muscle in (0, 1):
-            assert sensor.pressure_behind(muscle, sensor.reading(muscle, pressure, p), p) == pytest.approx(pressure)
+            assert dynamics.pressure_behind(muscle, dynamics.reading(muscle, pressure, p), p) == pytest.approx(pressure)
 
 
 def with_effects(p, **effects):

@@ -11,13 +11,13 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.model.effects.page import page
 from pam_antagonist.model.effects.registry import catalogue
 from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.simulation import excitation
 
 VOLTAGE = excitation.profile("steps", 8.0, 1e-3, seed=6)
@@ -60,8 +60,8 @@ def test_sensors_show_the_pressure_itself(rig):
     p = rig.parameters()
     for pressure in np.random.default_rng(1).uniform(90e3, 720e3, 100):
         for muscle in (0, 1):
-            assert sensor.reading(muscle, pressure, p) == pressure
-            assert sensor.pressure_behind(muscle, pressure, p) == pressure
+            assert dynamics.reading(muscle, pressure, p) == pressure
+            assert dynamics.pressure_behind(muscle, pressure, p) == pressure
 
 
 @pytest.mark.parametrize("joint", ["free", "locked"])
@@ -90,19 +90,13 @@ def test_a_state_comes_with_its_size_and_goes_with_it(rig):
                 assert np.array_equal(par.changed(there, {parameter_path(effect.name, item.name): 0.0}), p)
 
 
-def test_the_catalogue_is_whole():
+def test_the_catalogue_has_the_effects_of_reports_and_definite_states():
+    """Its registry refuses effects that are not whole."""
     assert tuple(CATALOGUE) == NAMES
     for effect in CATALOGUE.values():
-        assert all((effect.meaning, effect.law, effect.source, effect.signature))
-        assert any(item.is_size for item in effect.parameters)
-        for item in effect.parameters:
-            assert item.low <= item.neutral <= item.high
-            assert item.low < item.scale < item.high
-            assert item.unit and item.meaning
-        names = {item.name for item in effect.parameters}
-        noises = [state.noise for state in effect.states]
-        assert all(noise in names if isinstance(noise, str) else noise >= 0.0 for noise in noises)
+        assert all(item.low < item.scale < item.high for item in effect.parameters)
         assert all(state.initial_std > 0.0 for state in effect.states)
+        assert all(isinstance(state.noise, str) or state.noise >= 0.0 for state in effect.states)
 
 
 SINGLE_NUMBERS = {name: effect for name, effect in CATALOGUE.items() if not effect.of_tables}

@@ -177,13 +177,19 @@ def integrated(effects, x, u, duration, locked, outside):
     return solution.y[:, -1]
 
 
-@pytest.mark.parametrize("case", CASES)
+STEPPED = ("leak", "line_resistance", "thermal", "warm_up", "regulator with all that it may have", "all at once")
+
+
+@pytest.mark.parametrize("case", STEPPED)
 @pytest.mark.parametrize(
     ("locked", "base", "u", "duration"),
     [(False, [-0.2, 8.0, 580e3, 480e3], (6.0, 5.0), 0.012), (True, [0.1, 0.0, 380e3, 640e3], (6.0, 5.2), 0.4)],
 )
 def test_trajectory(rig, case, locked, base, u, duration):
-    """A swing that slides one way, and filling and emptying of a locked joint, with fine Runge-Kutta steps."""
+    """A swing that slides one way, and filling and emptying of a locked joint, with fine Runge-Kutta steps.
+
+    The rates are tested for every effect. Here a step takes them, with and without added states of muscles and joint.
+    """
     effects = flat(CASES[case])
     p = vector(rig, CASES[case], "locked" if locked else "free")
     u = tuple(_asked(case, value) for value in u)
@@ -206,22 +212,3 @@ def test_trajectory(rig, case, locked, base, u, duration):
     bounds = {"supply": 1e-3, "regulator_rate_1": 1e-4, "regulator_rate_2": 1e-4}
     bound = [bounds.get(name, 1e-5) for name in (*("",) * 4, *laws.states(effects))]
     assert np.all(np.abs(x - expected) < bound * scale), (x - expected) / scale
-    without = integrated({}, start[:4], u, duration, locked, 0.05)
-    moved = np.abs(expected[:4] - without) / np.array([0.1, 10.0, 1e5, 1e5])
-    still = (
-        "hysteresis",
-        "creep",
-        "load_torque",
-        "limb_weight",
-        "friction",
-        "warm_up",
-        "slack",
-        "friction_by_pressure",
-    )
-    acts = not (locked and case.split()[0] in still)
-    # Without noise, no drift; and without a signal, nothing goes by it.
-    acts &= not case.startswith(("pressure_sensor", "external_torque", "drifting"))
-    acts &= not case.split()[0].endswith("_by_signal")
-    # What a regulator is asked for moves nothing where there is no regulator.
-    acts &= case.split()[0] not in ("regulator_limits", "regulator_threshold", "regulator_dead_time")
-    assert (moved.max() > 1e-5) == acts, f"{case} moves the states by {moved}"

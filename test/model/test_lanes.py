@@ -23,7 +23,7 @@ from pam_antagonist.model import (
 )
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
-from pam_antagonist.rig.load import load_rig
+from pam_antagonist.rig.file import load_rig
 
 SAMPLES = 1500
 BASE = ("muscle_1.force.v1", "valve_1.inflow_area", "gas.temperature", "geometry.radius", "joint.inertia")

@@ -22,7 +22,7 @@ from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.notes import read_notes
 from pam_antagonist.rig import load_rig
-from pam_antagonist.rig.limits import vented
+from pam_antagonist.rig.physical import vented
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 REGULATORS = load_rig("shin2022_regulators", regulators=True)

@@ -12,7 +12,7 @@ from csv_files import Lab
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.checks import check_recording
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.readings import repeated
+from pam_antagonist.estimation.stamps import repeated
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections

@@ -12,7 +12,7 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.estimation.checkpoint import Checkpoint
+from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.recording import RecordedEstimate, Recording, read_bag, write_bag
 from pam_antagonist.replays import Replay, replay
 from pam_antagonist.report.replay import findings

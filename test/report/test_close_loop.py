@@ -14,7 +14,7 @@ from pam_antagonist.diagnosis.remaining import Form, RemainingResidual, Surround
 from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice
-from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.report.close_loop import DiagnoseResult, errors_table
 from pam_antagonist.report.close_loop_figures import left
 from pam_antagonist.report.close_loop_findings import findings

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.identification import held_out as held_out_errors
 from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.result import Held

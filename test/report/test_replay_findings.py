@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.estimation import Counts
-from pam_antagonist.estimation.errors import ChannelErrors, FilterErrors, ModelErrors, PressureErrors, channel_errors
+from pam_antagonist.estimation.metrics import ChannelErrors, FilterErrors, ModelErrors, PressureErrors, channel_errors
 from pam_antagonist.replays.live import LiveComparison
 from pam_antagonist.replays.result import FilterFacts, Innovation, JointFacts, RecordingFacts, ReplayReport, Timing
 from pam_antagonist.report.replay import errors_table, findings, tiles, verdict

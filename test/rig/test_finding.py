@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import load_rig, rig_names
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 
 
 def test_by_name():

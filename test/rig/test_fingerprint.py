@@ -10,8 +10,8 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, RigIdentity, differences, fingerprint, load_rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.fingerprint import FACTS
-from pam_antagonist.rig.write import write_rig
 from validation.paper.virtual import VirtualRig
 
 Laid = Callable[[str], Rig]

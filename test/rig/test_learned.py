@@ -14,8 +14,8 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import free_parameters
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig, fingerprint, load_rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.learned import LAWS, Law, laws_of, value_path, with_law
-from pam_antagonist.rig.write import write_rig
 
 LAW = Law("flow", (-1e5, 0.0, 1e5), (0.0, 1e-6, 3e-6), 2, "pressure_difference", "lag", 0.5, std=(1e-7, 2e-7, 3e-7))
 PATH = partial(value_path, 1)

@@ -16,9 +16,8 @@ from pam_antagonist.nodes import controller, plant
 from pam_antagonist.nodes.parameters import Parameter, by_rig
 from pam_antagonist.report.document import Comparison, in_first_lines
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.assumption import assumption
-from pam_antagonist.rig.limits import angle_range
-from pam_antagonist.rig.units import readable, unit_of
+from pam_antagonist.rig.physical import angle_range
+from pam_antagonist.rig.units import assumption, readable, unit_of
 from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import Plant

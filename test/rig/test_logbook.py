@@ -64,17 +64,6 @@ def test_without_a_change_trends_are_as_rare_as_claimed_and_intervals_as_wide() 
     assert abs(np.sqrt(np.mean(spreads**2)) - 0.4) < 0.06
 
 
-def test_without_its_spread_a_trend_would_be_found_far_too_often() -> None:
-    """What the variance between recordings is for: with the errors of the values alone every third would be a trend."""
-    random = np.random.default_rng(7)
-    time, std = np.linspace(0.0, 49.0, 7), np.full(7, 0.2)
-    lines = [trend(time, random.normal(0.0, 0.6, 7), std) for _ in range(200)]
-    design = time - time.mean()
-    naive = [abs(line.slope) * np.sqrt(design @ design) / 0.2 > 1.96 for line in lines]
-    assert np.mean(naive) > 0.3
-    assert np.mean([line.p < 0.05 for line in lines]) < 0.1
-
-
 def test_identify_writes_the_log_book_beside_both_rig_files(rig_file: Path, tmp_path: Path) -> None:
     worn = load_rig(rig_file)
     for name in ("v1", "v2"):

@@ -19,8 +19,8 @@ from pam_antagonist.cli import new_rig
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.physical import unphysical
-from pam_antagonist.rig.write import write_rig
 from pam_antagonist.simulation.excitation import for_rig
 
 # Answers to new_rig: big and small muscles, lever and pulley, with and without a stop, open and closed centre.

@@ -15,7 +15,7 @@ import pytest
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.errors import ChannelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.model import integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE

@@ -15,9 +15,9 @@ from pam_antagonist.cli.common import JOBS, SEED, whole
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
+from pam_antagonist.program import versions
 from pam_antagonist.report import terminal
 from pam_antagonist.report.document import markdown
-from pam_antagonist.software import versions
 from pam_antagonist.strict_json import write_json
 from validation import json_option
 from validation.battery import outcomes

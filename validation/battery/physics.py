@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, kernel
-from pam_antagonist.model import flow, integration, joint, lever_arm, muscle
+from pam_antagonist.model import flow, integration, joint, muscle
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
     GAS_CONSTANT,
@@ -52,7 +52,7 @@ _SPOOL_DAMPING, _REGULATOR_LAG, _MIDDLE_FORCE = 0.7, 0.03, 200.0
 _REFERENCE_FLOW = 1e-4
 _RELIEF_BAND, _KINKED_AT = 30e3, 0.15
 
-_leverage, _length, _length_rate = lever_arm.leverage, muscle.length, muscle.length_rate
+_leverage, _length, _length_rate = muscle.leverage, muscle.length, muscle.length_rate
 _volume, _force, _pressure_rate, _open_rate = muscle.volume, muscle.force, flow.pressure_rate, flow.open_rate
 _orifice_flow, _valve_flow, _muscle_torque = flow.orifice_flow, flow.valve_flow, joint.muscle_torque
 _coulomb_torque, _acceleration, _stop = joint.coulomb_torque, joint.acceleration, integration.apply_stop

@@ -17,10 +17,10 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
+from pam_antagonist.program import versions
 from pam_antagonist.report import terminal
 from pam_antagonist.report.document import Table, number
 from pam_antagonist.rig import load_rig
-from pam_antagonist.software import versions
 from validation import json_option
 
 _DESCRIPTION = """\

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from pam_antagonist.program import versions
 from pam_antagonist.report.document import Table, markdown
-from pam_antagonist.software import versions
 from validation.faults.fault import LIMIT_MS, Outcome, Recovery, Valves
 
 _LONGEST = 96  # of a status [characters]

@@ -21,7 +21,7 @@ from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.replays.accounting import STAGES
 from pam_antagonist.replays.live import compare_with_live
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.simulation.excitation import PAPER_DURATION
 from validation.paper.control import CONDITION, SCALE, references
 from validation.paper.estimates import COMPARED_S

@@ -7,8 +7,8 @@ from typing import Any
 
 import pandas as pd
 
+from pam_antagonist.program import versions
 from pam_antagonist.report.document import MISSING, Table, markdown, number
-from pam_antagonist.software import versions
 from pam_antagonist.strict_json import write_json
 from validation.paper.experiments import EXPERIMENTS, Done
 from validation.paper.virtual import DECLARED, Mismatch, VirtualRig

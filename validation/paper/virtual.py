@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import Estimator, metrics, simulate_model
-from pam_antagonist.model import equilibrium, integration, sensor
+from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.schema import Curve, Valve
@@ -150,7 +150,7 @@ class VirtualRig:
             noisy = values + std * rng.standard_normal(values.shape)
             return np.round(noisy / step) * step if step > 0.0 else noisy
 
-        readings = sensor.readings(states[:, 2:4], self.plant(joint).parameters)
+        readings = dynamics.readings(states[:, 2:4], self.plant(joint).parameters)
         spans = np.rint(np.arange(1, len(voltage) + 1) * self.actual.sample_period * 1e9)
         return Recording(
             path=Path("virtual_rig") / f"seed_{self.seed}_{joint}",

@@ -9,10 +9,10 @@ from typing import Any
 import pandas as pd
 
 from pam_antagonist.cli import common
+from pam_antagonist.program import versions
 from pam_antagonist.report import terminal
 from pam_antagonist.report.document import MISSING, Table, markdown, number, percent
 from pam_antagonist.report.figure import PALETTE
-from pam_antagonist.software import versions
 from validation.peers.joints import ARM
 
 _WORDS = {

@@ -21,7 +21,7 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.report import terminal
 from pam_antagonist.report.document import Table, markdown
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.write import write_rig
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.simulation.plant import Plant
 from pam_antagonist.strict_json import write_json
 from validation.battery.scores import interval

@@ -35,8 +35,24 @@ Kernel = Any
 """A function that :func:`~pam_antagonist._jit.inlined` or :func:`~pam_antagonist._jit.kernel` compiles."""
 
 
+class _Named:
+    """What a muscle may have one of: its name then ends in ``_1`` or ``_2``."""
+
+    name: str
+
+    @property
+    def muscle(self) -> int | None:
+        """1 or 2 where it belongs to one muscle."""
+        return int(self.name[-1]) if self.name.endswith(("_1", "_2")) else None
+
+    @property
+    def family(self) -> str:
+        """Name without the muscle's number."""
+        return self.name[:-2] if self.muscle else self.name
+
+
 @dataclass(frozen=True)
-class EffectParameter:
+class EffectParameter(_Named):
     """A parameter of an effect.
 
     Attributes:
@@ -66,19 +82,9 @@ class EffectParameter:
         """Whether the effect vanishes where this parameter is 0: sizes are neutral at 0, shapes are not."""
         return self.neutral == 0.0
 
-    @property
-    def muscle(self) -> int | None:
-        """1 or 2 where the parameter belongs to one muscle."""
-        return int(self.name[-1]) if self.name.endswith(("_1", "_2")) else None
-
-    @property
-    def family(self) -> str:
-        """Name without the muscle's number."""
-        return self.name[:-2] if self.muscle else self.name
-
 
 @dataclass(frozen=True)
-class AddedState:
+class AddedState(_Named):
     """A state that an effect adds to [ψ, ψ̇, P_1, P_2].
 
     Attributes:
@@ -109,16 +115,6 @@ class AddedState:
     steady_value: Kernel | None = None
     lag: Kernel | None = None
     prior: str = ""
-
-    @property
-    def muscle(self) -> int | None:
-        """1 or 2 where the state belongs to one muscle."""
-        return int(self.name[-1]) if self.name.endswith(("_1", "_2")) else None
-
-    @property
-    def family(self) -> str:
-        """Name without the muscle's number."""
-        return self.name[:-2] if self.muscle else self.name
 
 
 @dataclass(frozen=True)

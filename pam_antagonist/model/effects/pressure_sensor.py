@@ -5,8 +5,8 @@ y_i = (1 + g_i)\,P_i + o_i + s_i,\qquad
 \ddot s_i = -\frac{2}{T}\,\dot s_i - \frac{1}{T^2}\,s_i + w_i .
 ```
 
-The filter removes offset and gain from every reading (`sensor.pressure_behind`). The model alone is compared with
-readings (`sensor.reading`).
+The filter removes offset and gain from every reading (`dynamics.pressure_behind`). The model alone is compared with
+readings (`dynamics.reading`).
 
 The drift $s$ is a slow error of the reading. No law gives it: the model alone has $s = 0$, and a filter estimates it.
 It is a smooth random process (second-order Gauss–Markov). White noise $w$ of the density $n^2$ gives it the standard
