@@ -47,7 +47,8 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
         if len(here) < 2:
             return fitted
         std = dict(zip(fitted.free, np.sqrt(np.diag(fitted.effect_covariance)), strict=True))
-        weakest = min(here, key=lambda u: _strength(fitted, u, std[u]))
+        values = {u: u.coordinate(fitted.point.effects.get(u.path, 0.0)) for u in here}
+        weakest = min(here, key=lambda u: abs(values[u]) / std[u] if std[u] > 0.0 else 0.0)
         left = tuple(u for u in fitted.free if u is not weakest)
         effects = {path: value for path, value in fitted.point.effects.items() if path not in weakest.paths}
         smaller = refit(
@@ -60,11 +61,6 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
         if lost > price(before, 1):
             return fitted
         fitted = smaller
-
-
-def _strength(fitted: Fitted, free: FreeEffectParameter, std: float) -> float:
-    value = free.coordinate(fitted.point.effects.get(free.path, 0.0))
-    return abs(value) / std if std > 0.0 else 0.0
 
 
 def backward_elimination(base: Model, model: Model) -> Model:
@@ -214,7 +210,8 @@ def profile_sizes(
         for parameter in free_of(model, effect.name):
             if not parameter.item.is_size or parameter.path.split(".")[2] not in effect.parameters:
                 continue
-            r = _first_recording(model, parameter, [names.index(name) for name in effect.recordings])
+            shown = (r for r in map(names.index, effect.recordings) if parameter in model.fits[r].free)
+            r = next((r for r in shown if model.fits[r].point.effects.get(parameter.path)), None)
             if r is None:
                 continue
             progress(f"profile of {parameter.path}")
@@ -229,9 +226,3 @@ def profile_sizes(
                 )
             )  # fmt: skip
     return tuple(result)
-
-
-def _first_recording(model: Model, parameter: FreeEffectParameter, recordings: Sequence[int]) -> int | None:
-    """The first recording that shows a size."""
-    shown = (r for r in recordings if parameter in model.fits[r].free)
-    return next((r for r in shown if model.fits[r].point.effects.get(parameter.path)), None)

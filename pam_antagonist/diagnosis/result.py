@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from pam_antagonist.diagnosis.errors import ModelErrors, RigErrors
-from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group
@@ -22,6 +23,41 @@ from pam_antagonist.shown import Shown
 
 Verdict = Literal["effect", "none", "unexplained"]
 MODELS = ("as_configured", "recalibrated", "extended")
+_STAMPED = ("late", "early")
+_WORDS = {
+    "encoder_zero": ("the encoder reads", ("low", "high"), "°", 180.0 / np.pi),
+    "torque_zero": ("the torque meter reads", ("low", "high"), "N m", 1.0),
+    "torque_scale": ("the torque meter reads", ("little", "much"), "%", 100.0),
+    "delay_voltage": ("the voltages are stamped", _STAMPED, "ms", 1e3),
+    "delay_angle": ("the angle is stamped", _STAMPED, "ms", 1e3),
+    "delay_torque": ("the torque is stamped", _STAMPED, "ms", 1e3),
+    "delay_pressure": ("the pressures are stamped", _STAMPED, "ms", 1e3),
+}
+"""Words for each calibration: subject and verb, adjectives of a negative and a positive value, unit and its factor."""
+
+
+@dataclass(frozen=True)
+class FoundCalibration:
+    """A calibration that recordings need."""
+
+    name: str  # in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`
+    value: float
+    std: float  # its standard deviation, including the uncertainty of the rig's parameters
+    unit: str
+    delta_bic: float
+    # value and standard deviation in each recording that shows it, by its name.
+    by_recording: Mapping[str, tuple[float, float]]
+    rivals: tuple[str, ...] = ()  # effects and calibrations that the recordings cannot distinguish from it
+
+    def in_words(self) -> str:
+        """It in words."""
+        who, ways, unit, factor = _WORDS[self.name]
+        size, std = abs(self.value) * factor, self.std * factor
+        # A standard deviation has one digit, or two that begin with 1; the value has no more than these.
+        magnitude = float(np.log10(max(std, 1e-6)))
+        digits = max(0, -int(np.floor(magnitude)) + (magnitude % 1.0 < np.log10(2.0)))
+        number = f"{size:.{digits}f} ± {std:.{digits}f} {unit}".replace(" °", "°")
+        return f"{who} {number} too {ways[int(self.value > 0.0)]}"
 
 
 class Size(NamedTuple):
@@ -275,3 +311,8 @@ class Diagnosis(Shown):
     def experiments(self) -> tuple[Experiment, ...]:
         """The recordings as they were compared."""
         return self.extended.experiments
+
+    @property
+    def driven(self) -> bool:
+        """Whether the measured angle drives the model, as for a sealed joint."""
+        return any(part.joint == "driven" for part in self.by_recording)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.closed_trials import ClosedTrials
+from pam_antagonist.diagnosis.closed_loop import ClosedTrials
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
 from pam_antagonist.report.close_loop import effects_frame, sizes_table, title_of
 from pam_antagonist.report.document import (

@@ -12,9 +12,9 @@ from pam_antagonist import simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.api.history import entry
 from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out, warnings
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.errors import Errors, RigErrors
-from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
+from pam_antagonist.diagnosis.hypotheses import Checkpoint
+from pam_antagonist.diagnosis.result import FoundCalibration
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording.corrections import Corrections

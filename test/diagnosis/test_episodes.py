@@ -18,8 +18,7 @@ import pytest
 import pam_antagonist
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.episode_drift import Linear, Lines, course
-from pam_antagonist.diagnosis.episodes import diagnose, search
+from pam_antagonist.diagnosis.episodes import Linear, Lines, course, diagnose, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.bootstrap import drawn, ratio
 from pam_antagonist.inference.episode_search import ABOVE_NOISE, with_effect

@@ -12,8 +12,7 @@ import pytest
 
 from pam_antagonist.diagnosis import models, warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
-from pam_antagonist.diagnosis.checkpoint import Checkpoint, Kept
-from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
+from pam_antagonist.diagnosis.hypotheses import Checkpoint, Kept, Ranking, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.estimation.errors import ChannelErrors
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
@@ -32,37 +31,28 @@ def leader(candidates: list[TriedCandidate]) -> TriedCandidate | None:
     return Ranking(NO_MODEL, NO_MODEL, tuple(candidates)).leader
 
 
-def test_evidence_without_held_out_gain_is_not_enough() -> None:
-    assert tried(1, 50.0, 0.8).is_worth_taking
-    assert not tried(1, 50.0, 0.04).is_worth_taking
-    assert not tried(1, 50.0, 0.8, held_out=1.0).is_worth_taking
-    assert not tried(1, 1.0, 0.8).is_worth_taking
-    assert not TriedCandidate("leak", 1, 50.0).is_worth_taking
-
-
-def test_what_hardly_pays_where_it_was_fitted_needs_more_held_out_evidence() -> None:
-    assert tried(1, 4.0, 0.8, held_out=8.0).is_worth_taking
-    assert not tried(1, 4.0, 0.8, held_out=7.0).is_worth_taking
-    assert not tried(1, 9.0, 0.8, held_out=4.0).is_worth_taking
-
-
-def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> None:
-    assert tried(2, 9.0, 0.25).is_worth_taking
-    assert not tried(2, 9.0, 0.25, held_out=-4.0).is_worth_taking
-    assert not tried(2, 1.0, 0.9).is_worth_taking
-    assert not tried(2, 9.0, 0.1).is_worth_taking
-
-
-def test_what_has_little_held_out_evidence_must_be_the_more_certain() -> None:
-    assert tried(1, 30.0, 0.4, held_out=4.0).is_worth_taking
-    assert not tried(1, 19.0, 0.4, held_out=4.0).is_worth_taking
-    assert not tried(1, 90.0, 0.4, held_out=1.0).is_worth_taking
-
-
-def test_a_further_effect_is_judged_by_both_parts_together() -> None:
-    assert tried(2, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
-    assert not tried(2, 24.0, 0.3, held_out=10.0, share=0.1).is_worth_taking
-    assert not tried(1, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
+@pytest.mark.parametrize(
+    ("candidate", "worth"),
+    [
+        # Evidence without a gain on held-out data is not enough.
+        (tried(1, 50.0, 0.8), True), (tried(1, 50.0, 0.04), False), (tried(1, 50.0, 0.8, held_out=1.0), False),
+        (tried(1, 1.0, 0.8), False), (TriedCandidate("leak", 1, 50.0), False),
+        # What hardly pays where it was fitted needs more held-out evidence.
+        (tried(1, 4.0, 0.8, held_out=8.0), True), (tried(1, 4.0, 0.8, held_out=7.0), False),
+        (tried(1, 9.0, 0.8, held_out=4.0), False),
+        # A second effect may be small beside the first, but must be certain.
+        (tried(2, 9.0, 0.25), True), (tried(2, 9.0, 0.25, held_out=-4.0), False), (tried(2, 1.0, 0.9), False),
+        (tried(2, 9.0, 0.1), False),
+        # What has little held-out evidence must be the more certain.
+        (tried(1, 30.0, 0.4, held_out=4.0), True), (tried(1, 19.0, 0.4, held_out=4.0), False),
+        (tried(1, 90.0, 0.4, held_out=1.0), False),
+        # A further effect is judged by both parts together.
+        (tried(2, 24.0, -0.1, held_out=10.0, share=0.3), True), (tried(2, 24.0, 0.3, held_out=10.0, share=0.1), False),
+        (tried(1, 24.0, -0.1, held_out=10.0, share=0.3), False),
+    ],
+)  # fmt: skip
+def test_what_is_taken_is_certain_and_removes_enough(candidate: TriedCandidate, worth: bool) -> None:
+    assert candidate.is_worth_taking is worth
 
 
 @pytest.mark.parametrize(
