@@ -204,10 +204,7 @@ def _refined(experiment: Experiment, start: Fitted, score: _Score) -> float:
         return _cost(experiment, start, point, experiment.near(point, start.point, start.residual))
 
     found = minimize_scalar(
-        cost,
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": _NEAR * score.candidate.free[0].item.scale},
+        cost, bounds=(low, high), method="bounded", options={"xatol": _NEAR * score.candidate.free[0].item.scale}
     )
     return float(found.x) if found.fun < score.cost else score.value
 
@@ -255,7 +252,10 @@ def _hidden(model: Model, number: int) -> list[TriedCandidate]:
         chosen, total, held = list(model.fits), 0.0, 0.0
         for r, (experiment, _) in enumerate(model.pairs):
             new = done.get((name, r))
-            if new is None or not _is_within(new, name) or not _is_certain(new, name):
+            if new is None or not _is_within(new, name):
+                continue
+            value, std = _value(new, calibration.path(name))
+            if not abs(value) >= thresholds.CERTAIN_CALIBRATION * std:
                 continue
             gain, later = _posterior_gain(experiment, plain[r], new)
             if gain > 0.0:
@@ -295,11 +295,6 @@ def _is_within(fitted: Fitted, name: str) -> bool:
     item, value = calibration.CALIBRATIONS[name], fitted.point.effects.get(calibration.path(name), 0.0)
     edge = _EDGE * (item.high - item.low)
     return item.low + edge < value < item.high - edge
-
-
-def _is_certain(fitted: Fitted, name: str) -> bool:
-    value, std = _value(fitted, calibration.path(name))
-    return abs(value) >= thresholds.CERTAIN_CALIBRATION * std
 
 
 def _with(

@@ -66,11 +66,7 @@ def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -
 
 
 def by_recording(
-    prepared: Prepared,
-    compared: Sequence[HeldOutComparison],
-    tuned: Mapping[str, Rig],
-    estimator: bool,
-    jobs: int,
+    prepared: Prepared, compared: Sequence[HeldOutComparison], tuned: Mapping[str, Rig], estimator: bool, jobs: int
 ) -> tuple[RecordingEntry, ...]:
     """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
 
@@ -80,51 +76,42 @@ def by_recording(
     def one(number: int) -> RecordingEntry:
         parts = [part for part in compared if part.number == number]
         rigs = {name: with_tuning(rig_of(prepared, parts, name), tuned.get(name)) for name in MODELS}
-        return _entry(prepared.trials[number].name, prepared.recordings[number], parts, rigs, estimator)
+        first = parts[0]
+        experiment, trial = first.experiment, first.experiment.trial
+        entry = RecordingEntry(
+            prepared.trials[number].name,
+            trial.joint,
+            trial.lock_angle if trial.joint == "locked" else None,
+            first.role,
+            experiment.held_parts[0].begin_s if first.judges else None,
+            held_out_s=tuple((part.begin_s, part.end_s) for part in experiment.held_parts) if first.judges else None,
+        )
+        if not first.judges:
+            return entry
+        residuals = {
+            model: [row for one in parts for row in residual_statistics.statistics(one.experiment, one.points[model])]
+            for model in ("recalibrated", "extended")
+        }
+        ukf = None
+        if estimator:
+            recording = prepared.recordings[number]
+            runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in MODELS}
+            ukf = ModelErrors(*(runs[model][0] for model in MODELS))
+            for model, rows in residuals.items():
+                rows.extend(residual_statistics.of_innovations(experiment, first.points[model], *runs[model][1:]))
+        counted = None
+        if experiment.slides is not None:
+            spans = {"fitted": (0, experiment.fitted), "held_out": (experiment.fitted, len(trial))}
+            counted = {name: sweeps(trial, *span) for name, span in spans.items()}
+        return replace(
+            entry,
+            errors=ModelErrors(*(model_errors(first, model, rigs[model]) for model in MODELS)),
+            residuals={model: tuple(rows) for model, rows in residuals.items()},
+            ukf=ukf,
+            sweeps=counted,
+        )
 
     return tuple(in_threads(one, ((number,) for number in range(len(prepared.recordings))), jobs))
-
-
-def _entry(
-    name: str,
-    recording: Recording,
-    parts: Sequence[HeldOutComparison],
-    rigs: Mapping[str, Rig],
-    estimator: bool,
-) -> RecordingEntry:
-    first = parts[0]
-    experiment, trial = first.experiment, first.experiment.trial
-    entry = RecordingEntry(
-        name,
-        trial.joint,
-        trial.lock_angle if trial.joint == "locked" else None,
-        first.role,
-        experiment.held_parts[0].begin_s if first.judges else None,
-        held_out_s=tuple((part.begin_s, part.end_s) for part in experiment.held_parts) if first.judges else None,
-    )
-    if not first.judges:
-        return entry
-    residuals = {
-        model: [row for part in parts for row in residual_statistics.statistics(part.experiment, part.points[model])]
-        for model in ("recalibrated", "extended")
-    }
-    ukf = None
-    if estimator:
-        runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in MODELS}
-        ukf = ModelErrors(*(runs[model][0] for model in MODELS))
-        for model, rows in residuals.items():
-            rows.extend(residual_statistics.of_innovations(experiment, first.points[model], *runs[model][1:]))
-    counted = None
-    if experiment.slides is not None:
-        spans = {"fitted": (0, experiment.fitted), "held_out": (experiment.fitted, len(trial))}
-        counted = {name: sweeps(trial, *span) for name, span in spans.items()}
-    return replace(
-        entry,
-        errors=ModelErrors(*(model_errors(first, model, rigs[model]) for model in MODELS)),
-        residuals={model: tuple(rows) for model, rows in residuals.items()},
-        ukf=ukf,
-        sweeps=counted,
-    )
 
 
 def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:

@@ -19,14 +19,7 @@ from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.law_regression import Group
 from pam_antagonist.diagnosis.law_search import LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
-from pam_antagonist.diagnosis.models import (
-    Model,
-    held_share,
-    likelier,
-    price,
-    recalibrated,
-    share_of_all,
-)
+from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput

@@ -23,7 +23,6 @@ from pam_antagonist.diagnosis.remaining import describe as describe_remaining
 from pam_antagonist.diagnosis.result import (
     Ambiguity,
     Diagnosis,
-    FoundCalibration,
     FoundEffect,
     HeldOutComparison,
     Judged,
@@ -106,7 +105,10 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     rivals = tuple(rival for j in judged if j.verdict == "effect" for rival in ambiguity.ambiguities(j.base, j.model))
     effects = _effects(prepared, judged, rivals)
     ambiguous = ambiguity.not_told_apart(judged, rivals)
-    calibrated = tuple(_named(prepared, j, item) for j in judged for item in j.calibrations)
+    calibrated = tuple(
+        replace(item, by_recording=_own_names(prepared, j.group, item.by_recording))
+        for j in judged for item in j.calibrations
+    )  # fmt: skip
     profiles = [item for j in judged if settings.profiles for item in profile_sizes(j.model, j.effects, progress)]
     timings.end("profiles")
     common = {name: _common_rig(prepared, judged, name == "extended") for name in ("recalibrated", "extended")}
@@ -220,11 +222,6 @@ def _own_names(prepared: Prepared, group: Group, values: Mapping[str, _T]) -> di
     """Values by the recordings' names instead of the names of a group's experiments."""
     numbers = {e.trial.name: number for e, number in zip(group.experiments, group.numbers, strict=True)}
     return {prepared.trials[numbers[name]].name: value for name, value in values.items()}
-
-
-def _named(prepared: Prepared, judged: Judged, item: FoundCalibration) -> FoundCalibration:
-    """A calibration with the recordings' own names."""
-    return replace(item, by_recording=_own_names(prepared, judged.group, item.by_recording))
 
 
 def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[FoundEffect]) -> list[str]:

@@ -92,10 +92,7 @@ class Surroundings:
 
     def axes(self) -> dict[str, Floats]:
         """What a residual is drawn over: title with unit, values (N,)."""
-        out = {
-            "Pressure 1 [kPa]": self.pressure[:, 0] / 1e3,
-            "Pressure 2 [kPa]": self.pressure[:, 1] / 1e3,
-        }
+        out = {"Pressure 1 [kPa]": self.pressure[:, 0] / 1e3, "Pressure 2 [kPa]": self.pressure[:, 1] / 1e3}
         if self.voltage is not None:
             out |= {"Voltage 1 [V]": self.voltage[:, 0], "Voltage 2 [V]": self.voltage[:, 1]}
         out["Time [s]"] = self.time

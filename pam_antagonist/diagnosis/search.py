@@ -125,7 +125,8 @@ class _Scored:
 
 def _scored(model: Model) -> dict[str, _Scored]:
     """Every candidate with its best score in each recording, beside its model and beside the base as configured."""
-    tasks = [(r, *pair, far) for r, pair in enumerate(model.pairs) for far in _ways(pair[1])]
+    ways = [(False, True) if all(is_calibration(free.path) for free in fit.free) else (False,) for fit in model.fits]
+    tasks = [(r, *pair, far) for r, pair in enumerate(model.pairs) for far in ways[r]]
 
     def one(r: int, experiment: Experiment, fitted: Fitted, far: bool) -> tuple[int, dict[str, Score], Fitted]:
         start = as_configured(experiment, fitted) if far else fitted
@@ -140,10 +141,6 @@ def _scored(model: Model) -> dict[str, _Scored]:
         return max(each, key=lambda pair: pair[0].gain)
 
     return {name: _Scored(tuple(best(name, r) for r in range(len(model.fits)))) for name in names}
-
-
-def _ways(fitted: Fitted) -> tuple[bool, ...]:
-    return (False, True) if all(is_calibration(free.path) for free in fitted.free) else (False,)
 
 
 def _fits(
@@ -245,7 +242,9 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
         grid = candidate.grid()
         found = max((score(candidate, shape, candidate.sizes) for shape in grid), key=lambda tried: tried.gain)
         simpler = result.get(candidate.effect)
-        if simpler is None or found.gain - simpler.gain > _further_price(fitted, candidate, simpler):
+        # The further parameters of another form of a candidate have their price.
+        more = 0 if simpler is None else len(candidate.free) - len(simpler.candidate.free)
+        if simpler is None or found.gain - simpler.gain > price(fitted, more):
             result[candidate.effect] = found
     for name, found in result.items():
         each = [[size for size in found.candidate.sizes if size.muscle == muscle] for muscle in (1, 2)]
@@ -265,11 +264,6 @@ def _with(point: Point, size: FreeEffectParameter, shape: Mapping[str, float]) -
     """A point with an effect of a shape, neither small nor large."""
     values = dict.fromkeys(size.paths, size.item.scale)
     return Point(point.theta, {**point.effects, **shape, **values})
-
-
-def _further_price(fitted: Fitted, candidate: Candidate, simpler: Score) -> float:
-    """What the further parameters of another form of a candidate cost."""
-    return price(fitted, len(candidate.free) - len(simpler.candidate.free))
 
 
 EFFECTS: tuple[Hypothesis, ...] = (CatalogueEffect(),)

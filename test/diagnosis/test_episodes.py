@@ -287,10 +287,7 @@ def test_a_torque_that_no_effect_of_the_catalogue_follows_becomes_a_learned_law(
     result.save(tmp_path / "out")
     numbers = json.loads((tmp_path / "out" / "report.json").read_text())
     (entry,) = (one for one in numbers["laws"] if one["arguments"] == ["time"])
-    assert entry["place"] == "torque" and set(numbers["coverage95"]) == {
-        "later",
-        "interleaved",
-    }
+    assert entry["place"] == "torque" and set(numbers["coverage95"]) == {"later", "interleaved"}
     assert "Learned laws" in (tmp_path / "out" / "report.html").read_text()
     assert law in laws_of(load_rig(tmp_path / "out" / "rig_extended.yaml", regulators=True)).values()
 
