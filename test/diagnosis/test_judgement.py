@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -86,34 +85,28 @@ def test_an_experiment_that_tells_is_named() -> None:
     assert "locked" in said["valve_offset"]
 
 
-@dataclass
-class Ended:
-    point: Point
-    free: tuple[FreeEffectParameter, ...]
+RECORDED: Any = SimpleNamespace(trial=SimpleNamespace(name="free"))
 
 
-@dataclass
-class Recorded:
-    trial: SimpleNamespace
+def ended(values: dict[str, float], effect: str) -> Model:
+    """A recording's model whose fit ended at some values of an effect."""
+    items = {item.name: item for item in CATALOGUE[effect].parameters}
+    free = tuple(FreeEffectParameter((f"effects.{effect}.{name}",), items[name]) for name in values)
+    point = Point(np.zeros(0), {f"effects.{effect}.{name}": value for name, value in values.items()})
+    fitted: Any = SimpleNamespace(point=point, free=free)
+    return Model((RECORDED,), (fitted,), (effect,))
 
 
 def test_a_number_that_ends_at_its_bound_is_named() -> None:
     items = {item.name: item for item in CATALOGUE["creep"].parameters}
     values = {"time": items["time"].high, "share_1": items["share_1"].low, "share_2": 0.0, "stiffness": 700.0}
-    free = tuple(FreeEffectParameter((f"effects.creep.{name}",), items[name]) for name in values)
-    point = Point(np.zeros(0), {f"effects.creep.{name}": value for name, value in values.items()})
-    recorded = Recorded(SimpleNamespace(name="free"))
-    size, time = sorted(warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("creep",))))
+    size, time = sorted(warnings.at_bounds(ended(values, "creep")))
     assert size.startswith("creep.share_1 ends at its bound") and "in free" in size
     assert time.startswith(f"creep.time ends at its bound, {values['time']:g} s") and "how much further" in time
 
 
 def test_a_small_leak_is_not_at_its_bound() -> None:
-    area = next(item for item in CATALOGUE["leak"].parameters if item.name == "area_1")
-    point = Point(np.zeros(0), {"effects.leak.area_1": 1e-9})
-    free = (FreeEffectParameter(("effects.leak.area_1",), area),)
-    recorded = Recorded(SimpleNamespace(name="free"))
-    assert warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("leak",))) == []
+    assert warnings.at_bounds(ended({"area_1": 1e-9}, "leak")) == []
 
 
 def estimated(angle: float | None, torque: float) -> SimpleNamespace:
