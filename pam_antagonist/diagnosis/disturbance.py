@@ -160,7 +160,11 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
     disturbed = replace(experiment, trial=replace(trial, external=known + samples))
-    beside = refit(_without_angle_in_episodes(disturbed, torque), point, fitted.free, renewals=2)
+    # During episodes the observer makes every model fit, so the angle there says nothing.
+    measured = trial.measured.copy()
+    measured[: len(torque) * trial.block][np.repeat(torque != 0.0, trial.block), ANGLE] = np.nan
+    without = replace(disturbed, trial=replace(disturbed.trial, measured=measured))
+    beside = refit(without, point, fitted.free, renewals=2)
     (before,) = Model((experiment,), (fitted,)).left
     left = disturbed.residual(beside.point, whole=True)
     after = Residuals(disturbed.held(left), disturbed.fitted_rows(left[: disturbed.fitted // trial.block]))
@@ -203,14 +207,6 @@ def _least_torque_point(experiment: Experiment, point: Point) -> Point:
             step = np.asarray(-np.linalg.solve(information, slope))
         theta[:directions] += step
     return Point(theta, point.effects)
-
-
-def _without_angle_in_episodes(experiment: Experiment, torque: Floats) -> Experiment:
-    """The recording without its angle during episodes, where the observer makes every model fit."""
-    measured = experiment.trial.measured.copy()
-    during = np.repeat(torque != 0.0, experiment.trial.block)
-    measured[: len(during)][during, ANGLE] = np.nan
-    return replace(experiment, trial=replace(experiment.trial, measured=measured))
 
 
 def _observed(experiment: Experiment, point: Point) -> Floats:
@@ -326,7 +322,7 @@ def disturbed(model: Model, work: Work) -> Disturbed | None:
         replace(model, experiments=tuple(experiments), fits=tuple(fits)),
         tuple(seen[r].noise if r in seen else 0.0 for r in range(len(fits))),
         tuple(r for r in noisy if r not in seen),
-        FoundEffect(DISTURBANCE, None, size, gained, share, there, (_NOTE,)),
+        FoundEffect(DISTURBANCE, None, size, gained, share, there),
     )
 
 

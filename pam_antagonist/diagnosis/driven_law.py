@@ -8,7 +8,7 @@ part that its values were not fitted to.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -225,19 +225,16 @@ def _tried(here: Sequence[_Recording], number: int) -> list[_Tried]:
     finer = [one for k, one in enumerate(found) if k < _FINER or one.group.argument == "angle"]
     groups = [replace(one.group, number=law_regression.FINE) for one in finer if one.group.argument != "none"]
     places = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
-    groups += _with_memory(here, places)
+
+    def span(group: Group) -> float:
+        return float(max(np.ptp(one.argument_of(group, muscle)) for one in here for _, muscle in group.sides))
+
+    groups += law_regression.groups_with_memory(places, span)
     return found + [one for group in groups if (one := _fitted(here, group, number, before))]
 
 
 def _without(here: Sequence[_Recording]) -> list[Floats]:
     return _solved(here, [np.zeros((*one.fitted.residual.shape, 0)) for one in here])[2]
-
-
-def _with_memory(here: Sequence[_Recording], places: Sequence[str]) -> Iterator[Group]:
-    def span(group: Group) -> float:
-        return float(max(np.ptp(one.argument_of(group, muscle)) for one in here for _, muscle in group.sides))
-
-    return law_regression.groups_with_memory(places, span)
 
 
 def _fitted(here: Sequence[_Recording], group: Group, number: int, before: Sequence[Floats]) -> _Tried | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,17 +17,9 @@ from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.profile import effect_profile
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
-
-@dataclass(frozen=True)
-class Sized:
-    """A parameter of an effect in one recording."""
-
-    recording: int
-    value: float
-    std: float
-
-
-_Numbers = dict[FreeEffectParameter, list[Sized]]
+_Seen = dict[int, tuple[float, float]]
+"""Value and standard deviation of a parameter in each recording that shows it, by its number."""
+_Numbers = dict[FreeEffectParameter, _Seen]
 _Part = tuple[int | None, _Numbers]
 
 
@@ -105,7 +96,7 @@ def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str,
             if effect not in CATALOGUE:
                 effects.append(FoundEffect(effect, None, {}, gains[effect], shares[effect], tuple(names)))
             continue
-        where = {muscle: {s.recording for seen in group.values() for s in seen} for muscle, group in sizes.items()}
+        where = {muscle: {r for seen in group.values() for r in seen} for muscle, group in sizes.items()}
         shown = [{muscle for muscle in where if r in where[muscle]} for r in range(len(names))]
         visible = [muscles for muscles in shown if muscles]
         apart = len(visible) > 1 and any(a.isdisjoint(b) for a in visible for b in visible)
@@ -123,12 +114,13 @@ def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str,
             alone = muscles[0] if len(muscles) == 1 and None not in sizes else None
             parts = [(alone, {free: seen for group in sizes.values() for free, seen in group.items()})]
         for muscle, group in parts:
-            recordings = {s.recording for seen in group.values() for s in seen}
-            numbers = {free: [s for s in seen if s.recording in recordings] for free, seen in (group | shapes).items()}
+            recordings = {r for seen in group.values() for r in seen}
+            every = (group | shapes).items()
+            numbers = {free: {r: pair for r, pair in seen.items() if r in recordings} for free, seen in every}
             parameters: dict[str, Size] = {}
             for free, seen in numbers.items():
                 if seen:
-                    mean, std = of_size([(s.value, s.std) for s in seen])
+                    mean, std = of_size(list(seen.values()))
                     size = Size(mean, std, free.item.unit)
                     parameters |= dict.fromkeys((path.split(".")[2] for path in free.paths), size)
                     values |= dict.fromkeys(free.paths, mean)
@@ -153,15 +145,13 @@ def _sizes_and_shapes(model: Model, effect: str) -> tuple[dict[int | None, _Numb
     return by_muscle, {one: seen for one, seen in sized.items() if seen and not one.item.is_size}
 
 
-def _differences(
-    effect: str, numbers: Mapping[FreeEffectParameter, Sequence[Sized]], names: Sequence[str]
-) -> list[str]:
+def _differences(effect: str, numbers: _Numbers, names: Sequence[str]) -> list[str]:
     """Sizes in which the recordings contradict each other."""
     out = []
     for free, seen in numbers.items():
-        sizes = [(s.value, s.std) for s in seen]
+        sizes = list(seen.values())
         if free.item.is_size and sizes and contradict(sizes, of_size(sizes)[0]):
-            each = ", ".join(f"{names[s.recording]}: {s.value:.3g}" for s in seen)
+            each = ", ".join(f"{names[r]}: {value:.3g}" for r, (value, _) in seen.items())
             out.append(f"the recordings differ in {effect}'s {free.item.name} ({each})")
     return out
 
@@ -172,12 +162,12 @@ def free_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
     return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.free if u.path.startswith(path)))
 
 
-def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> list[Sized]:
+def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> _Seen:
     """Value of a parameter in every recording in which it is free, not 0, and not small beside the other muscle's.
 
     `certain`: whether a size must be more than two standard deviations from 0.
     """
-    seen = []
+    seen: _Seen = {}
     for r, fitted in enumerate(model.fits):
         if free not in fitted.free:
             continue
@@ -194,7 +184,7 @@ def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> lis
             least = thresholds.CERTAIN_SIZE * std if certain else 0.0
             if abs(value) <= max(thresholds.SMALL_SIBLING * max(siblings, default=0.0), least):
                 continue
-        seen.append(Sized(r, value, std))
+        seen[r] = value, std
     return seen
 
 

@@ -2,7 +2,7 @@
 
 A search (:mod:`search`) asks every hypothesis of a table in turn what it would make of the present model, takes the
 best answer that is worth it, and asks again. An effect of the catalogue and a calibration are hypotheses; so are an
-effect that begins or ends, a disturbance torque and friction along the motion, which rules ask for
+effect that begins or ends and friction along the motion, which rules ask for
 (:mod:`judgement`). Another package adds its own by an entry point of the group ``pam_antagonist.hypotheses``, the name
 of a class.
 """
@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.models import FITTED, HELD, Model, evidence, further_share, held_out_evidence, held_share
+from pam_antagonist.diagnosis.models import FITTED, Model, evidence, further_share, held_out_evidence, held_share
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted
@@ -178,7 +178,7 @@ class TriedCandidate:
         return replace(
             self, delta_bic=sum(gains), held_out_evidence=sum(later), model=model,
             share=further_share(first, before, model),
-            shares=tuple(further_share(before, before, model, part) for part in (HELD, FITTED)),
+            shares=(held_share(before, model), further_share(before, before, model, FITTED)),
         )  # fmt: skip
 
     @property

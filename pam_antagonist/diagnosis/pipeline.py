@@ -77,19 +77,14 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Mo
         base = by_itself_or_in_turn(group)
         check_same_rig(group.held_out, base)
         timings.end("recalibration")
-        ranking = search(base, Work(settings.about(group), settings.store), hypotheses(), first=_of_group(first, group))
+        names = {experiment.trial.name for experiment in group.experiments}
+        before = [] if first is None else [k for k, e in enumerate(first.experiments) if e.trial.name in names]
+        work = Work(settings.about(group), settings.store)
+        ranking = search(base, work, hypotheses(), first=None if first is None else first.of(before))
         timings.end("selection")
         judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.store)))
         timings.end("judgement")
     return sorted(judged, key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))
-
-
-def _of_group(model: Model | None, group: Group) -> Model | None:
-    """What of a model of all groups belongs to one of them."""
-    if model is None:
-        return None
-    names = {experiment.trial.name for experiment in group.experiments}
-    return model.of([k for k, experiment in enumerate(model.experiments) if experiment.trial.name in names])
 
 
 _T = TypeVar("_T")
@@ -130,6 +125,8 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     as_prepared = sorted(judged, key=lambda j: [group.name for group in prepared.groups].index(j.group.name))
     extended = _all(j.model for j in as_prepared)
     ranking = tuple(_ranked(j, tried) for j in judged for tried in j.ranking.tried)
+    # The models without effects, of recordings in which all effects act throughout.
+    throughout = [replace(j.base, experiments=tuple(replace(e, spans={}) for e in j.model.experiments)) for j in judged]
     found = Diagnosis(
         verdict=verdict,
         sentence="",
@@ -151,7 +148,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         by_recording=entries,
         reference=held_out.static_map(prepared),
         remaining=remaining,
-        unseen=warnings.unseen(prepared, map(_throughout, judged)),
+        unseen=warnings.unseen(prepared, throughout),
         warnings=(
             *prepared.notes,
             *warnings.guessed_curves(extended.experiments[0].rig, [item.name for item in effects]),
@@ -192,12 +189,6 @@ def _all(models: Iterable[Model]) -> Model:
     """The models of all groups as one."""
     columns = zip(*((model.experiments, model.fits, model.effects) for model in models), strict=True)
     return Model(*(tuple(itertools.chain(*each)) for each in columns))
-
-
-def _throughout(judged: Judged) -> Model:
-    """The model without effects, of recordings in which all effects act throughout."""
-    experiments = tuple(replace(experiment, spans={}) for experiment in judged.model.experiments)
-    return replace(judged.base, experiments=experiments)
 
 
 def _overall(judged: Sequence[Judged]) -> tuple[Verdict, float | None]:

@@ -95,7 +95,6 @@ class FoundEffect:
         holdout_gain: share of the held-out excess over noise (:mod:`models`) that goes with it; None for a
             disturbance torque in recordings of which nothing is held out.
         recordings: names of the recordings that show it.
-        notes: what a user should know about it.
         onset_s: since when it acts [s]; None: throughout.
         onset_std_s: standard deviation of that [s].
         end_s: until when it acts [s]; None: to the end of every recording that shows it.
@@ -112,7 +111,6 @@ class FoundEffect:
     delta_bic: float
     holdout_gain: float | None
     recordings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
     onset_s: float | None = None
     onset_std_s: float | None = None
     end_s: float | None = None
@@ -128,9 +126,9 @@ class FoundEffect:
         return self.name if self.law is None else f"a law of {self.law.where}"
 
     def to_json(self) -> dict[str, Any]:
-        """The keys of ``report.json``: all but the notes, which are warnings there."""
+        """The keys of ``report.json``."""
         of_law = ("law", "like", "alternatives")
-        out = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("notes", *of_law)}
+        out = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in of_law}
         if self.law is None:
             return out
         return {**out, **self.law.to_json(), "like": list(self.like), "alternatives": list(self.alternatives)}
