@@ -31,6 +31,7 @@ from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.write import refusal, write_rig
 from pam_antagonist.shown import Shown, number, percent
 from pam_antagonist.software import versions
+from pam_antagonist.strict_json import picked
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,24 +133,15 @@ class ClosedLoop(Diagnosis):
     def to_json(self) -> dict[str, Any]:
         """The content of ``report.json``."""
         return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "effects": self.effects,
-            "ambiguous_with": self.ambiguous_with,
+            **picked(self, "verdict", "sentence", "effects", "ambiguous_with"),
             "experiments": self.experiment,
             "ambiguities": self.ambiguities,
             "share_explained": self.share,
-            "parts": self.parts,
-            "reference": self.reference,
-            "base_friction_removed": self.base_friction_removed,
-            "errors": self.errors,
-            "recordings": self.recordings,
+            **picked(self, "parts", "reference", "base_friction_removed", "errors", "recordings"),
             "ranking": [
                 {
                     "name": item.effect,
-                    "round": item.round,
-                    "score": item.score,
-                    "delta_bic": item.delta_bic,
+                    **picked(item, "round", "score", "delta_bic"),
                     "holdout_gain": None if item.shares is None else item.shares[0],
                     "taken": item.taken,
                     "score_by_muscle": item.muscles,
@@ -159,8 +151,7 @@ class ClosedLoop(Diagnosis):
             "profiles": self.profiles,
             "remaining": [item.line() for item in self.remaining],
             "left": self.remaining,
-            "unseen": self.unseen,
-            "warnings": self.warnings,
+            **picked(self, "unseen", "warnings"),
             "settings": {
                 "rig": self.start.name,
                 "rig_source": " ".join(self.start.source.split()),
@@ -176,10 +167,7 @@ class ClosedLoop(Diagnosis):
             "splits": self.splits,
             "calibration": [
                 {
-                    "name": item.name,
-                    "value": item.value,
-                    "std": item.std,
-                    "unit": item.unit,
+                    **picked(item, "name", "value", "std", "unit"),
                     "sentence": item.in_words(),
                     "delta_bic": item.delta_bic,
                     "recordings": {name: Size(*each, item.unit) for name, each in item.by_recording.items()},
@@ -189,8 +177,7 @@ class ClosedLoop(Diagnosis):
             ],
             "corrections": self.corrections,
             "assumption": assumption(self.start),
-            "next_steps": self.next_steps,
-            "next_rig": self.next_rig,
+            **picked(self, "next_steps", "next_rig"),
         }
 
     def write_rigs(self, folder: Path) -> None:
@@ -309,19 +296,10 @@ class ClosedTrials(Shown):
             "extended": (best, "identified"),
         }  # fmt: skip
         return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
+            **picked(self, "verdict", "sentence"),
             "effects": [
-                {
-                    "name": item.name,
-                    "muscle": item.muscle,
-                    "place": place,
-                    "parameters": {name: size.to_json() for name, size in item.parameters.items()},
-                    "delta_bic": item.delta_bic,
-                    "holdout_gain": item.holdout_gain,
-                    "onset_s": None,
-                    "splits": item.splits,
-                }
+                {**picked(item, "name", "muscle"), "place": place,
+                 **picked(item, "parameters", "delta_bic", "holdout_gain", "onset_s", "splits")}
                 for place, item in self.found.effects
             ],
             "ambiguous_with": self.ambiguous_with,

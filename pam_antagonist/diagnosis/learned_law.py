@@ -304,7 +304,7 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     shown = [one.trial.name for one in driven_law.acting(learned.law, model).experiments]
     here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
     with_law = zip(after.parts, here, strict=True)
-    parts = [replace(part, verdict="effect", share=share) if acts else part for part, acts in with_law]
+    parts = [replace(part, verdict="effect", share_explained=share) if acts else part for part, acts in with_law]
     in_part = share_of_all(*driven_law.all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if in_part else ()
     return replace(

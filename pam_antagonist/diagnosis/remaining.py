@@ -21,6 +21,7 @@ from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_err
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.point import Channel, Point
+from pam_antagonist.strict_json import picked
 
 Floats = NDArray[np.float64]
 
@@ -136,8 +137,8 @@ class RemainingResidual:
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``: the description without the residual itself."""
-        names = ("recording", "channel", "unit", "times_noise", "depends_on", "bands")
-        return {**{name: getattr(self, name) for name in names}, "period_s": self.period, "form": self.form}
+        described = picked(self, "recording", "channel", "unit", "times_noise", "depends_on", "bands")
+        return {**described, "period_s": self.period, "form": self.form}
 
     def line(self) -> str:
         """The description as a line."""

@@ -159,11 +159,7 @@ class PartVerdict:
     verdict: Verdict
     # of its held-out excess over noise that its effects remove; None if that is a disturbance torque in recordings of
     # which nothing is held out.
-    share: float | None
-
-    def to_json(self) -> dict[str, Any]:
-        """The keys of ``report.json``."""
-        return {"name": self.name, "verdict": self.verdict, "share_explained": self.share}
+    share_explained: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -88,7 +88,7 @@ def test_friction_and_a_leak_of_one_muscle_are_found_with_their_sizes(recorded, 
 def test_each_part_of_the_joint_is_judged_by_itself(recorded, joint) -> None:
     found = diagnosed(recorded({"leak": {"area_1": 2e-11, "area_2": 2e-11}}), joint)
     assert {part.name: part.verdict for part in found.parts} == {"pressures": "effect", "torque": "none"}
-    assert found.share == next(part.share for part in found.parts if part.name == "pressures")
+    assert found.share == next(part.share_explained for part in found.parts if part.name == "pressures")
     assert [tried.effect for tried in found.ranking if tried.taken] == ["leak"]
 
 
