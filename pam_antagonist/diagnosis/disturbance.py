@@ -68,6 +68,11 @@ _LEAST_TORQUE = 1e-4
 """[N m]"""
 _SMALL = 0.3
 """Torques of less than this share of the median count as squares: absolute values have no finite weight at 0."""
+_NOTE = (
+    "a disturbance torque is known only afterwards: the model alone cannot foresee it, and its errors stay; the "
+    "estimator has it as a state"
+)
+_NOISE = parameter_path(DISTURBANCE, CATALOGUE[DISTURBANCE].parameters[0].name)
 _step, _STAGES = integration.rk4_step_within, integration.STAGES
 
 
@@ -274,13 +279,6 @@ def _smooth(torque: Floats, trial: Trial) -> Floats:
     return np.asarray(np.convolve(torque, np.ones(width) / width, mode="same"))
 
 
-_NOTE = (
-    "a disturbance torque is known only afterwards: the model alone cannot foresee it, and its errors stay; the "
-    "estimator has it as a state"
-)
-_NOISE = parameter_path(DISTURBANCE, CATALOGUE[DISTURBANCE].parameters[0].name)
-
-
 class Disturbed(NamedTuple):
     """Recordings with a disturbance as an input."""
 
@@ -369,11 +367,10 @@ def _explanation(found: Disturbed, base: Model, model: Model, recorded: Model) -
         model = findings.backward_elimination(base, model)
         beside, _ = findings.found(base, model)
     # With an unknown torque as a random walk, as an estimator has it.
-    points = (
-        Point(fitted.point.theta, {**fitted.point.effects, _NOISE: noise} if noise else fitted.point.effects)
+    fits = tuple(
+        replace(fitted, point=Point(fitted.point.theta, {**fitted.point.effects, _NOISE: noise})) if noise else fitted
         for fitted, noise in zip(model.fits, found.noises, strict=True)
     )
-    fits = tuple(replace(fitted, point=point) for fitted, point in zip(model.fits, points, strict=True))
     return Model(recorded.experiments, fits, (*model.effects, DISTURBANCE)), Findings(
         tuple(sorted((*beside.effects, found.effect), key=lambda effect: -effect.delta_bic)),
         {**beside.values, _NOISE: found.effect.parameters["noise"].value},
