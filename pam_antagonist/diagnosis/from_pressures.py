@@ -21,9 +21,9 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis.ambiguity import not_told_apart
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
-from pam_antagonist.diagnosis.pipeline import verdicts
+from pam_antagonist.diagnosis.pipeline import overall, verdicts
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared, Settings, Timings
-from pam_antagonist.diagnosis.result import FoundEffect, Judged
+from pam_antagonist.diagnosis.result import FoundEffect, Judged, Verdict
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.from_pressures import (
@@ -228,10 +228,9 @@ class FoundFromPressures:
     judged: tuple[Judged, ...]  # the verdict on each part
 
     @property
-    def verdict(self) -> Literal["effect", "none", "unexplained"]:
+    def verdict(self) -> Verdict:
         """The result in a word."""
-        verdicts = {one.verdict for one in self.judged}
-        return "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
+        return overall(self.judged)
 
     @property
     def effects(self) -> tuple[tuple[Place, FoundEffect], ...]:

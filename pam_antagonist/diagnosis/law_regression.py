@@ -371,7 +371,7 @@ def _likelihood(one: Equations, place: str, level: float) -> float:
 
 def place_search(recordings: Sequence[Equations]) -> list[Place]:
     """All places by the likelihood of an unknown input there, the likeliest first."""
-    names = [name for names in PLACES.values() for name in names if any(name in one.places for one in recordings)]
+    names = [name for name in PLACES if any(name in one.places for one in recordings)]
     nothing = sum(_likelihood(one, "", 0.0) for one in recordings)
     found = []
     for name in names:

@@ -121,14 +121,14 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     timings.end("errors")
     remaining = tuple(item for j in judged if j.verdict != "none" for item in describe_remaining(j.model))
     timings.end("remaining residual")
-    verdict, share = _overall(judged)
+    shares = [j.share for j in judged if j.effects] or [j.share for j in judged]
     as_prepared = sorted(judged, key=lambda j: [group.name for group in prepared.groups].index(j.group.name))
     extended = _all(j.model for j in as_prepared)
     ranking = tuple(_ranked(j, tried) for j in judged for tried in j.ranking.tried)
     # The models without effects, of recordings in which all effects act throughout.
     throughout = [replace(j.base, experiments=tuple(replace(e, spans={}) for e in j.model.experiments)) for j in judged]
     found = Diagnosis(
-        verdict=verdict,
+        verdict=overall(judged),
         sentence="",
         effects=effects,
         calibrations=calibrated,
@@ -141,7 +141,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         ),
         ambiguities=rivals,
         ranking=ranking,
-        share=share,
+        share=min((share for share in shares if share is not None), default=None),
         parts=tuple(PartVerdict(j.group.name, j.verdict, j.share) for j in judged),
         errors=totals,
         of_one_rig=of_one_rig,
@@ -191,12 +191,10 @@ def _all(models: Iterable[Model]) -> Model:
     return Model(*(tuple(itertools.chain(*each)) for each in columns))
 
 
-def _overall(judged: Sequence[Judged]) -> tuple[Verdict, float | None]:
-    """The verdict on all groups together, and the least share that effects remove in any of them, if it is known."""
+def overall(judged: Sequence[Judged]) -> Verdict:
+    """The verdict on all groups together."""
     verdicts = {j.verdict for j in judged}
-    verdict: Verdict = "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
-    shares = [j.share for j in judged if j.effects] or [j.share for j in judged]
-    return verdict, min((share for share in shares if share is not None), default=None)
+    return "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
 
 
 def _effects(prepared: Prepared, judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[FoundEffect, ...]:
