@@ -117,7 +117,7 @@ class Calibration(Hypothesis):
         return FoundCalibration(name, values[name], 0.0, "", 0.0, {}).in_words()
 
     @override
-    def instead(self, name: str, sealed: bool = False) -> str:
+    def instead(self, name: str) -> str:
         clock = f"stamps of the {name.removeprefix('delay_')} that are early or late"
         return f"{_ALTERNATIVES.get(name, (clock,))[0]} would explain the data as well"
 

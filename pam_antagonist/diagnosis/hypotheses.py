@@ -293,7 +293,7 @@ class Hypothesis(ABC):
         """
 
     @abstractmethod
-    def instead(self, name: str, sealed: bool = False) -> str:
+    def instead(self, name: str) -> str:
         """What a report says where it would explain the data as well as what was found."""
 
     @abstractmethod

@@ -59,8 +59,8 @@ def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
     return ""
 
 
-def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = math.inf) -> list[dict[str, Floats]]:
-    """The stretches of a part [s] of a recording without holes, as the search takes them."""
+def stretches(recording: Recording, end_s: float = math.inf) -> list[dict[str, Floats]]:
+    """The stretches of a recording without holes, up to a time [s], as the search takes them."""
     time = recording.time_s
     none = np.full(len(time), np.nan)
     columns = {
@@ -69,7 +69,7 @@ def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = m
         "torque": none if recording.torque is None else recording.torque,
     }  # fmt: skip
     known = [np.isfinite(v).reshape(len(time), -1).all(axis=1) for name, v in columns.items() if name != "torque"]
-    rows = np.flatnonzero(np.all(known, axis=0) & (time >= begin_s) & (time < end_s))
+    rows = np.flatnonzero(np.all(known, axis=0) & (time < end_s))
     longest = max(LONGEST_GAP_NS, 2.5e9 * recording.sample_period_s)
     holes = np.flatnonzero(np.diff(recording.stamp_ns[rows]) > longest) + 1
     return [{key: values[part] for key, values in columns.items()} for part in np.split(rows, holes) if len(part) > 1]

@@ -87,7 +87,7 @@ class CatalogueEffect(Hypothesis):
         return CATALOGUE[name].in_words(muscle, values, sealed)
 
     @override
-    def instead(self, name: str, sealed: bool = False) -> str:
+    def instead(self, name: str) -> str:
         return CATALOGUE[name].sealed.instead or f"{CATALOGUE[name].title} would explain the data as well"
 
     @override

@@ -35,7 +35,7 @@ class SwappedValves(Hypothesis):
     def sentence(self, name, muscle, values, sealed=False):
         return "the plugs of the valves are swapped"
 
-    def instead(self, name, sealed=False):
+    def instead(self, name):
         return "swapped plugs would explain the data as well"
 
     def experiment(self, name, found=None, sealed=False):
