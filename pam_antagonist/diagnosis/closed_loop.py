@@ -14,8 +14,9 @@ from typing_extensions import override
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Place
 from pam_antagonist.diagnosis.pipeline import in_words
-from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, RecordingEntry, Size, Splits
+from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
+from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.warnings import like_a_curve
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import CLEAR
@@ -121,9 +122,10 @@ class ClosedLoop(Diagnosis):
             return ()
 
     @property
-    def splits(self) -> Splits | None:
-        """How many splits of the recordings support the least supported effect; None if no splits were made."""
-        return min((effect.splits for effect in self.effects if effect.splits is not None), default=None)
+    def splits(self) -> Firmness | None:
+        """What the splits of the recordings say of the least supported effect; None if no splits were made."""
+        known = (effect.splits for effect in self.effects if effect.splits is not None)
+        return min(known, key=lambda firm: firm.agree, default=None)
 
     @property
     def recordings(self) -> tuple[RecordingEntry, ...]:

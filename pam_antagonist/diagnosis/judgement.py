@@ -29,7 +29,7 @@ from pam_antagonist.diagnosis import (
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
 from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared
-from pam_antagonist.diagnosis.result import Judged, Splits, Verdict
+from pam_antagonist.diagnosis.result import Judged, Verdict
 from pam_antagonist.diagnosis.search import CatalogueEffect, Score, score_all, search
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, refit, relinearised
@@ -330,5 +330,5 @@ def _firm(
         model = without[weakest]
         if not model.effects:
             return base, findings.Findings((), {}, []), {}, notes
-    effects = tuple(replace(effect, splits=Splits(firm[effect.name].agree, splits.SPLITS)) for effect in found.effects)
+    effects = tuple(replace(effect, splits=firm[effect.name]) for effect in found.effects)
     return model, found._replace(effects=effects), firm, notes

@@ -72,17 +72,6 @@ class Size(NamedTuple):
         return self._asdict()
 
 
-class Splits(NamedTuple):
-    """How many splits of the recordings support what was found."""
-
-    agree: int
-    of: int
-
-    def to_json(self) -> dict[str, Any]:
-        """The keys of ``report.json``."""
-        return self._asdict()
-
-
 @dataclass(frozen=True)
 class FoundEffect:
     """An effect that the recordings show.
@@ -115,7 +104,7 @@ class FoundEffect:
     onset_std_s: float | None = None
     end_s: float | None = None
     end_std_s: float | None = None
-    splits: Splits | None = None
+    splits: Firmness | None = None
     law: Law | None = None
     like: tuple[str, ...] = ()
     alternatives: tuple[str, ...] = ()
