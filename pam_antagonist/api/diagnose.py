@@ -96,7 +96,7 @@ def diagnose(
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
         settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or silent)
         found = _from_pressures(given, chosen, settings, len(kept))
-        return PressuresDiagnoseResult(chosen, found, hashes)
+        return widened(PressuresDiagnoseResult, found, start=chosen, hashes=hashes)
     if are_episodes(every, chosen):
         if len(fitted) > 1 or len(kept) > 1:
             expected = "expected one recording, and one to hold out at most"

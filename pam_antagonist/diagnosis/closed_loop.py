@@ -30,7 +30,7 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.write import refusal, write_rig
-from pam_antagonist.shown import Shown, number, percent
+from pam_antagonist.shown import number, percent
 from pam_antagonist.software import versions
 from pam_antagonist.strict_json import picked
 
@@ -222,11 +222,10 @@ class ClosedLoop(Diagnosis):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ClosedTrials(Shown):
+class ClosedTrials(FoundFromPressures):
     """An effect that the model of a rig lacks, from measured pressures."""
 
     start: Rig
-    found: FoundFromPressures
     hashes: tuple[str, ...]  # SHA-256 of the recordings
 
     @override
@@ -234,26 +233,20 @@ class ClosedTrials(Shown):
         return f"{self.verdict}; {self.sentence}"
 
     @property
-    def verdict(self) -> str:
-        """``effect``, ``none`` or ``unexplained``."""
-        return self.found.verdict
-
-    @property
     def sentence(self) -> str:
         """The result in words."""
-        found = self.found
-        now = found.proposed
-        before = found.recalibrated.pooled("as_configured")
-        if found.effects:
-            what = "; ".join(_in_words(*item) for item in found.effects)
+        now = self.proposed
+        before = self.recalibrated.pooled("as_configured")
+        if self.placed:
+            what = "; ".join(_in_words(*item) for item in self.placed)
             out = what[0].upper() + what[1:] + "."
-        elif found.unexplained:
-            out = f"No effect of the catalogue explains what is left in {' and in '.join(found.unexplained)}. "
+        elif self.unexplained:
+            out = f"No effect of the catalogue explains what is left in {' and in '.join(self.unexplained)}. "
             out += "No other law was looked for: the base of such a rig is not known well enough."
         else:
             out = "The model explains the recordings; no effect is missing."
         if now is None:
-            why = (found.extended or found.recalibrated).rejected
+            why = (self.extended or self.recalibrated).rejected
             return f"{out} Keep the rig file that you have: {why or 'no other is better on held-out data.'}"
         after = now.pooled("identified")
         change = "falls" if after < before else "changes"
@@ -262,25 +255,20 @@ class ClosedTrials(Shown):
     @property
     def effects(self) -> tuple[FoundEffect, ...]:
         """The detected effects."""
-        return tuple(effect for _, effect in self.found.effects)
-
-    @property
-    def ambiguous_with(self) -> tuple[str, ...]:
-        """Effects that the recordings cannot tell from the detected ones."""
-        return self.found.ambiguous_with
+        return tuple(effect for _, effect in self.placed)
 
     @property
     def next_rig(self) -> str | None:
         """Name of the rig file to use; None: keep the one that there is."""
-        best = self.found.proposed
+        best = self.proposed
         if best is None or refusal(best.rig):
             return None
-        return "rig_extended.yaml" if best is self.found.extended else "rig_recalibrated.yaml"
+        return "rig_extended.yaml" if best is self.extended else "rig_recalibrated.yaml"
 
     @property
     def rig_extended(self) -> Rig:
         """The rig to use: with the effects, recalibrated, or as configured, whichever is best on held-out data."""
-        best = self.found.proposed
+        best = self.proposed
         if best is None:
             return self.start
         names = ", ".join(name for name, _ in best.fitted)
@@ -290,7 +278,7 @@ class ClosedTrials(Shown):
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``report.json``."""
-        base, best = self.found.recalibrated, self.found.extended or self.found.recalibrated
+        base, best = self.recalibrated, self.extended or self.recalibrated
         values, stds = base.final[0].values, base.final[0].stds
         muscles = {effect.name: effect.muscle for effect in self.effects}
         three = {
@@ -302,7 +290,7 @@ class ClosedTrials(Shown):
             "effects": [
                 {**picked(item, "name", "muscle"), "place": place,
                  **picked(item, "parameters", "delta_bic", "holdout_gain", "onset_s", "splits")}
-                for place, item in self.found.effects
+                for place, item in self.placed
             ],
             "ambiguous_with": self.ambiguous_with,
             "calibration": [
@@ -319,9 +307,9 @@ class ClosedTrials(Shown):
                 {"name": item.effect, "muscle": muscles.get(item.effect), "place": place, "round": item.round,
                  "holdout_gain": None if item.shares is None else item.shares[0], "delta_bic": item.delta_bic,
                  "held_out_evidence": item.held_out_evidence}
-                for place, item in self.found.tried
+                for place, item in self.tried
             ],
-            "unexplained": self.found.unexplained,
+            "unexplained": self.unexplained,
             "next_rig": self.next_rig,
             "rig": base.start.name,
             "recordings_sha256": self.hashes,

@@ -46,6 +46,7 @@ from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import Shown
 
 Floats = NDArray[np.float64]
 Place = Literal["joint and muscles", "chambers and valves"]
@@ -219,8 +220,8 @@ class _Part(Experiment):
         return tuple(out)
 
 
-@dataclass(frozen=True, eq=False)
-class FoundFromPressures:
+@dataclass(frozen=True, eq=False, repr=False)
+class FoundFromPressures(Shown):
     """A diagnosis by parts of the model."""
 
     recalibrated: FromPressures
@@ -229,11 +230,11 @@ class FoundFromPressures:
 
     @property
     def verdict(self) -> Verdict:
-        """The result in a word."""
+        """``effect``, ``none`` or ``unexplained``."""
         return overall(self.judged)
 
     @property
-    def effects(self) -> tuple[tuple[Place, FoundEffect], ...]:
+    def placed(self) -> tuple[tuple[Place, FoundEffect], ...]:
         """The found effects, each with its part of the model."""
         return tuple((place_of(one), effect) for one in self.judged for effect in one.effects)
 
@@ -245,7 +246,7 @@ class FoundFromPressures:
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
-        """Effects that cannot be told from the found ones."""
+        """Effects that the recordings cannot tell from the detected ones."""
         return not_told_apart(self.judged, ())
 
     @property
