@@ -21,8 +21,7 @@ from scipy.stats import chi2
 from pam_antagonist.cli import common
 from pam_antagonist.cli.monitor import search as searched
 from pam_antagonist.cli.progress import counted
-from pam_antagonist.diagnosis.monitor import Monitor
-from pam_antagonist.diagnosis.monitor_alarm import Alarms, Conclusion
+from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor
 from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding, alike
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report import terminal

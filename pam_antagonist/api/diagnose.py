@@ -7,9 +7,9 @@ from functools import partial
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
 from pam_antagonist.diagnosis import diagnose as _diagnose
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
+from pam_antagonist.diagnosis.hypotheses import Checkpoint
 from pam_antagonist.diagnosis.learned_law import with_laws
 from pam_antagonist.diagnosis.preparation import Settings, silent
 from pam_antagonist.diagnosis.thresholds import SHORTEST
@@ -96,7 +96,7 @@ def diagnose(
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
         settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or silent)
         found = _from_pressures(given, chosen, settings, len(kept))
-        return PressuresDiagnoseResult(chosen, found, hashes)
+        return widened(PressuresDiagnoseResult, found, start=chosen, hashes=hashes)
     if are_episodes(every, chosen):
         if len(fitted) > 1 or len(kept) > 1:
             expected = "expected one recording, and one to hold out at most"

@@ -44,7 +44,7 @@ from pam_antagonist.program import typed
 from pam_antagonist.recording import corrections
 
 if TYPE_CHECKING:
-    from pam_antagonist.diagnosis.checkpoint import Checkpoint
+    from pam_antagonist.diagnosis.hypotheses import Checkpoint
     from pam_antagonist.recording import Recording
     from pam_antagonist.rig import Rig
 
@@ -122,7 +122,7 @@ def _in_one_go(
 
 def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> int:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
-    from pam_antagonist.diagnosis.checkpoint import Checkpoint
+    from pam_antagonist.diagnosis.hypotheses import Checkpoint
     from pam_antagonist.recording import bag_hash, bag_name
 
     kept = arguments.out.parent / f"{arguments.out.name}.part"

@@ -6,31 +6,28 @@
 2. Recalibrate. :mod:`splits` says what is held out and fits the base parameters of each group; a model of all of its
    recordings is a ``Model`` (:mod:`models`). :mod:`agreement` refuses recordings of different rigs.
 3. Search. :mod:`search` asks each of the :mod:`hypotheses` what it would make of the model, and takes the best answer:
-   :mod:`catalogue_effects` are effects of the catalogue, :mod:`calibrations` zeros, scales and late stamps.
+   an effect of the catalogue, or one of the :mod:`calibrations`, zeros, scales and late stamps.
 4. Judge. :mod:`judgement` has the rules of the verdict on a group, in one table. Some of them ask a hypothesis more:
    an effect that begins or ends during a recording (:mod:`onset`, by :mod:`change_point`), a torque that comes and goes
-   (:mod:`disturbance_search`, by :mod:`disturbance`), friction of a joint that sticks (:mod:`sticking`).
-   :mod:`findings` names the effects, with muscle and size, and :mod:`splits` says how firm they are.
-5. Describe. :mod:`description` makes the :class:`Diagnosis`: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
+   (:mod:`disturbance`), friction of a joint that sticks. :mod:`findings` names the effects, with muscle and size, and
+   :mod:`splits` says how firm they are.
+5. Describe. The :class:`Diagnosis` is made: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
-   :mod:`found_calibrations` the corrections that a user enters, :mod:`rig_choice` the rig files. :mod:`closed_loop` is
-   the diagnosis with its inputs and ``report.json``, :mod:`closed_trials` that of short trials.
+   :mod:`rig_choice` the rig files. :mod:`closed_loop` is the diagnosis with its inputs and ``report.json``.
 
-All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on. :mod:`checkpoint`
-keeps finished candidates on disk.
+All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on.
 
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
-:mod:`pam_antagonist.inference.episode_search` for its effects, and :mod:`episode_drift` for parameters that drift. A
-rig of data sheets, and short trials of any valves, differ in what is prepared and what is concluded:
-:mod:`from_pressures` identifies the rig and makes an experiment of each of its parts. Search and rules are the same.
+:mod:`pam_antagonist.inference.episode_search` for its effects. A rig of data sheets, and short trials of any valves,
+differ in what is prepared and what is concluded: :mod:`from_pressures` identifies the rig and makes an experiment of
+each of its parts. Search and rules are the same.
 
 Where the catalogue leaves a clear excess, :mod:`learned_law` measures the law that is missing. :mod:`law_search` makes
-:mod:`residual_equations`, runs :mod:`place_search`, then :mod:`law_regression` on what
-:mod:`arguments` offers, then :mod:`law_simulation`. :mod:`law_kernels` holds what is compiled. Of a sealed joint, or
-one that sticks, :mod:`driven_law` finds it.
+:mod:`residual_equations`, runs :mod:`law_regression`, then :mod:`law_simulation`. :mod:`law_kernels` holds what is
+compiled. Of a sealed joint, or one that sticks, :mod:`driven_law` finds it.
 
 :mod:`monitor` tests a running joint: :mod:`monitor_responses` is what each hypothesis would change in the innovations,
-:mod:`monitor_blocks` the evidence for it and for its onset, :mod:`monitor_alarm` when a search begins and what is said.
+:mod:`monitor_blocks` the evidence for it and for its onset.
 """
 
 from pam_antagonist.diagnosis.pipeline import diagnose

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.hypotheses import Ranking
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Judged, Size
@@ -41,19 +40,15 @@ _TIME_CONSTANTS = (0.125, 0.25, 0.5, 1.0)
 """Time constants of a loss that decays, in durations of the fitted part."""
 
 
-def near_candidates(ranking: Ranking) -> tuple[str, ...]:
-    """Candidates of the first round that do as well as the chosen one, by evidence and on held-out data."""
-    first = [tried for tried in ranking.tried if tried.round == 1 and tried.shares is not None]
-    best = next((tried for tried in first if tried.effect in ranking.model.effects[:1]), None)
-    return () if best is None else best.near(first)
-
-
 def not_told_apart(judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[str, ...]:
     """Effects and calibrations that would do as well as a found one."""
-    near = [name for j in judged if j.verdict == "effect" for name in near_candidates(j.ranking)]
-    near += [
-        name for j in judged if j.verdict == "effect" for e in j.effects for name in j.ranking.rivals.get(e.name, ())
-    ]
+    rankings = [(j, j.ranking) for j in judged if j.verdict == "effect"]
+    near: list[str] = []
+    for _, ranking in rankings:
+        first = [tried for tried in ranking.tried if tried.round == 1 and tried.shares is not None]
+        best = next((tried for tried in first if tried.effect in ranking.model.effects[:1]), None)
+        near += () if best is None else best.near(first)
+    near += [name for j, ranking in rankings for e in j.effects for name in ranking.rivals.get(e.name, ())]
     near += [name for j in judged for item in j.calibrations for name in item.rivals]
     found = {name for j in judged for name in (*j.model.effects, *(item.name for item in j.calibrations))}
     names = (*near, *(rival.other for rival in rivals if rival.ambiguous))

@@ -5,18 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from typing_extensions import override
 
-from pam_antagonist.diagnosis import found_calibrations, thresholds
-from pam_antagonist.diagnosis.catalogue_effects import as_configured
-from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
+from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.hypotheses import Hypothesis, Ranking, TriedCandidate, Work
-from pam_antagonist.diagnosis.models import Model, evidence, evidence_of, given, in_threads, of_calibration, without
+from pam_antagonist.diagnosis.models import (
+    Model,
+    as_configured,
+    contradict,
+    evidence,
+    evidence_of,
+    given,
+    in_threads,
+    of_calibration,
+    without,
+)
+from pam_antagonist.diagnosis.result import FoundCalibration
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
@@ -25,6 +34,7 @@ from pam_antagonist.inference.likelihood import Equations
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.standard_errors import settled, well_known
 from pam_antagonist.inference.starts import best_of_starts
+from pam_antagonist.recording.corrections import Corrections
 
 _IMITATED = ("torque_scale",)
 """Calibrations that base parameters imitate exactly: muscles, inertia and friction larger by the same factor."""
@@ -38,6 +48,24 @@ _NEAR = 0.05
 """Tolerance of the best value at which a fit begins, in scales of the calibration."""
 _FITTED = 2
 """Calibrations of a recording that are fitted from there, those with the best scores."""
+_ALTERNATIVES = {
+    "encoder_zero": (
+        "a zero of the encoder",
+        "hold the joint at an angle that is known without the encoder (a gauge block, a stop), and read it",
+    ),
+    "torque_zero": (
+        "a zero of the torque meter", "read the torque meter with both muscles vented and nothing on the joint",
+    ),
+    "torque_scale": (
+        "another scale of the torque meter", "hang a known weight on the joint and read the torque meter",
+    ),
+}  # fmt: skip
+"""What a report calls a calibration that does as well as what was found, and how to measure it without a model."""
+_CLOCK = (
+    "stamp everything by one clock, or record a step of a voltage at 1 kHz: late stamps shift the whole response, a "
+    "slow valve or sensor rounds its beginning"
+)
+"""Likewise how to measure any of the clocks."""
 
 
 class Calibration(Hypothesis):
@@ -86,15 +114,16 @@ class Calibration(Hypothesis):
 
     @override
     def sentence(self, name: str, muscle: int | None, values: Mapping[str, float], sealed: bool = False) -> str:
-        return found_calibrations.in_words(FoundCalibration(name, values[name], 0.0, "", 0.0, {}))
+        return FoundCalibration(name, values[name], 0.0, "", 0.0, {}).in_words()
 
     @override
-    def instead(self, name: str, sealed: bool = False) -> str:
-        return f"{found_calibrations.alternative(name)} would explain the data as well"
+    def instead(self, name: str) -> str:
+        clock = f"stamps of the {name.removeprefix('delay_')} that are early or late"
+        return f"{_ALTERNATIVES.get(name, (clock,))[0]} would explain the data as well"
 
     @override
     def experiment(self, name: str, found: str | None = None, sealed: bool = False) -> str:
-        return found_calibrations.experiment(name)
+        return _ALTERNATIVES[name][1] if name in _ALTERNATIVES else _CLOCK
 
 
 def _tried(now: Ranking, number: int) -> list[TriedCandidate]:
@@ -175,10 +204,7 @@ def _refined(experiment: Experiment, start: Fitted, score: _Score) -> float:
         return _cost(experiment, start, point, experiment.near(point, start.point, start.residual))
 
     found = minimize_scalar(
-        cost,
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": _NEAR * score.candidate.free[0].item.scale},
+        cost, bounds=(low, high), method="bounded", options={"xatol": _NEAR * score.candidate.free[0].item.scale}
     )
     return float(found.x) if found.fun < score.cost else score.value
 
@@ -226,7 +252,10 @@ def _hidden(model: Model, number: int) -> list[TriedCandidate]:
         chosen, total, held = list(model.fits), 0.0, 0.0
         for r, (experiment, _) in enumerate(model.pairs):
             new = done.get((name, r))
-            if new is None or not _is_within(new, name) or not _is_certain(new, name):
+            if new is None or not _is_within(new, name):
+                continue
+            value, std = _value(new, calibration.path(name))
+            if not abs(value) >= thresholds.CERTAIN_CALIBRATION * std:
                 continue
             gain, later = _posterior_gain(experiment, plain[r], new)
             if gain > 0.0:
@@ -266,11 +295,6 @@ def _is_within(fitted: Fitted, name: str) -> bool:
     item, value = calibration.CALIBRATIONS[name], fitted.point.effects.get(calibration.path(name), 0.0)
     edge = _EDGE * (item.high - item.low)
     return item.low + edge < value < item.high - edge
-
-
-def _is_certain(fitted: Fitted, name: str) -> bool:
-    value, std = _value(fitted, calibration.path(name))
-    return abs(value) >= thresholds.CERTAIN_CALIBRATION * std
 
 
 def _with(
@@ -361,6 +385,23 @@ def found(ranking: Ranking, judged: Model | None = None) -> tuple[FoundCalibrati
         unit = calibration.CALIBRATIONS[name].unit
         out.append(FoundCalibration(name, value, std, unit, gain, by_recording, ranking.rivals.get(name, ())))
     return tuple(out)
+
+
+def corrections(values: Mapping[str, float]) -> Corrections:
+    """Corrections that undo calibrations, as a user enters them."""
+    typed: dict[str, Any] = {**values, "torque_scale": 1.0 + values.get("torque_scale", 0.0)}
+    return Corrections(**typed)
+
+
+def differences(found: Sequence[FoundCalibration]) -> list[str]:
+    """Calibrations in which recordings contradict each other."""
+    out = []
+    for item in found:
+        if contradict(list(item.by_recording.values()), item.value):
+            own = ((name, replace(item, value=value, std=std)) for name, (value, std) in item.by_recording.items())
+            each = "; ".join(f"{name}: {one.in_words()}" for name, one in own)
+            out.append(f"the recordings differ in their calibration ({each}): correct each by itself")
+    return out
 
 
 def _seen(model: Model, name: str) -> dict[int, tuple[float, float]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +11,17 @@ from typing import Any
 
 from typing_extensions import override
 
-from pam_antagonist.diagnosis import found_calibrations, thresholds
-from pam_antagonist.diagnosis.result import Diagnosis, RecordingEntry, Size, Splits
+from pam_antagonist.diagnosis import calibrations, thresholds
+from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Place
+from pam_antagonist.diagnosis.pipeline import in_words
+from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
+from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.warnings import like_a_curve
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.from_pressures import CLEAR
+from pam_antagonist.identification.joint_stage import DELAY, ZERO
+from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
@@ -25,6 +31,8 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal, write_rig
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.units import assumption
+from pam_antagonist.shown import number, percent
+from pam_antagonist.strict_json import picked
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,26 +72,60 @@ class ClosedLoop(Diagnosis):
     @property
     def next_steps(self) -> tuple[str, ...]:
         """Recommended next steps, in sentences."""
-        return _next_steps(self, self.start, self.choice)
+        rig, choice = self.start, self.choice
+        out, files = [], [file.name for file in choice.files]
+        if choice.no_common:
+            own = [file.name for file in choice.files if file.number is not None]
+            have = "have each recording's own values" if len(own) > 1 else "has the values of one recording"
+            each = f" {', '.join(own)} {have}." if own else ""
+            out.append(f"There is no rig_extended.yaml, since {choice.no_common}.{each}")
+        rivals = [name for name in self.ambiguous_with if name in CATALOGUE]
+        if self.effects and rivals and "rig_extended.yaml" in files and rig.drive == "valve" and not rig.valves.sealed:
+            either = " and ".join(name.replace("_", " ") for name in (self.effects[0].name, *rivals))
+            out.append(
+                f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
+                "folder of this report designs the experiment."
+            )
+        keep = f"keep the rig file of {rig.name}"
+        proposed, use = choice.proposed, ""
+        if proposed is not None:
+            which = "" if proposed.number is None else f" for {self.by_recording[proposed.number].recording}"
+            use = f"use {proposed.name}{which}, which every command and node takes ({proposed.gain} on held-out data)"
+        alike = like_a_curve(rig, [effect.name for effect in self.effects])
+        if alike:
+            out.append(
+                "Next: measure the valves' curves before you repair anything: a curve of another slope looks like "
+                f"{' or '.join(alike)}. Hold six voltages of each valve until the pressures stand, give that recording "
+                f"to {typed_command('identify')} with the others, and run {typed_command('close_loop')} with the rig "
+                f"file that it writes. Until then, {use or keep}."
+            )
+        elif self.verdict == "effect":
+            out.append(f"Next: repair the joint and record again{f', or {use}' if use else f'; until then, {keep}'}.")
+        elif self.verdict == "unexplained":
+            out.append(
+                "Next: read in section What is left when the remaining residual appears and on what it depends. Until "
+                f"its cause is known, {use or keep}{': it halves all errors' if use else ''}."
+            )
+        elif use:
+            out.append(f"Next: nothing to repair; {use}: it is {rig.name}, recalibrated by these recordings.")
+        else:
+            out.append(f"Next: nothing; {keep}.")
+        return tuple(out)
 
     @property
     def corrections(self) -> tuple[str, ...]:
         """Command line options for what was typed and what was found together; none if that is too much for them."""
         try:
-            further = found_calibrations.corrections({item.name: item.value for item in self.calibrations})
+            further = calibrations.corrections({item.name: item.value for item in self.calibrations})
             return tuple(self.typed.followed_by(further).options()) if self.calibrations else ()
         except BadInput:
             return ()
 
     @property
-    def splits(self) -> Splits | None:
-        """How many splits of the recordings support the least supported effect; None if no splits were made."""
-        return min((effect.splits for effect in self.effects if effect.splits is not None), default=None)
-
-    @property
-    def driven(self) -> bool:
-        """Whether the measured angle drives the model, as for a sealed joint."""
-        return any(part.joint == "driven" for part in self.by_recording)
+    def splits(self) -> Firmness | None:
+        """What the splits of the recordings say of the least supported effect; None if no splits were made."""
+        known = (effect.splits for effect in self.effects if effect.splits is not None)
+        return min(known, key=lambda firm: firm.agree, default=None)
 
     @property
     def recordings(self) -> tuple[RecordingEntry, ...]:
@@ -93,24 +135,15 @@ class ClosedLoop(Diagnosis):
     def to_json(self) -> dict[str, Any]:
         """The content of ``report.json``."""
         return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "effects": self.effects,
-            "ambiguous_with": self.ambiguous_with,
+            **picked(self, "verdict", "sentence", "effects", "ambiguous_with"),
             "experiments": self.experiment,
             "ambiguities": self.ambiguities,
             "share_explained": self.share,
-            "parts": self.parts,
-            "reference": self.reference,
-            "base_friction_removed": self.base_friction_removed,
-            "errors": self.errors,
-            "recordings": self.recordings,
+            **picked(self, "parts", "reference", "base_friction_removed", "errors", "recordings"),
             "ranking": [
                 {
                     "name": item.effect,
-                    "round": item.round,
-                    "score": item.score,
-                    "delta_bic": item.delta_bic,
+                    **picked(item, "round", "score", "delta_bic"),
                     "holdout_gain": None if item.shares is None else item.shares[0],
                     "taken": item.taken,
                     "score_by_muscle": item.muscles,
@@ -120,8 +153,7 @@ class ClosedLoop(Diagnosis):
             "profiles": self.profiles,
             "remaining": [item.line() for item in self.remaining],
             "left": self.remaining,
-            "unseen": self.unseen,
-            "warnings": self.warnings,
+            **picked(self, "unseen", "warnings"),
             "settings": {
                 "rig": self.start.name,
                 "rig_source": " ".join(self.start.source.split()),
@@ -137,11 +169,8 @@ class ClosedLoop(Diagnosis):
             "splits": self.splits,
             "calibration": [
                 {
-                    "name": item.name,
-                    "value": item.value,
-                    "std": item.std,
-                    "unit": item.unit,
-                    "sentence": found_calibrations.in_words(item),
+                    **picked(item, "name", "value", "std", "unit"),
+                    "sentence": item.in_words(),
                     "delta_bic": item.delta_bic,
                     "recordings": {name: Size(*each, item.unit) for name, each in item.by_recording.items()},
                     "ambiguous_with": item.rivals,
@@ -150,8 +179,7 @@ class ClosedLoop(Diagnosis):
             ],
             "corrections": self.corrections,
             "assumption": assumption(self.start),
-            "next_steps": self.next_steps,
-            "next_rig": self.next_rig,
+            **picked(self, "next_steps", "next_rig"),
         }
 
     def write_rigs(self, folder: Path) -> None:
@@ -179,7 +207,11 @@ class ClosedLoop(Diagnosis):
         rig = with_known_curves(file.rig, self.start).replaced(
             name=f"{self.start.name.removesuffix('_extended')}_extended", source=" ".join(source.split())
         )
-        return _calibrated(rig, self.typed, found)
+        try:
+            corrected = self.typed.followed_by(calibrations.corrections(found))
+        except BadInput:
+            raise BadInput("its calibration would be larger than any that a rig file may have") from None
+        return rig.replaced(calibration=Calibration(**corrected.calibration()))
 
     def _refusal(self, file: RigFile) -> str:
         """Why no command would read a rig file; empty if all would."""
@@ -189,51 +221,132 @@ class ClosedLoop(Diagnosis):
             return " ".join(str(error).split())
 
 
-def _calibrated(rig: Rig, typed: Corrections, found: Mapping[str, float]) -> Rig:
-    """A rig with the calibration of its recordings: as read, combined with the found one."""
-    try:
-        corrected = typed.followed_by(found_calibrations.corrections(found))
-    except BadInput:
-        raise BadInput("its calibration would be larger than any that a rig file may have") from None
-    return rig.replaced(calibration=Calibration(**corrected.calibration()))
+@dataclass(frozen=True, eq=False, repr=False)
+class ClosedTrials(FoundFromPressures):
+    """An effect that the model of a rig lacks, from measured pressures."""
+
+    start: Rig
+    hashes: tuple[str, ...]  # SHA-256 of the recordings
+
+    @override
+    def _brief(self) -> str:
+        return f"{self.verdict}; {self.sentence}"
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        now = self.proposed
+        before = self.recalibrated.pooled("as_configured")
+        if self.placed:
+            what = "; ".join(_in_words(*item) for item in self.placed)
+            out = what[0].upper() + what[1:] + "."
+        elif self.unexplained:
+            out = f"No effect of the catalogue explains what is left in {' and in '.join(self.unexplained)}. "
+            out += "No other law was looked for: the base of such a rig is not known well enough."
+        else:
+            out = "The model explains the recordings; no effect is missing."
+        if now is None:
+            why = (self.extended or self.recalibrated).rejected
+            return f"{out} Keep the rig file that you have: {why or 'no other is better on held-out data.'}"
+        after = now.pooled("identified")
+        change = "falls" if after < before else "changes"
+        return f"{out} The filter's angle error on held-out data {change} from {number(before)}° to {number(after)}°."
+
+    @property
+    def effects(self) -> tuple[FoundEffect, ...]:
+        """The detected effects."""
+        return tuple(effect for _, effect in self.placed)
+
+    @property
+    def next_rig(self) -> str | None:
+        """Name of the rig file to use; None: keep the one that there is."""
+        best = self.proposed
+        if best is None or refusal(best.rig):
+            return None
+        return "rig_extended.yaml" if best is self.extended else "rig_recalibrated.yaml"
+
+    @property
+    def rig_extended(self) -> Rig:
+        """The rig to use: with the effects, recalibrated, or as configured, whichever is best on held-out data."""
+        best = self.proposed
+        if best is None:
+            return self.start
+        names = ", ".join(name for name, _ in best.fitted)
+        source = " ".join(f"extended by close_loop from {names}; started from: {self.start.source.strip()}".split())
+        name = f"{self.start.name.removesuffix('_identified')}_extended"
+        return best.rig.replaced(name=name, source=source, identified=names)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of ``report.json``."""
+        base, best = self.recalibrated, self.extended or self.recalibrated
+        values, stds = base.final[0].values, base.final[0].stds
+        muscles = {effect.name: effect.muscle for effect in self.effects}
+        three = {
+            "as_configured": (base, "as_configured"), "recalibrated": (base, "identified"),
+            "extended": (best, "identified"),
+        }  # fmt: skip
+        return {
+            **picked(self, "verdict", "sentence"),
+            "effects": [
+                {**picked(item, "name", "muscle"), "place": place,
+                 **picked(item, "parameters", "delta_bic", "holdout_gain", "onset_s", "splits")}
+                for place, item in self.placed
+            ],
+            "ambiguous_with": self.ambiguous_with,
+            "calibration": [
+                {"name": name, "value": value, "std": std, "unit": unit, "recording": None}
+                for name, value, std, unit in (
+                    ("encoder_zero", values.get(ZERO, 0.0), stds.get(ZERO, 0.0), "rad"),
+                    ("delay_angle", -values.get(DELAY, 0.0), stds.get(DELAY, 0.0), "s"),
+                )
+                if abs(value) > CLEAR * std
+            ],
+            "errors": {name: _model_errors(one, rig) for name, (one, rig) in three.items()},
+            "filter_errors_deg": {name: one.pooled(rig) for name, (one, rig) in three.items()},
+            "candidates": [
+                {"name": item.effect, "muscle": muscles.get(item.effect), "place": place, "round": item.round,
+                 "holdout_gain": None if item.shares is None else item.shares[0], "delta_bic": item.delta_bic,
+                 "held_out_evidence": item.held_out_evidence}
+                for place, item in self.tried
+            ],
+            "unexplained": self.unexplained,
+            "next_rig": self.next_rig,
+            "rig": base.start.name,
+            "recordings_sha256": self.hashes,
+        }  # fmt: skip
+
+    def write_rigs(self, folder: Path) -> None:
+        """Write the rig file into a folder that exists, if there is one to use."""
+        about = textwrap.wrap(f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}", 110)
+        if self.next_rig is not None:
+            write_rig(self.rig_extended, folder / self.next_rig, about)
 
 
-def _next_steps(found: Diagnosis, rig: Rig, choice: RigChoice) -> tuple[str, ...]:
-    out, files = [], [file.name for file in choice.files]
-    if choice.no_common:
-        own = [file.name for file in choice.files if file.number is not None]
-        have = "have each recording's own values" if len(own) > 1 else "has the values of one recording"
-        each = f" {', '.join(own)} {have}." if own else ""
-        out.append(f"There is no rig_extended.yaml, since {choice.no_common}.{each}")
-    rivals = [name for name in found.ambiguous_with if name in CATALOGUE]
-    if found.effects and rivals and "rig_extended.yaml" in files and rig.drive == "valve" and not rig.valves.sealed:
-        either = " and ".join(name.replace("_", " ") for name in (found.effects[0].name, *rivals))
-        out.append(
-            f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
-            "folder of this report designs the experiment."
-        )
-    keep = f"keep the rig file of {rig.name}"
-    proposed, use = choice.proposed, ""
-    if proposed is not None:
-        which = "" if proposed.number is None else f" for {found.by_recording[proposed.number].recording}"
-        use = f"use {proposed.name}{which}, which every command and node takes ({proposed.gain} on held-out data)"
-    alike = like_a_curve(rig, [effect.name for effect in found.effects])
-    if alike:
-        out.append(
-            "Next: measure the valves' curves before you repair anything: a curve of another slope looks like "
-            f"{' or '.join(alike)}. Hold six voltages of each valve until the pressures stand, give that recording to "
-            f"{typed_command('identify')} with the others, and run {typed_command('close_loop')} with the rig file "
-            f"that it writes. Until then, {use or keep}."
-        )
-    elif found.verdict == "effect":
-        out.append(f"Next: repair the joint and record again{f', or {use}' if use else f'; until then, {keep}'}.")
-    elif found.verdict == "unexplained":
-        out.append(
-            "Next: read in section What is left when the remaining residual appears and on what it depends. Until its "
-            f"cause is known, {use or keep}{': it halves all errors' if use else ''}."
-        )
-    elif use:
-        out.append(f"Next: nothing to repair; {use}: it is {rig.name}, recalibrated by these recordings.")
-    else:
-        out.append(f"Next: nothing; {keep}.")
-    return tuple(out)
+def _in_words(place: Place, effect: FoundEffect) -> str:
+    share = percent(effect.holdout_gain or 0.0)
+    return f"{in_words(effect, False)}, which explains {share} of the excess over noise of {place} on held-out data"
+
+
+def _model_errors(found: FromPressures, rig: str) -> dict[str, Any]:
+    """Errors of the model alone on all held-out data: RMS over rows, and the largest."""
+    reports = [(getattr(item, rig).model_alone, item.rows) for item in found.held]
+    total = sum(rows for _, rows in reports)
+
+    def pooled(name: str, unit: str) -> dict[str, float] | None:
+        known = [(one, rows) for report, rows in reports if (one := getattr(report, name)) is not None]
+        if not known:
+            return None
+        count = sum(rows for _, rows in known)
+        return {
+            f"rmse_{unit}": math.sqrt(sum(rows * item.rmse**2 for item, rows in known) / count),
+            f"max_{unit}": max(item.largest for item, _ in known),
+            "q": max(item.ratio for item, _ in known),
+        }
+
+    pressures = [math.sqrt(sum(rows * one.pressure.rmse_pa[k] ** 2 for one, rows in reports) / total) for k in (0, 1)
+                 ] if reports else None  # fmt: skip
+    return {
+        "angle": pooled("angle", "deg"),
+        "torque": pooled("torque", "nm"),
+        "pressure": None if pressures is None else {"rmse_pa": pressures},
+    }

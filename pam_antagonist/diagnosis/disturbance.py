@@ -1,4 +1,4 @@
-"""A disturbance torque that comes and goes, in one recording.
+"""A disturbance torque that comes and goes: in one recording, and whether it explains all, alone or beside effects.
 
 No law gives such a torque, so it is estimated and judged by its course. An observer finds the torque that makes the
 model of a free joint follow the measured angle. The disturbance is what exceeds the usual size of that torque. A law
@@ -8,20 +8,37 @@ in a locked joint, without a measured angle, or where the angle is the input.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
-from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.models import Model, Residuals, removed, share_of
+from pam_antagonist.diagnosis import findings, thresholds
+from pam_antagonist.diagnosis.findings import Findings
+from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.models import (
+    Model,
+    Residuals,
+    evidence,
+    explains,
+    in_threads,
+    price,
+    recalibrated,
+    removed,
+    share_of,
+)
+from pam_antagonist.diagnosis.result import FoundEffect, Size
+from pam_antagonist.diagnosis.search import search
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, refit
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.model import equilibrium, integration
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, parameter_path
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +68,11 @@ _LEAST_TORQUE = 1e-4
 """[N m]"""
 _SMALL = 0.3
 """Torques of less than this share of the median count as squares: absolute values have no finite weight at 0."""
+_NOTE = (
+    "a disturbance torque is known only afterwards: the model alone cannot foresee it, and its errors stay; the "
+    "estimator has it as a state"
+)
+_NOISE = parameter_path(DISTURBANCE, CATALOGUE[DISTURBANCE].parameters[0].name)
 _step, _STAGES = integration.rk4_step_within, integration.STAGES
 
 
@@ -143,7 +165,11 @@ def _estimated(experiment: Experiment, fitted: Fitted, point: Point) -> Disturba
     samples = np.concatenate([samples, np.zeros(len(trial) - len(samples))])
     known = np.zeros(len(trial)) if trial.external is None else np.nan_to_num(trial.external)
     disturbed = replace(experiment, trial=replace(trial, external=known + samples))
-    beside = refit(_without_angle_in_episodes(disturbed, torque), point, fitted.free, renewals=2)
+    # During episodes the observer makes every model fit, so the angle there says nothing.
+    measured = trial.measured.copy()
+    measured[: len(torque) * trial.block][np.repeat(torque != 0.0, trial.block), ANGLE] = np.nan
+    without = replace(disturbed, trial=replace(disturbed.trial, measured=measured))
+    beside = refit(without, point, fitted.free, renewals=2)
     (before,) = Model((experiment,), (fitted,)).left
     left = disturbed.residual(beside.point, whole=True)
     after = Residuals(disturbed.held(left), disturbed.fitted_rows(left[: disturbed.fitted // trial.block]))
@@ -186,14 +212,6 @@ def _least_torque_point(experiment: Experiment, point: Point) -> Point:
             step = np.asarray(-np.linalg.solve(information, slope))
         theta[:directions] += step
     return Point(theta, point.effects)
-
-
-def _without_angle_in_episodes(experiment: Experiment, torque: Floats) -> Experiment:
-    """The recording without its angle during episodes, where the observer makes every model fit."""
-    measured = experiment.trial.measured.copy()
-    during = np.repeat(torque != 0.0, experiment.trial.block)
-    measured[: len(during)][during, ANGLE] = np.nan
-    return replace(experiment, trial=replace(experiment.trial, measured=measured))
 
 
 def _observed(experiment: Experiment, point: Point) -> Floats:
@@ -259,3 +277,119 @@ def _episodes(torque: Floats, trial: Trial) -> NDArray[np.bool_]:
 def _smooth(torque: Floats, trial: Trial) -> Floats:
     width = trial.block_count(_SMOOTHED)
     return np.asarray(np.convolve(torque, np.ones(width) / width, mode="same"))
+
+
+class Disturbed(NamedTuple):
+    """Recordings with a disturbance as an input."""
+
+    model: Model
+    noises: tuple[float, ...]  # size of a random walk like it, one a recording; 0 where there is none
+    left: tuple[int, ...]  # recordings above noise in which no disturbance can show
+    effect: FoundEffect  # what a report says of it
+
+
+_Explanation = tuple[Model, Findings]
+"""A model of all recordings with a disturbance, with effects beside it where there are any, and what a report says."""
+
+
+def disturbed(model: Model, work: Work) -> Disturbed | None:
+    """The torque of each recording above noise that can show one, if it explains all of these; else None."""
+    work.progress("looking for a disturbance torque")
+    noisy = [
+        r for r, (e, fitted) in enumerate(model.pairs) if np.max(e.times_noise(fitted.residual)) >= thresholds.CLEAN
+    ]
+    every = in_threads(estimate, (model.pairs[r] for r in noisy), model.jobs)
+    seen = {r: one for r, one in zip(noisy, every, strict=True) if one is not None}
+    if not seen or not all(one.explains for one in seen.values()):
+        return None
+    gained, experiments, fits = 0.0, list(model.experiments), list(model.fits)
+    for r, one in seen.items():
+        experiment, fitted = model.pairs[r]
+        experiments[r], fits[r] = one.experiment, one.fitted
+        gain = cost_of(experiment, fitted.point, fitted.residual, fitted.scale)
+        gain -= cost_of(experiment, one.fitted.point, one.fitted.residual, fitted.scale)
+        gained += fitted.scale.share * gain - price(fitted, thresholds.PARAMETERS_OF_EPISODE * one.episodes)
+    noise = float(np.sqrt(np.mean([one.noise**2 for one in seen.values()])))
+    spread = float(np.ptp([one.noise for one in seen.values()])) / 2.0
+    # Relative error of a root mean square over n episodes: 1/√(2 n).
+    std = max(spread, noise / np.sqrt(2.0 * sum(one.episodes for one in seen.values())))
+    share = min((one.shares[0] for one in seen.values() if one.shares[0] is not None), default=None)
+    there = tuple(model.experiments[r].trial.name for r in seen)
+    size = {"noise": Size(noise, std, "N m/s^0.5")}
+    return Disturbed(
+        replace(model, experiments=tuple(experiments), fits=tuple(fits)),
+        tuple(seen[r].noise if r in seen else 0.0 for r in range(len(fits))),
+        tuple(r for r in noisy if r not in seen),
+        FoundEffect(DISTURBANCE, None, size, gained, share, there),
+    )
+
+
+def instead_of_effects(found: Ranking, work: Work) -> _Explanation | None:
+    """Explain all recordings by a disturbance, if it comes and goes and leaves little; else None.
+
+    The disturbance is searched for beside the base model first, then beside effects. These are the effects that explain
+    the recordings in which no disturbance can show, or else the chosen ones. With the disturbance as an input, effects
+    may show that it had hidden.
+
+    `found`: by the search for effects, whose model did not explain enough.
+    """
+    first = disturbed(found.base, work)
+    if first is not None and not first.left:
+        beside = search(first.model, Work(work.progress), first=found.base).model
+        return _explanation(first, first.model, beside, found.base)
+    apart = None if first is None else _effects_elsewhere(found.base, first.left, work)
+    effects, known = (found.model, ()) if first is None or apart is None else (apart, first.left)
+    second = disturbed(effects, work) if effects.effects else None
+    if second is None:
+        return None
+    others = [[r] for r in second.left if r not in known]
+    if not all(explains(found.base.of(one), effects.of(one)) for one in others):
+        return None
+    return _beside_effects(second, effects)
+
+
+def beside_effects(effects: Model, work: Work) -> _Explanation | None:
+    """A disturbance beside effects that are the explanation already, if the evidence for it is strong; else None."""
+    found = disturbed(effects, work)
+    strong = found is not None and found.effect.delta_bic >= thresholds.DISTURBANCE_BESIDE
+    return _beside_effects(found, effects) if found is not None and strong else None
+
+
+def _beside_effects(found: Disturbed, effects: Model) -> _Explanation:
+    """A disturbance that was found beside effects, and these where they are still needed."""
+    return _explanation(found, recalibrated(found.model.experiments, effects), found.model, effects)
+
+
+def _explanation(found: Disturbed, base: Model, model: Model, recorded: Model) -> _Explanation:
+    """A disturbance, and the effects of a model beside it that are needed, in the recordings as they were made."""
+    beside = Findings((), {}, [])
+    if model.effects:
+        model = findings.backward_elimination(base, model)
+        beside, _ = findings.found(base, model)
+    # With an unknown torque as a random walk, as an estimator has it.
+    fits = tuple(
+        replace(fitted, point=Point(fitted.point.theta, {**fitted.point.effects, _NOISE: noise})) if noise else fitted
+        for fitted, noise in zip(model.fits, found.noises, strict=True)
+    )
+    return Model(recorded.experiments, fits, (*model.effects, DISTURBANCE)), Findings(
+        tuple(sorted((*beside.effects, found.effect), key=lambda effect: -effect.delta_bic)),
+        {**beside.values, _NOISE: found.effect.parameters["noise"].value},
+        [*beside.contradictions, _NOTE],
+    )
+
+
+def _effects_elsewhere(base: Model, still: Sequence[int], work: Work) -> Model | None:
+    """Effects that explain the recordings in which no disturbance can show, for all recordings; None if none do."""
+    apart = base.of(still)
+    effects = search(apart, Work(work.progress)).model
+    if not explains(apart, effects):
+        return None
+    fits = dict(zip(still, effects.fits, strict=True))
+    triples = zip(apart.experiments, apart.fits, effects.fits, strict=True)
+    shows = max(triples, key=lambda seen: evidence(*seen))[2]
+    for r, experiment in enumerate(base.experiments):
+        if r not in fits:
+            # A disturbance biases a fit of the effects too. So their values are taken over until it is known.
+            point = Point(base.fits[r].point.theta, shows.point.effects)
+            fits[r] = refit(experiment, point, shows.free, rounds=0)
+    return Model(base.experiments, tuple(fits[r] for r in range(len(base.fits))), effects.effects)

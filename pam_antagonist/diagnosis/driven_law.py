@@ -8,19 +8,17 @@ part that its values were not fitted to.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import arguments, thresholds
-from pam_antagonist.diagnosis.arguments import Group, hats, nodes_of
-from pam_antagonist.diagnosis.law_regression import FOLDS, SMOOTH, roughness
+from pam_antagonist.diagnosis import law_regression, thresholds
+from pam_antagonist.diagnosis.law_regression import FOLDS, SMOOTH, Group, Place, hats, nodes_of, roughness
 from pam_antagonist.diagnosis.law_search import LawSearch
 from pam_antagonist.diagnosis.law_simulation import Simulated
 from pam_antagonist.diagnosis.models import Model, further_share, likelier, share_of_all, without
-from pam_antagonist.diagnosis.place_search import Place
 from pam_antagonist.diagnosis.residual_equations import measured_arguments
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, held_residual, refit
@@ -70,7 +68,7 @@ class _Recording:
         name = group.argument.replace("other_", "")
         values = self.course.get(f"{name}_{number}", self.course.get(name, np.zeros(len(self.folds))))
         first = np.arange(len(values)) == 0
-        return arguments.operated(values, group.operator, group.amount, self.experiment.trial.block_s, first)
+        return law_regression.operated(values, group.operator, group.amount, self.experiment.trial.block_s, first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,26 +218,23 @@ def _about(experiment: Experiment, fitted: Fitted) -> _Recording:
 def _tried(here: Sequence[_Recording], number: int) -> list[_Tried]:
     """All laws of a part, those with memory at its best places."""
     before = _without(here)
-    plain = arguments.plain_groups(here[0].experiment.law_places)
+    plain = law_regression.plain_groups(here[0].experiment.law_places)
     found = [one for group in plain if (one := _fitted(here, group, number, before))]
     found.sort(key=lambda one: -one.gain)
     # What rubs or engages somewhere on the way does so within a short part of it.
     finer = [one for k, one in enumerate(found) if k < _FINER or one.group.argument == "angle"]
-    groups = [replace(one.group, number=arguments.FINE) for one in finer if one.group.argument != "none"]
+    groups = [replace(one.group, number=law_regression.FINE) for one in finer if one.group.argument != "none"]
     places = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
-    groups += _with_memory(here, places)
+
+    def span(group: Group) -> float:
+        return float(max(np.ptp(one.argument_of(group, muscle)) for one in here for _, muscle in group.sides))
+
+    groups += law_regression.groups_with_memory(places, span)
     return found + [one for group in groups if (one := _fitted(here, group, number, before))]
 
 
 def _without(here: Sequence[_Recording]) -> list[Floats]:
     return _solved(here, [np.zeros((*one.fitted.residual.shape, 0)) for one in here])[2]
-
-
-def _with_memory(here: Sequence[_Recording], places: Sequence[str]) -> Iterator[Group]:
-    def span(group: Group) -> float:
-        return float(max(np.ptp(one.argument_of(group, muscle)) for one in here for _, muscle in group.sides))
-
-    return arguments.groups_with_memory(places, span)
 
 
 def _fitted(here: Sequence[_Recording], group: Group, number: int, before: Sequence[Floats]) -> _Tried | None:

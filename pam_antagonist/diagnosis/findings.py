@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,17 +17,9 @@ from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.profile import effect_profile
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
-
-@dataclass(frozen=True)
-class Sized:
-    """A parameter of an effect in one recording."""
-
-    recording: int
-    value: float
-    std: float
-
-
-_Numbers = dict[FreeEffectParameter, list[Sized]]
+_Seen = dict[int, tuple[float, float]]
+"""Value and standard deviation of a parameter in each recording that shows it, by its number."""
+_Numbers = dict[FreeEffectParameter, _Seen]
 _Part = tuple[int | None, _Numbers]
 
 
@@ -47,7 +38,8 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
         if len(here) < 2:
             return fitted
         std = dict(zip(fitted.free, np.sqrt(np.diag(fitted.effect_covariance)), strict=True))
-        weakest = min(here, key=lambda u: _strength(fitted, u, std[u]))
+        values = {u: u.coordinate(fitted.point.effects.get(u.path, 0.0)) for u in here}
+        weakest = min(here, key=lambda u: abs(values[u]) / std[u] if std[u] > 0.0 else 0.0)
         left = tuple(u for u in fitted.free if u is not weakest)
         effects = {path: value for path, value in fitted.point.effects.items() if path not in weakest.paths}
         smaller = refit(
@@ -60,11 +52,6 @@ def pruned(experiment: Experiment, before: Fitted, fitted: Fitted, effect: str) 
         if lost > price(before, 1):
             return fitted
         fitted = smaller
-
-
-def _strength(fitted: Fitted, free: FreeEffectParameter, std: float) -> float:
-    value = free.coordinate(fitted.point.effects.get(free.path, 0.0))
-    return abs(value) / std if std > 0.0 else 0.0
 
 
 def backward_elimination(base: Model, model: Model) -> Model:
@@ -109,7 +96,7 @@ def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str,
             if effect not in CATALOGUE:
                 effects.append(FoundEffect(effect, None, {}, gains[effect], shares[effect], tuple(names)))
             continue
-        where = {muscle: {s.recording for seen in group.values() for s in seen} for muscle, group in sizes.items()}
+        where = {muscle: {r for seen in group.values() for r in seen} for muscle, group in sizes.items()}
         shown = [{muscle for muscle in where if r in where[muscle]} for r in range(len(names))]
         visible = [muscles for muscles in shown if muscles]
         apart = len(visible) > 1 and any(a.isdisjoint(b) for a in visible for b in visible)
@@ -127,12 +114,13 @@ def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str,
             alone = muscles[0] if len(muscles) == 1 and None not in sizes else None
             parts = [(alone, {free: seen for group in sizes.values() for free, seen in group.items()})]
         for muscle, group in parts:
-            recordings = {s.recording for seen in group.values() for s in seen}
-            numbers = {free: [s for s in seen if s.recording in recordings] for free, seen in (group | shapes).items()}
+            recordings = {r for seen in group.values() for r in seen}
+            every = (group | shapes).items()
+            numbers = {free: {r: pair for r, pair in seen.items() if r in recordings} for free, seen in every}
             parameters: dict[str, Size] = {}
             for free, seen in numbers.items():
                 if seen:
-                    mean, std = of_size([(s.value, s.std) for s in seen])
+                    mean, std = of_size(list(seen.values()))
                     size = Size(mean, std, free.item.unit)
                     parameters |= dict.fromkeys((path.split(".")[2] for path in free.paths), size)
                     values |= dict.fromkeys(free.paths, mean)
@@ -157,15 +145,13 @@ def _sizes_and_shapes(model: Model, effect: str) -> tuple[dict[int | None, _Numb
     return by_muscle, {one: seen for one, seen in sized.items() if seen and not one.item.is_size}
 
 
-def _differences(
-    effect: str, numbers: Mapping[FreeEffectParameter, Sequence[Sized]], names: Sequence[str]
-) -> list[str]:
+def _differences(effect: str, numbers: _Numbers, names: Sequence[str]) -> list[str]:
     """Sizes in which the recordings contradict each other."""
     out = []
     for free, seen in numbers.items():
-        sizes = [(s.value, s.std) for s in seen]
+        sizes = list(seen.values())
         if free.item.is_size and sizes and contradict(sizes, of_size(sizes)[0]):
-            each = ", ".join(f"{names[s.recording]}: {s.value:.3g}" for s in seen)
+            each = ", ".join(f"{names[r]}: {value:.3g}" for r, (value, _) in seen.items())
             out.append(f"the recordings differ in {effect}'s {free.item.name} ({each})")
     return out
 
@@ -176,12 +162,12 @@ def free_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
     return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.free if u.path.startswith(path)))
 
 
-def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> list[Sized]:
+def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> _Seen:
     """Value of a parameter in every recording in which it is free, not 0, and not small beside the other muscle's.
 
     `certain`: whether a size must be more than two standard deviations from 0.
     """
-    seen = []
+    seen: _Seen = {}
     for r, fitted in enumerate(model.fits):
         if free not in fitted.free:
             continue
@@ -198,7 +184,7 @@ def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> lis
             least = thresholds.CERTAIN_SIZE * std if certain else 0.0
             if abs(value) <= max(thresholds.SMALL_SIBLING * max(siblings, default=0.0), least):
                 continue
-        seen.append(Sized(r, value, std))
+        seen[r] = value, std
     return seen
 
 
@@ -214,7 +200,8 @@ def profile_sizes(
         for parameter in free_of(model, effect.name):
             if not parameter.item.is_size or parameter.path.split(".")[2] not in effect.parameters:
                 continue
-            r = _first_recording(model, parameter, [names.index(name) for name in effect.recordings])
+            shown = (r for r in map(names.index, effect.recordings) if parameter in model.fits[r].free)
+            r = next((r for r in shown if model.fits[r].point.effects.get(parameter.path)), None)
             if r is None:
                 continue
             progress(f"profile of {parameter.path}")
@@ -229,9 +216,3 @@ def profile_sizes(
                 )
             )  # fmt: skip
     return tuple(result)
-
-
-def _first_recording(model: Model, parameter: FreeEffectParameter, recordings: Sequence[int]) -> int | None:
-    """The first recording that shows a size."""
-    shown = (r for r in recordings if parameter in model.fits[r].free)
-    return next((r for r in shown if model.fits[r].point.effects.get(parameter.path)), None)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,9 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis.ambiguity import not_told_apart
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
-from pam_antagonist.diagnosis.pipeline import verdicts
+from pam_antagonist.diagnosis.pipeline import overall, verdicts
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared, Settings, Timings
-from pam_antagonist.diagnosis.result import FoundEffect, Judged
+from pam_antagonist.diagnosis.result import FoundEffect, Judged, Verdict
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.from_pressures import (
@@ -46,6 +46,7 @@ from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import Shown
 
 Floats = NDArray[np.float64]
 Place = Literal["joint and muscles", "chambers and valves"]
@@ -75,12 +76,15 @@ _SIZE_STD, _SHAPE_STD = 5.0, 1.5
 
 @dataclass(frozen=True, eq=False)
 class _Part(Experiment):
-    """All runs of the recordings as one experiment of a part of the model."""
+    """All runs of the recordings as one experiment of a part of the model.
 
+    The measured pressures drive joint and muscles. Commands and the measured motion drive chambers and valves, or
+    regulators, anew from each second on.
+    """
+
+    place: Place = JOINT
     runs: tuple[Run, ...] = ()  # each cut to whole blocks
     start: Fit = Fit((), np.zeros(0), np.zeros((0, 0)), 0.0)  # of the identification
-
-    place: ClassVar[Place]
 
     @cached_property
     @override
@@ -216,20 +220,8 @@ class _Part(Experiment):
         return tuple(out)
 
 
-class JointByPressures(_Part):
-    """Joint and muscles, which the measured pressures drive."""
-
-    place = JOINT
-
-
-class AirByMotion(_Part):
-    """Chambers and valves, or regulators: commands and the measured motion drive them, anew from each second on."""
-
-    place = AIR
-
-
-@dataclass(frozen=True, eq=False)
-class FoundFromPressures:
+@dataclass(frozen=True, eq=False, repr=False)
+class FoundFromPressures(Shown):
     """A diagnosis by parts of the model."""
 
     recalibrated: FromPressures
@@ -237,13 +229,12 @@ class FoundFromPressures:
     judged: tuple[Judged, ...]  # the verdict on each part
 
     @property
-    def verdict(self) -> Literal["effect", "none", "unexplained"]:
-        """The result in a word."""
-        verdicts = {one.verdict for one in self.judged}
-        return "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
+    def verdict(self) -> Verdict:
+        """``effect``, ``none`` or ``unexplained``."""
+        return overall(self.judged)
 
     @property
-    def effects(self) -> tuple[tuple[Place, FoundEffect], ...]:
+    def placed(self) -> tuple[tuple[Place, FoundEffect], ...]:
         """The found effects, each with its part of the model."""
         return tuple((place_of(one), effect) for one in self.judged for effect in one.effects)
 
@@ -255,7 +246,7 @@ class FoundFromPressures:
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
-        """Effects that cannot be told from the found ones."""
+        """Effects that the recordings cannot tell from the detected ones."""
         return not_told_apart(self.judged, ())
 
     @property
@@ -295,9 +286,9 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
     base = identify(recordings, rig, settings.holdout, 2, settings.seed, jobs, progress, whole)
     ends = fitted_until(recordings, settings.holdout, whole)
     own, corrected = with_joint(rig, base.joint, recordings)
-    groups = [_group(JointByPressures, rig, base.joint, recordings, ends, settings)]
+    groups = [_group(JOINT, rig, base.joint, recordings, ends, settings)]
     if base.air is not None:
-        groups.append(_group(AirByMotion, own, base.air, corrected, ends, settings))
+        groups.append(_group(AIR, own, base.air, corrected, ends, settings))
     there = tuple(group for group in groups if group is not None)
     prepared = Prepared(rig, rig, (), tuple(group.experiments[0].trial for group in there), there, len(recordings))
     judged = tuple(verdicts(prepared, settings, Timings()))
@@ -311,22 +302,21 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
 
 
 def _group(
-    kind: type[_Part], rig: Rig, start: Fit, recordings: Sequence[Given], ends: Sequence[float], settings: Settings
+    place: Place, rig: Rig, start: Fit, recordings: Sequence[Given], ends: Sequence[float], settings: Settings
 ) -> Group | None:
     """A part of the model with what is fitted and what is held out; None if either is missing."""
     parts = []
     for held_out in (False, True):
         runs = parts_of(recordings, ends, held_out)
-        one = _experiment(kind, rig, start, air_stage.usable(runs) if kind is AirByMotion else runs, settings)
+        one = _experiment(place, rig, start, air_stage.usable(runs) if place == AIR else runs, settings)
         if one is None:
             return None
         parts.append(one)
-    fitted_part, held = parts
-    held = replace(held, fitted=0)
-    return Group(kind.place, (replace(fitted_part, judged=(held,)),), (0,), (held,))
+    held = replace(parts[1], fitted=0)
+    return Group(place, (replace(parts[0], judged=(held,)),), (0,), (held,))
 
 
-def _experiment(kind: type[_Part], rig: Rig, start: Fit, runs: Sequence[Run], settings: Settings) -> _Part | None:
+def _experiment(place: Place, rig: Rig, start: Fit, runs: Sequence[Run], settings: Settings) -> _Part | None:
     if not runs:
         return None
     period = float(np.median([run.period for run in runs]))
@@ -334,10 +324,10 @@ def _experiment(kind: type[_Part], rig: Rig, start: Fit, runs: Sequence[Run], se
     cut = tuple(run.first(len(run) // block * block) for run in runs if len(run) >= block)
     columns = [np.column_stack([np.full(len(r), np.nan) if r.locked else r.angle, r.torque, r.pressure]) for r in cut]
     names = ", ".join(dict.fromkeys(run.name for run in cut))
-    measured = _laid(kind.place, columns)
+    measured = _laid(place, columns)
     commands = np.resize(np.concatenate([run.command for run in cut]), (len(measured), 2))
     trial = Trial(names, DRIVEN, 0.0, period, commands, measured)
-    out = kind(rig, trial, len(trial), seed=settings.seed, jobs=settings.jobs, runs=cut, start=start)
+    out = _Part(rig, trial, len(trial), seed=settings.seed, jobs=settings.jobs, place=place, runs=cut, start=start)
     return out if out.channels else None
 
 

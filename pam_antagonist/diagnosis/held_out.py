@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import found_calibrations, residual_statistics
+from pam_antagonist.diagnosis import calibrations, residual_statistics
 from pam_antagonist.diagnosis.agreement import common_point, own_rig, with_tuning
 from pam_antagonist.diagnosis.errors import Errors, Innovations, ModelErrors, Sliding, errors_of, total_of
 from pam_antagonist.diagnosis.models import Model, in_threads
@@ -66,11 +66,7 @@ def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -
 
 
 def by_recording(
-    prepared: Prepared,
-    compared: Sequence[HeldOutComparison],
-    tuned: Mapping[str, Rig],
-    estimator: bool,
-    jobs: int,
+    prepared: Prepared, compared: Sequence[HeldOutComparison], tuned: Mapping[str, Rig], estimator: bool, jobs: int
 ) -> tuple[RecordingEntry, ...]:
     """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
 
@@ -80,52 +76,42 @@ def by_recording(
     def one(number: int) -> RecordingEntry:
         parts = [part for part in compared if part.number == number]
         rigs = {name: with_tuning(rig_of(prepared, parts, name), tuned.get(name)) for name in MODELS}
-        return _entry(prepared.trials[number].name, prepared.recordings[number], parts, rigs, estimator)
+        first = parts[0]
+        experiment, trial = first.experiment, first.experiment.trial
+        entry = RecordingEntry(
+            prepared.trials[number].name,
+            trial.joint,
+            trial.lock_angle if trial.joint == "locked" else None,
+            first.role,
+            experiment.held_parts[0].begin_s if first.judges else None,
+            held_out_s=tuple((part.begin_s, part.end_s) for part in experiment.held_parts) if first.judges else None,
+        )
+        if not first.judges:
+            return entry
+        residuals = {
+            model: [row for one in parts for row in residual_statistics.statistics(one.experiment, one.points[model])]
+            for model in ("recalibrated", "extended")
+        }
+        ukf = None
+        if estimator:
+            recording = prepared.recordings[number]
+            runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in MODELS}
+            ukf = ModelErrors(*(runs[model][0] for model in MODELS))
+            for model, rows in residuals.items():
+                rows.extend(residual_statistics.of_innovations(experiment, first.points[model], *runs[model][1:]))
+        counted = None
+        if experiment.slides is not None:
+            spans = {"fitted": (0, experiment.fitted), "held_out": (experiment.fitted, len(trial))}
+            counted = {name: sweeps(trial, *span) for name, span in spans.items()}
+        return replace(
+            entry,
+            errors=ModelErrors(*(model_errors(first, model, rigs[model]) for model in MODELS)),
+            residuals={model: tuple(rows) for model, rows in residuals.items()},
+            ukf=ukf,
+            sweeps=counted,
+        )
 
     return tuple(in_threads(one, ((number,) for number in range(len(prepared.recordings))), jobs))
-
-
-def _entry(
-    name: str,
-    recording: Recording,
-    parts: Sequence[HeldOutComparison],
-    rigs: Mapping[str, Rig],
-    estimator: bool,
-) -> RecordingEntry:
-    first = parts[0]
-    experiment, trial = first.experiment, first.experiment.trial
-    entry = RecordingEntry(
-        name,
-        trial.joint,
-        trial.lock_angle if trial.joint == "locked" else None,
-        first.role,
-        experiment.held_parts[0].begin_s if first.judges else None,
-        held_out_s=tuple((part.begin_s, part.end_s) for part in experiment.held_parts) if first.judges else None,
-    )
-    if not first.judges:
-        return entry
-    residuals = {
-        model: [row for part in parts for row in residual_statistics.statistics(part.experiment, part.points[model])]
-        for model in ("recalibrated", "extended")
-    }
-    ukf = None
-    if estimator:
-        runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in MODELS}
-        ukf = ModelErrors(*(runs[model].errors for model in MODELS))
-        for model, rows in residuals.items():
-            run = runs[model]
-            rows.extend(residual_statistics.of_innovations(experiment, first.points[model], run.time, run.innovation))
-    counted = None
-    if experiment.slides is not None:
-        spans = {"fitted": (0, experiment.fitted), "held_out": (experiment.fitted, len(trial))}
-        counted = {name: sweeps(trial, *span) for name, span in spans.items()}
-    return replace(
-        entry,
-        errors=ModelErrors(*(model_errors(first, model, rigs[model]) for model in MODELS)),
-        residuals={model: tuple(rows) for model, rows in residuals.items()},
-        ukf=ukf,
-        sweeps=counted,
-    )
 
 
 def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
@@ -155,15 +141,6 @@ def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[Record
     return ModelErrors(*(total_of(parts, [count for _, count in known]) for parts in by_model))
 
 
-@dataclass(frozen=True, eq=False)
-class EstimatorErrors:
-    """The estimator over a recording, on the samples that were held out."""
-
-    errors: Errors
-    time: Floats  # of each sample since the recording's first (M,) [s]
-    innovation: Floats  # of the pressures, in its standard deviations (M, 2)
-
-
 def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[EstimateRun, NDArray[np.bool_]]:
     """The estimator over all of a recording, and which of its samples were held out (M,)."""
     trial = experiment.trial
@@ -179,12 +156,16 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
 def corrected(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
     """A recording corrected by the calibrations of a model: as read, and on its even grid."""
     point = part.points[model]
-    corrections = found_calibrations.corrections(calibration.values_of(point.effects))
+    corrections = calibrations.corrections(calibration.values_of(point.effects))
     return corrections.applied(recording), part.experiment.corrected(point)[0]
 
 
-def estimator_errors(recording: Recording, experiment: Experiment, rig: Rig) -> EstimatorErrors:
-    """Errors of the estimator, which knows pressures and voltages only, on the samples that were held out."""
+def estimator_errors(recording: Recording, experiment: Experiment, rig: Rig) -> tuple[Errors, Floats, Floats]:
+    """The estimator, which knows pressures and voltages only, on the samples that were held out.
+
+    Its errors; the time of each sample since the recording's first (M,) [s]; innovations of the pressures, in their
+    standard deviations (M, 2).
+    """
     run, late = _estimated(recording, rig, experiment)
     rows, index = run.rows[late], run.index[late]
     variance = {ANGLE: rows["covariance"][:, 0, 0], TORQUE: rows["covariance"][:, 2, 2]}
@@ -214,9 +195,7 @@ def estimator_errors(recording: Recording, experiment: Experiment, rig: Rig) -> 
         float(np.nanmean(rows["nis"])), metrics.whiteness_p(normal), metrics.largest_autocorrelation(normal)
     )
     time = (recording.stamp_ns[index] - recording.stamp_ns[0]) * 1e-9
-    return EstimatorErrors(
-        replace(found, innovation=innovation), np.asarray(time, dtype=np.float64), np.asarray(normal, dtype=np.float64)
-    )
+    return replace(found, innovation=innovation), np.asarray(time, dtype=np.float64), np.asarray(normal)
 
 
 def deciding_evidence(
@@ -241,7 +220,12 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
         rig = own_rig(part.experiment, part.points[model])
         recording, experiment = corrected(prepared.recordings[part.number], part, model)
         run, held = _estimated(recording, rig, experiment)
-        return innovation_likelihood(run, held)[0]
+        rows = run.rows[held]
+        s = rows["innovation_covariance"]
+        determinant = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] * s[:, 1, 0]
+        used = np.isfinite(rows["innovation"]).all(axis=1) & np.isfinite(rows["nis"]) & (determinant > 0.0)
+        value = -0.5 * (rows["nis"][used] + np.log(determinant[used])) - math.log(2.0 * math.pi)
+        return float(value.sum())
 
     tasks = [
         (sign, part, model)
@@ -281,16 +265,3 @@ def static_map(prepared: Prepared) -> dict[str, float] | None:
         left = np.concatenate([(torque - design @ solution)[rows & ~fit] for design, torque, fit, rows in parts])
         out[name] = float(np.sqrt(np.mean(left**2)))
     return out
-
-
-def innovation_likelihood(run: EstimateRun, counted: slice | NDArray[np.bool_]) -> tuple[float, int]:
-    """Sum of the innovations' log likelihoods, and the number of samples in it.
-
-    `counted`: samples of it that count: a slice, or for each sample whether it does (M,).
-    """
-    rows = run.rows[counted]
-    s = rows["innovation_covariance"]
-    determinant = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] * s[:, 1, 0]
-    used = np.isfinite(rows["innovation"]).all(axis=1) & np.isfinite(rows["nis"]) & (determinant > 0.0)
-    value = -0.5 * (rows["nis"][used] + np.log(determinant[used])) - math.log(2.0 * math.pi)
-    return float(value.sum()), int(used.sum())

@@ -1,4 +1,9 @@
-"""The verdict on a group of recordings, by a table of rules in order."""
+"""The verdict on a group of recordings, by a table of rules in order.
+
+The motion of a joint that sticks and slips differs from that of any model after seconds. So what no effect explains in
+a free run is tested again along the measured motion, where all effects compete on equal terms
+(:mod:`~pam_antagonist.inference.measured_motion`).
+"""
 
 from __future__ import annotations
 
@@ -7,25 +12,102 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
+from typing_extensions import override
+
 from pam_antagonist.diagnosis import (
     agreement,
     calibrations,
     change_point,
-    disturbance_search,
+    disturbance,
     findings,
-    found_calibrations,
     held_out,
     onset,
     splits,
-    sticking,
     thresholds,
     warnings,
 )
-from pam_antagonist.diagnosis.hypotheses import Ranking, Work
-from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share
+from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
+from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared
-from pam_antagonist.diagnosis.result import Judged, Splits, Verdict
+from pam_antagonist.diagnosis.result import Judged, Verdict
+from pam_antagonist.diagnosis.search import CatalogueEffect, Score, score_all, search
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted, refit, relinearised
 from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.starts import STARTS, best_of_starts
+from pam_antagonist.model.effects import DISTURBANCE
+
+_FRICTION = "friction"
+_RIVALS = 4
+"""Other effects that are fitted beside friction: those with the best scores."""
+
+
+class FrictionAlongMotion(CatalogueEffect):
+    """Friction, where it is the best effect along the measured motion of a joint that sticks."""
+
+    @override
+    def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
+        base = replace(now.base, experiments=tuple(_along_motion(*pair) for pair in now.base.pairs))
+        stuck = [r for r, experiment in enumerate(base.experiments) if isinstance(experiment, MeasuredMotion)]
+        if not stuck:
+            return []
+        work.progress("where the joint sticks: the balance of its torques along the measured motion")
+        fits = list(base.fits)
+        for r, fitted in zip(stuck, in_threads(_without_effects, base.of(stuck).pairs, base.jobs), strict=True):
+            fits[r] = fitted
+        base = Model(base.experiments, tuple(fits))
+        scores = dict(zip(stuck, base.of(stuck).each(score_all), strict=True))
+        total = {name: sum(max(scores[r][name].gain, 0.0) for r in stuck) for name in scores[stuck[0]]}
+        rivals = sorted((name for name in total if name != _FRICTION), key=lambda name: -total[name])[:_RIVALS]
+        names = (_FRICTION, *(name for name in rivals if total[name] > thresholds.LEAST_SCORE))
+        tasks = [(name, r) for name in names for r in stuck]
+        fitted_with = in_threads(_with_effect, ((*base.pairs[r], scores[r][name]) for name, r in tasks), base.jobs)
+        done = dict(zip(tasks, fitted_with, strict=True))
+
+        def tried(name: str) -> TriedCandidate:
+            every = [done.get((name, r)) for r in range(len(fits))]
+            return TriedCandidate(name, number, total[name], base=base).fitted(base, base, every, (name,))
+
+        best, *others = sorted((tried(name) for name in names), key=lambda one: -one.standing)
+        if best.effect != _FRICTION or best.model is None:
+            return []
+        return [replace(best, model=best.model.map(relinearised)), *others]
+
+    @override
+    def is_worth_taking(self, tried: TriedCandidate) -> bool:
+        return tried.effect == _FRICTION and tried.is_worth_taking
+
+
+def friction_along_motion(found: Ranking, work: Work) -> Ranking | None:
+    """Friction that explains what no effect explains in a free run; None if it does not, or if no joint sticks."""
+    ranking = search(found.base, work, (FrictionAlongMotion(),), most=1)
+    model = ranking.model
+    return ranking if model.effects and (explains(ranking.base, model) or ranking.leader) else None
+
+
+def _along_motion(experiment: Experiment, fitted: Fitted) -> Experiment:
+    """A recording along its measured motion, with its calibrations corrected, if the joint sticks; others as is."""
+    calibrated = along_motion(experiment.corrected(fitted.point)[0])
+    return calibrated if isinstance(calibrated, MeasuredMotion) else experiment
+
+
+def _without_effects(experiment: Experiment, _: Fitted) -> Fitted:
+    """The base parameters at their most probable values, with the usual blocks per independent error.
+
+    If every block counted, as for a model that is right, the data could move a base parameter by many standard
+    deviations, and it would imitate the effect.
+    """
+    return relinearised(experiment, refit(experiment, experiment.origin))
+
+
+def _with_effect(experiment: Experiment, base: Fitted, score: Score) -> Fitted:
+    """An effect beside the base parameters; friction without the numbers that do not pay."""
+    start = Point(base.point.theta, {**base.point.effects, **score.start})
+    fitted = refit(experiment, start, (*base.free, *score.candidate.free), base.base, renewals=2, beside=base)
+    # With as many blocks per error as without the effect: else the weight of the priors would look like evidence.
+    fitted = best_of_starts(experiment, fitted, STARTS, finer=False)
+    return findings.pruned(experiment, base, fitted, score.candidate.effect)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +156,7 @@ class Case:
         """
         if self.ranking.start is not None:
             return None
-        found = sticking.friction_along_motion(self.ranking, self.work)
+        found = friction_along_motion(self.ranking, self.work)
         if found is None:
             return None
         held = tuple(along_motion(other) for other in self.group.held_out)
@@ -116,7 +198,7 @@ def _sticks_beside_a_law(case: Case) -> bool:
 def _disturbance_beside(case: Case) -> Judged | None:
     if _sticks_beside_a_law(case):
         return None
-    return _by_disturbance(case, disturbance_search.beside_effects(case.ranking.model, case.work), case.ranking.share)
+    return _by_disturbance(case, disturbance.beside_effects(case.ranking.model, case.work), case.ranking.share)
 
 
 def _effects(case: Case) -> Judged:
@@ -131,12 +213,9 @@ def _friction_explains(case: Case) -> Judged | None:
 def _disturbance(case: Case) -> Judged | None:
     if _sticks_beside_a_law(case):
         return None
-    found = disturbance_search.instead_of_effects(case.ranking, case.work)
-    return _by_disturbance(case, found, None if found is None else found.share)
-
-
-def _friction_in_part(case: Case) -> Judged | None:
-    return case.along_motion
+    found = disturbance.instead_of_effects(case.ranking, case.work)
+    shares = (effect.holdout_gain for effect in found[1].effects if effect.name == DISTURBANCE) if found else ()
+    return _by_disturbance(case, found, next(iter(shares), None))
 
 
 def _leader(case: Case) -> Judged | None:
@@ -167,7 +246,7 @@ RULES = (
     Rule("effect", _effects, "those that are needed beside each other and that most splits support"),
     Rule("unexplained", _friction_explains, "a law that predicts held-out data comes before a torque of any course"),
     Rule("unexplained", _disturbance, "a torque that comes and goes explains all, alone or beside effects"),
-    Rule("unexplained", _friction_in_part, "as good as nothing else explains, where the joint sticks"),
+    Rule("unexplained", lambda case: case.along_motion, "as good as nothing else explains, where the joint sticks"),
     Rule("unexplained", _leader, "one effect in another form than its law has no rival that imitates as much"),
     Rule("unexplained", _unexplained, "nothing of the catalogue explains enough"),
 )
@@ -180,7 +259,7 @@ def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work) -> Jud
     asked = (rule.verdict(case) for rule in RULES if rule.so_far is None or rule.so_far == case.so_far)
     judged = next(one for one in asked if one is not None)
     found = calibrations.found(ranking, judged.model)
-    notes = (*found_calibrations.differences(found), *warnings.at_bounds(judged.model))
+    notes = (*calibrations.differences(found), *warnings.at_bounds(judged.model))
     return replace(judged, calibrations=found, warnings=(*judged.warnings, *notes))
 
 
@@ -192,13 +271,16 @@ def _changes(case: Case) -> list[str]:
     return warnings.changes({e.trial.name: part for e, part in zip(base.experiments, parts, strict=True) if part})
 
 
-def _by_disturbance(case: Case, found: disturbance_search.Explanation | None, share: float | None) -> Judged | None:
+def _by_disturbance(
+    case: Case, explained: tuple[Model, findings.Findings] | None, share: float | None
+) -> Judged | None:
     """The verdict by a disturbance torque, with effects beside it where there are any."""
-    if found is None:
+    if explained is None:
         return None
-    notes = (*case.notes, *found.warnings)
+    model, found = explained
+    notes = (*case.notes, *found.contradictions)
     return Judged(
-        case.group, case.ranking.base, case.ranking, "effect", share, found.model, found.effects, found.values, notes
+        case.group, case.ranking.base, case.ranking, "effect", share, model, found.effects, found.values, notes
     )
 
 
@@ -248,5 +330,5 @@ def _firm(
         model = without[weakest]
         if not model.effects:
             return base, findings.Findings((), {}, []), {}, notes
-    effects = tuple(replace(effect, splits=Splits(firm[effect.name].agree, splits.SPLITS)) for effect in found.effects)
+    effects = tuple(replace(effect, splits=firm[effect.name]) for effect in found.effects)
     return model, found._replace(effects=effects), firm, notes

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import arguments, place_search
-from pam_antagonist.diagnosis.arguments import Group
-from pam_antagonist.diagnosis.law_regression import Regression, Whitened, grams, regression
-from pam_antagonist.diagnosis.law_simulation import Simulated, Simulation, Subject
-from pam_antagonist.diagnosis.place_search import Place
+from pam_antagonist.diagnosis import law_regression
+from pam_antagonist.diagnosis.law_regression import Group, Place, Regression, Whitened, grams, regression
+from pam_antagonist.diagnosis.law_simulation import Simulated, Simulation, Subject, misread, smoothed
 from pam_antagonist.diagnosis.residual_equations import Equations, equations
+from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.learned import Law, with_law
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +45,31 @@ class LawSearch:
     share: float  # of what the base leaves that it removes in the simulation
     least_gain: float = LEAST_GAIN  # that says something
 
+    @property
+    def law(self) -> Law | None:
+        """The law that is taken, with the standard deviations of its values."""
+        if self.found is None or self.found.law is None:
+            return None
+        variances = np.maximum(np.diag(self.found.covariance), 0.0)
+        return replace(self.found.law, std=tuple(map(float, np.sqrt(variances))))
+
+    def in_rig(self, rig: Rig) -> Rig:
+        """A rig with the law; as it is, where none was taken or it is an error of readings."""
+        law = self.law
+        if self.found is None or law is None or law.is_of_readings:
+            return rig
+        return with_law(rig, law, covariance=self.found.covariance)
+
+    def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Recordings without the error of readings that was found; as they are, if it is another law."""
+        law, out = self.law, []
+        for one in recordings if law is not None and law.is_of_readings else ():
+            pressure, angle = (np.nan_to_num(values) for values in (one.pressure, one.angle))  # type: ignore[arg-type]
+            seen = [smoothed(values, one.sample_period_s) for values in (pressure, angle)]
+            raised, turned = misread(law, seen[0], seen[1], one.sample_period_s)
+            out.append(replace(one, pressure=one.pressure - raised, angle=one.angle - turned))  # type: ignore[operator]
+        return out or list(recordings)
+
 
 def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None], number: int = 1) -> LawSearch:
     """Look for one law that a rig lacks in recordings of it; it gets a number in the rig."""
@@ -58,7 +83,7 @@ def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], 
         for r, (one, own) in enumerate(zip(subjects, without.amounts, strict=True))
     ]
     progress("place")
-    places = place_search.search(each)
+    places = law_regression.place_search(each)
     progress("what it depends on")
     ranked = _regressions(each, places)
     progress("simulation")
@@ -99,15 +124,15 @@ def _regressions(each: Sequence[Equations], places: Sequence[Place]) -> _Ranked:
         found.sort(key=lambda item: -item[0])
         return [one.group for _, one in found if one.group is not None]
 
-    for group in arguments.plain_groups([place.name for place in places if place.gain > 0.0]):
+    for group in law_regression.plain_groups([place.name for place in places if place.gain > 0.0]):
         tried(group)
     for group in dict.fromkeys(by_gain()[: 2 * _PLACES]):
         if group.argument != "none":
-            tried(replace(group, number=arguments.FINE))
+            tried(replace(group, number=law_regression.FINE))
     # Memory is tried at the places of the best laws, and at the likeliest ones.
     pairs = zip(dict.fromkeys(group.place for group in by_gain()), (place.name for place in places), strict=False)
     leading = list(dict.fromkeys(name for pair in pairs for name in pair))[: _PLACES + 1]
-    for group in arguments.groups_with_memory(leading, lambda group: float(np.ptp(group.nodes(each)))):
+    for group in law_regression.groups_with_memory(leading, lambda group: float(np.ptp(group.nodes(each)))):
         tried(group)
     by_gain()
     return found

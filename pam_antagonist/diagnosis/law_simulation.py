@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from pam_antagonist.diagnosis.arguments import operated
 from pam_antagonist.diagnosis.law_kernels import along_pressures
-from pam_antagonist.diagnosis.law_regression import Regression, roughness
+from pam_antagonist.diagnosis.law_regression import Regression, operated, roughness
 from pam_antagonist.diagnosis.residual_equations import base_groups, with_base
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.model import driven, dynamics

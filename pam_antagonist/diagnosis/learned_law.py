@@ -8,26 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import driven_law, found_calibrations, law_simulation, thresholds
-from pam_antagonist.diagnosis.arguments import Group
-from pam_antagonist.diagnosis.description import change_in_words
+from pam_antagonist.diagnosis import calibrations, driven_law, thresholds
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
+from pam_antagonist.diagnosis.law_regression import Group
 from pam_antagonist.diagnosis.law_search import LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
-from pam_antagonist.diagnosis.models import (
-    Model,
-    held_share,
-    likelier,
-    price,
-    recalibrated,
-    share_of_all,
-)
+from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
+from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
@@ -55,25 +48,6 @@ _HOOKS: Mapping[str, set[str]] = {
 """Where effects of the catalogue act as a law at a place does: a flow by pressure and a valve by pressure are one."""
 
 
-@dataclass(frozen=True, eq=False)
-class Learned:
-    """A search for a law, and the rig that has it: as it was, where none was taken or it is an error of readings."""
-
-    search: LawSearch
-    law: Law | None
-    rig: Rig
-
-    def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
-        """Recordings without the error of readings that was found; as they are, if it is another law."""
-        law, out = self.law, []
-        for one in recordings if law is not None and law.is_of_readings else ():
-            pressure, angle = (np.nan_to_num(values) for values in (one.pressure, one.angle))  # type: ignore[arg-type]
-            seen = [law_simulation.smoothed(values, one.sample_period_s) for values in (pressure, angle)]
-            raised, turned = law_simulation.misread(law, seen[0], seen[1], one.sample_period_s)
-            out.append(replace(one, pressure=one.pressure - raised, angle=one.angle - turned))  # type: ignore[operator]
-        return out or list(recordings)
-
-
 def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
     """Why no law can be looked for; empty if one can."""
     if any(one.sample_period_s > _SLOWEST_S for one in recordings):
@@ -85,8 +59,8 @@ def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
     return ""
 
 
-def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = math.inf) -> list[dict[str, Floats]]:
-    """The stretches of a part [s] of a recording without holes, as the search takes them."""
+def stretches(recording: Recording, end_s: float = math.inf) -> list[dict[str, Floats]]:
+    """The stretches of a recording without holes, up to a time [s], as the search takes them."""
     time = recording.time_s
     none = np.full(len(time), np.nan)
     columns = {
@@ -95,7 +69,7 @@ def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = m
         "torque": none if recording.torque is None else recording.torque,
     }  # fmt: skip
     known = [np.isfinite(v).reshape(len(time), -1).all(axis=1) for name, v in columns.items() if name != "torque"]
-    rows = np.flatnonzero(np.all(known, axis=0) & (time >= begin_s) & (time < end_s))
+    rows = np.flatnonzero(np.all(known, axis=0) & (time < end_s))
     longest = max(LONGEST_GAP_NS, 2.5e9 * recording.sample_period_s)
     holes = np.flatnonzero(np.diff(recording.stamp_ns[rows]) > longest) + 1
     return [{key: values[part] for key, values in columns.items()} for part in np.split(rows, holes) if len(part) > 1]
@@ -104,7 +78,7 @@ def stretches(recording: Recording, begin_s: float = -math.inf, end_s: float = m
 def learn(
     recordings: Sequence[Recording], rig: Rig, share: float = 1.0, joint: str = "auto",
     lock_angle: float | None = None, progress: Callable[[str], None] = lambda text: None,
-) -> Learned:  # fmt: skip
+) -> LawSearch:  # fmt: skip
     """Look for a law that a rig lacks, in a share at the begin of recordings; joint and angle as of a diagnosis."""
     if reason := refusal(recordings, rig):
         raise BadInput(reason)
@@ -118,17 +92,7 @@ def learn(
     if not subjects:
         raise BadInput(f"a law is looked for in recordings of {_SHORTEST_S:g} s at least")
     number = len(laws_of(rig)) + 1
-    found = law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number)
-    return with_found_law(found, rig)
-
-
-def with_found_law(found: LawSearch, rig: Rig) -> Learned:
-    """A rig with the law that was found, if one was."""
-    if found.found is None or found.found.law is None:
-        return Learned(found, None, rig)
-    covariance = found.found.covariance
-    law = replace(found.found.law, std=tuple(map(float, np.sqrt(np.maximum(np.diag(covariance), 0.0)))))
-    return Learned(found, law, rig if law.is_of_readings else with_law(rig, law, covariance=covariance))
+    return law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number)
 
 
 def with_laws(
@@ -150,29 +114,30 @@ def with_laws(
                 return _along_the_motion(now, diagnose, fitted, others, rig, progress)
             except BadInput:  # a rig with the law that no command would take: the catalogue's diagnosis stands
                 return now
-        zeros = found_calibrations.corrections({item.name: item.value for item in now.calibrations})
+        zeros = calibrations.corrections({item.name: item.value for item in now.calibrations})
         learned = None
         try:
             if rig.valves.sealed:
                 _refuse_few_sweeps(now)
-                learned = with_found_law(driven_law.search(now.extended, len(laws_of(rig)) + 1, progress), rig)
+                found = driven_law.search(now.extended, len(laws_of(rig)) + 1, progress)
             else:
-                learned = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
+                found = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
+            own, learned = found.in_rig(rig), found
             corrected, also = learned.corrected(fitted), learned.corrected(others)
             after = now
             if may_be_better(now, learned):
-                after = diagnose(corrected, learned.rig, held_out=also, first=now.recalibrated)
+                after = diagnose(corrected, own, held_out=also, first=now.recalibrated)
         except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             if learned is None or learned.law is None:
                 return _saying(now, f"No law was looked for: {reason}.")
             return _saying(now, f"A law was learned ({learned.law.in_words()}), but it cannot be tried: {reason}.")
         if learned.law is None:
-            return _saying(now, place_in_words(learned.search, ", by nothing that was measured"))
+            return _saying(now, place_in_words(learned, ", by nothing that was measured"))
         if after is now or not is_better(now, after.extended, learned.law):
             words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
-            return _saying(now, f"{place_in_words(learned.search)} {words}".strip())
-        now, rig, fitted, others = joined(now, after, learned), learned.rig, corrected, also
+            return _saying(now, f"{place_in_words(learned)} {words}".strip())
+        now, rig, fitted, others = joined(now, after, learned), own, corrected, also
     return now
 
 
@@ -185,12 +150,13 @@ def _along_the_motion(
     Held-out data decide along the measured motion: a free run of a joint that sticks says little of any model.
     """
     for before in (now.recalibrated, now.extended):
-        learned = with_found_law(driven_law.search(before, len(laws_of(rig)) + 1, progress), rig)
-        if learned.law is None or learned.search.found is None:
+        learned = driven_law.search(before, len(laws_of(rig)) + 1, progress)
+        own = learned.in_rig(rig)
+        if learned.law is None or learned.found is None:
             continue
-        model = driven_law.with_it(before, learned.law, learned.search.found.covariance)
+        model = driven_law.with_it(before, learned.law, learned.found.covariance)
         if driven_law.is_better(now.recalibrated, now.extended, model, learned.law):
-            after = diagnose(fitted, learned.rig, held_out=others, first=now.recalibrated)
+            after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
             return joined(now, after, learned, model)
     return now
 
@@ -228,15 +194,15 @@ def leaves_excess(found: Diagnosis) -> bool:
     return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
 
 
-def may_be_better(before: Diagnosis, learned: Learned) -> bool:
+def may_be_better(before: Diagnosis, learned: LawSearch) -> bool:
     """Whether a law is worth a diagnosis with it: alone, or beside the effects that were found, it does better."""
     law = learned.law
     if law is None or law.is_of_readings:
         # Of what was recorded wrongly, only a diagnosis of the corrected recordings tells.
         return law is not None
 
-    assert learned.search.found is not None
-    covariance = learned.search.found.covariance
+    assert learned.found is not None
+    covariance = learned.found.covariance
 
     def with_it(model: Model) -> Model:
         own = (one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in model.experiments)
@@ -285,7 +251,7 @@ def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
 
 
 def law_effect(
-    base: Model, model: Model, learned: Learned, names: Sequence[str], ranking: Sequence[TriedCandidate]
+    base: Model, model: Model, learned: LawSearch, names: Sequence[str], ranking: Sequence[TriedCandidate]
 ) -> FoundEffect:
     """A learned law as an effect of a diagnosis; each of its numbers has its price in the evidence.
 
@@ -305,11 +271,11 @@ def law_effect(
     return FoundEffect(
         "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, held_share(base, model),
         tuple(names), law=law, like=like(law, ranking),
-        alternatives=tuple(one.law.in_words() for one in learned.search.alternatives if one.law is not None),
+        alternatives=tuple(one.law.in_words() for one in learned.alternatives if one.law is not None),
     )  # fmt: skip
 
 
-def joined(before: Diagnosis, after: Diagnosis, learned: Learned, judged: Model | None = None) -> Diagnosis:
+def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Model | None = None) -> Diagnosis:
     """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it.
 
     `judged`: the model by which the law was taken; default: that of the diagnosis with it.
@@ -338,7 +304,7 @@ def joined(before: Diagnosis, after: Diagnosis, learned: Learned, judged: Model 
     shown = [one.trial.name for one in driven_law.acting(learned.law, model).experiments]
     here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
     with_law = zip(after.parts, here, strict=True)
-    parts = [replace(part, verdict="effect", share=share) if acts else part for part, acts in with_law]
+    parts = [replace(part, verdict="effect", share_explained=share) if acts else part for part, acts in with_law]
     in_part = share_of_all(*driven_law.all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if in_part else ()
     return replace(
@@ -359,7 +325,7 @@ def _from(before: ModelErrors | None, after: ModelErrors | None) -> ModelErrors 
 
 
 def _sentence(
-    learned: Learned, effect: FoundEffect, named: Sequence[FoundEffect], earlier: Sequence[FoundEffect],
+    learned: LawSearch, effect: FoundEffect, named: Sequence[FoundEffect], earlier: Sequence[FoundEffect],
     before: Diagnosis, after: Diagnosis,
 ) -> str:  # fmt: skip
     """The verdict by a learned law, in words."""

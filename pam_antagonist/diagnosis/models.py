@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, cost_of, held_residual, refit, relinearised
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, held_residual, refit, relinearised
 from pam_antagonist.inference.likelihood import Scale
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import best_of_starts
@@ -85,11 +85,8 @@ class Model:
     @property
     def is_enough(self) -> bool:
         """Whether nothing more is looked for: it is at the noise, or has effects and no more than tolerated errors."""
-        return self.is_at_noise or (bool(self.effects) and self._is_tolerated)
-
-    @property
-    def _is_tolerated(self) -> bool:
-        return all(float(np.max(_times_tolerated(e, f))) < thresholds.AT_NOISE for e, f in self.pairs)
+        tolerated = (float(np.max(_times_tolerated(e, f))) < thresholds.AT_NOISE for e, f in self.pairs)
+        return self.is_at_noise or (bool(self.effects) and all(tolerated))
 
     @property
     def has_significant_excess(self) -> bool:
@@ -173,11 +170,6 @@ def held_share(before: Model, after: Model) -> float:
     return further_share(before, before, after, HELD)
 
 
-def fitted_share(before: Model, after: Model) -> float:
-    """Share of the fitted part's excess that is gone."""
-    return further_share(before, before, after, FITTED)
-
-
 def share_of_all(before: Model, after: Model) -> float:
     """Share of the excess of both parts together that is gone."""
     return further_share(before, before, after)
@@ -213,6 +205,20 @@ def recalibrated(experiments: Sequence[Experiment], known: Model | None = None) 
     fits = known.fits if known is not None else [None] * len(experiments)
     jobs = Model(tuple(experiments)).jobs
     return Model(tuple(experiments), tuple(in_threads(one, zip(experiments, fits, strict=True), jobs)))
+
+
+def as_configured(experiment: Experiment, fitted: Fitted) -> Fitted:
+    """The model with its base as configured, as a place to take steps from.
+
+    `fitted`: a model whose effects and calibrations are kept.
+    """
+    point = Point(experiment.origin.theta, fitted.point.effects)
+    residual = experiment.residual(point)
+    return replace(
+        fitted, point=point, residual=residual, base=experiment.jacobian(point, residual),
+        effect=effect_jacobian(experiment, point, residual, fitted.free), scale=Scale.of(residual, experiment.noise),
+        cost=np.inf, covariance=np.zeros((0, 0)),
+    )  # fmt: skip
 
 
 def without(model: Model, prefix: str, finer: bool = False) -> Model:

@@ -15,12 +15,11 @@ import numpy as np
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import change_point, thresholds
-from pam_antagonist.diagnosis.catalogue_effects import CatalogueEffect
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
 from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, in_threads
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.diagnosis.search import search
+from pam_antagonist.diagnosis.search import CatalogueEffect, search
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
@@ -85,8 +84,9 @@ class EffectInPart(CatalogueEffect):
             known, spans = spans, [one.experiment.span for one in refined]
             if all(_is_near(*pair) for pair in zip(known, spans, strict=True)):
                 break
+        own = [{**one.experiment.spans, **dict.fromkeys(new, one.experiment.span)} for one in refined]
         shown = Model(
-            tuple(_with_spans(one.experiment, new) for one in refined),
+            tuple(replace(e, spans=spans, span=THROUGHOUT) for (e, _), spans in zip(refined, own, strict=True)),
             tuple(one.fitted for one in refined),
             ranking.model.effects,
         )
@@ -119,7 +119,10 @@ def begin_and_end(group: Group, found: Ranking, work: Work) -> Ranking | None:
     best = None
     # Something may begin beside what acts throughout; but what begins bends the choice of what acts throughout.
     for start in (found.base, chosen) if chosen.effects else (found.base,):
-        changing = search(_acting_throughout(start), work, (EffectInPart(to_noise),))
+        # Effects of the model act throughout, whatever is found beside them.
+        spans = dict.fromkeys(start.effects, THROUGHOUT)
+        acting = replace(start, experiments=tuple(replace(one, spans=spans) for one in start.experiments))
+        changing = search(acting, work, (EffectInPart(to_noise),))
         if changing.model.effects == start.effects or not _better(chosen, changing.model):
             continue
         if _is_all_noise(changing.model):
@@ -131,17 +134,6 @@ def begin_and_end(group: Group, found: Ranking, work: Work) -> Ranking | None:
 def can_change(group: Group) -> bool:
     """Whether effects of these recordings can begin and end."""
     return not group.held_out and all(experiment.runs_by_itself for experiment in group.experiments)
-
-
-def _acting_throughout(model: Model) -> Model:
-    """A model whose effects act throughout, whatever is found beside them."""
-    spans = dict.fromkeys(model.effects, THROUGHOUT)
-    return replace(model, experiments=tuple(replace(one, spans=spans) for one in model.experiments))
-
-
-def _with_spans(experiment: Experiment, new: Sequence[str]) -> Experiment:
-    """A recording whose new effects act in its span."""
-    return replace(experiment, spans={**experiment.spans, **dict.fromkeys(new, experiment.span)}, span=THROUGHOUT)
 
 
 def _is_near(one: Span, other: Span) -> bool:
@@ -274,13 +266,10 @@ def _best_of_recordings(own: _Refined, start: Point, others: Sequence[_Refined])
         shown = Point(start.theta, {**start.effects, **other.fitted.point.effects})
         tried = _refined(moved, refit(moved, shown, other.fitted.free))
         scale = own.fitted.scale
-        costs = [cost_of(e, f.point, e.residual(f.point), scale) for e, f in map(_on_all, (best, tried))]
+        on_all = ((replace(one.experiment, split=None), one.fitted.point) for one in (best, tried))
+        costs = [cost_of(e, point, e.residual(point), scale) for e, point in on_all]
         best = tried if costs[1] < costs[0] else best
     return best
-
-
-def _on_all(one: _Refined) -> _Refined:
-    return one._replace(experiment=replace(one.experiment, split=None))
 
 
 def _better(chosen: Model, found: Model) -> bool:

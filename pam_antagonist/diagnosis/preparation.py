@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.hypotheses import Checkpoint
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
 from pam_antagonist.identification.sealed import (

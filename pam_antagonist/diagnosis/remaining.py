@@ -21,6 +21,7 @@ from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_err
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.point import Channel, Point
+from pam_antagonist.strict_json import picked
 
 Floats = NDArray[np.float64]
 
@@ -92,10 +93,7 @@ class Surroundings:
 
     def axes(self) -> dict[str, Floats]:
         """What a residual is drawn over: title with unit, values (N,)."""
-        out = {
-            "Pressure 1 [kPa]": self.pressure[:, 0] / 1e3,
-            "Pressure 2 [kPa]": self.pressure[:, 1] / 1e3,
-        }
+        out = {"Pressure 1 [kPa]": self.pressure[:, 0] / 1e3, "Pressure 2 [kPa]": self.pressure[:, 1] / 1e3}
         if self.voltage is not None:
             out |= {"Voltage 1 [V]": self.voltage[:, 0], "Voltage 2 [V]": self.voltage[:, 1]}
         out["Time [s]"] = self.time
@@ -139,8 +137,8 @@ class RemainingResidual:
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``: the description without the residual itself."""
-        names = ("recording", "channel", "unit", "times_noise", "depends_on", "bands")
-        return {**{name: getattr(self, name) for name in names}, "period_s": self.period, "form": self.form}
+        described = picked(self, "recording", "channel", "unit", "times_noise", "depends_on", "bands")
+        return {**described, "period_s": self.period, "form": self.form}
 
     def line(self) -> str:
         """The description as a line."""

@@ -24,15 +24,11 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 CHANNELS = ("pressure 1", "pressure 2", "torque", "motion")
-PLACES: Mapping[str, tuple[str, ...]] = {
-    **{
-        kind: (f"{kind}_1", f"{kind}_2", f"{kind}_both")
-        for kind in ("flow", "valve", "passage", "strength", "sensor", "line")
-    },
-    **{kind: (f"{kind}_1", f"{kind}_2") for kind in ("volume", "force")},
-    **{kind: (kind,) for kind in ("supply", "exchange", "encoder", "meter", "torque", "friction")},
-}
-"""Places of each class."""
+PLACES = (
+    *(f"{kind}_{i}" for kind in ("flow", "valve", "passage", "strength", "sensor", "line") for i in (1, 2, "both")),
+    *(f"{kind}_{i}" for kind in ("volume", "force") for i in (1, 2)),
+    "supply", "exchange", "encoder", "meter", "torque", "friction",
+)  # fmt: skip
 _BLOCK_S = 0.010
 _OLD_S = 0.020
 _OBSERVER_S = 0.15

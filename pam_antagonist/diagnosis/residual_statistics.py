@@ -242,7 +242,11 @@ class EquationErrors:
 
 def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     """Errors of each equation of a model."""
-    trial, p_at = experiment.trial, _vectors(experiment, point)
+    trial, edges = experiment.trial, experiment.edges(point)
+    # The parameter vector that holds in each block: effects may begin and end.
+    vectors = [experiment.parameters(point, time) for time in (0.0, *edges)]
+    phase = np.searchsorted(edges, np.arange(len(experiment.measured)) * trial.block_s, side="right")
+    p_at = [vectors[k] for k in phase]
     states, _ = experiment.states(point)
     shown = np.full((len(experiment.measured), 4), np.nan)
     shown[:, list(experiment.channels)] = experiment.measured
@@ -296,14 +300,6 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     errors[2] += noise[TORQUE] ** 2 / span
     errors[3] += np.degrees(noise[ANGLE] / seconds) ** 2
     return EquationErrors(begin, np.nan_to_num(values), np.sqrt(errors), tuple(known), span)
-
-
-def _vectors(experiment: Experiment, point: Point) -> list[Floats]:
-    """The parameter vector (P,) that holds in each block: effects may begin and end."""
-    edges = experiment.edges(point)
-    vectors = [experiment.parameters(point, time) for time in (0.0, *edges)]
-    phase = np.searchsorted(edges, np.arange(len(experiment.measured)) * experiment.trial.block_s, side="right")
-    return [vectors[k] for k in phase]
 
 
 def _measured_states(states: Floats, shown: Floats, trial: Trial, moves: bool, p_at: Sequence[Floats]) -> Floats:

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from pam_antagonist.diagnosis.errors import ModelErrors, RigErrors
-from pam_antagonist.diagnosis.found_calibrations import FoundCalibration
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group
@@ -22,6 +23,41 @@ from pam_antagonist.shown import Shown
 
 Verdict = Literal["effect", "none", "unexplained"]
 MODELS = ("as_configured", "recalibrated", "extended")
+_STAMPED = ("late", "early")
+_WORDS = {
+    "encoder_zero": ("the encoder reads", ("low", "high"), "°", 180.0 / np.pi),
+    "torque_zero": ("the torque meter reads", ("low", "high"), "N m", 1.0),
+    "torque_scale": ("the torque meter reads", ("little", "much"), "%", 100.0),
+    "delay_voltage": ("the voltages are stamped", _STAMPED, "ms", 1e3),
+    "delay_angle": ("the angle is stamped", _STAMPED, "ms", 1e3),
+    "delay_torque": ("the torque is stamped", _STAMPED, "ms", 1e3),
+    "delay_pressure": ("the pressures are stamped", _STAMPED, "ms", 1e3),
+}
+"""Words for each calibration: subject and verb, adjectives of a negative and a positive value, unit and its factor."""
+
+
+@dataclass(frozen=True)
+class FoundCalibration:
+    """A calibration that recordings need."""
+
+    name: str  # in :data:`~pam_antagonist.inference.calibration.CALIBRATIONS`
+    value: float
+    std: float  # its standard deviation, including the uncertainty of the rig's parameters
+    unit: str
+    delta_bic: float
+    # value and standard deviation in each recording that shows it, by its name.
+    by_recording: Mapping[str, tuple[float, float]]
+    rivals: tuple[str, ...] = ()  # effects and calibrations that the recordings cannot distinguish from it
+
+    def in_words(self) -> str:
+        """It in words."""
+        who, ways, unit, factor = _WORDS[self.name]
+        size, std = abs(self.value) * factor, self.std * factor
+        # A standard deviation has one digit, or two that begin with 1; the value has no more than these.
+        magnitude = float(np.log10(max(std, 1e-6)))
+        digits = max(0, -int(np.floor(magnitude)) + (magnitude % 1.0 < np.log10(2.0)))
+        number = f"{size:.{digits}f} ± {std:.{digits}f} {unit}".replace(" °", "°")
+        return f"{who} {number} too {ways[int(self.value > 0.0)]}"
 
 
 class Size(NamedTuple):
@@ -30,17 +66,6 @@ class Size(NamedTuple):
     value: float
     std: float
     unit: str
-
-    def to_json(self) -> dict[str, Any]:
-        """The keys of ``report.json``."""
-        return self._asdict()
-
-
-class Splits(NamedTuple):
-    """How many splits of the recordings support what was found."""
-
-    agree: int
-    of: int
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``."""
@@ -59,7 +84,6 @@ class FoundEffect:
         holdout_gain: share of the held-out excess over noise (:mod:`models`) that goes with it; None for a
             disturbance torque in recordings of which nothing is held out.
         recordings: names of the recordings that show it.
-        notes: what a user should know about it.
         onset_s: since when it acts [s]; None: throughout.
         onset_std_s: standard deviation of that [s].
         end_s: until when it acts [s]; None: to the end of every recording that shows it.
@@ -76,12 +100,11 @@ class FoundEffect:
     delta_bic: float
     holdout_gain: float | None
     recordings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
     onset_s: float | None = None
     onset_std_s: float | None = None
     end_s: float | None = None
     end_std_s: float | None = None
-    splits: Splits | None = None
+    splits: Firmness | None = None
     law: Law | None = None
     like: tuple[str, ...] = ()
     alternatives: tuple[str, ...] = ()
@@ -92,9 +115,9 @@ class FoundEffect:
         return self.name if self.law is None else f"a law of {self.law.where}"
 
     def to_json(self) -> dict[str, Any]:
-        """The keys of ``report.json``: all but the notes, which are warnings there."""
+        """The keys of ``report.json``."""
         of_law = ("law", "like", "alternatives")
-        out = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("notes", *of_law)}
+        out = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in of_law}
         if self.law is None:
             return out
         return {**out, **self.law.to_json(), "like": list(self.like), "alternatives": list(self.alternatives)}
@@ -125,11 +148,7 @@ class PartVerdict:
     verdict: Verdict
     # of its held-out excess over noise that its effects remove; None if that is a disturbance torque in recordings of
     # which nothing is held out.
-    share: float | None
-
-    def to_json(self) -> dict[str, Any]:
-        """The keys of ``report.json``."""
-        return {"name": self.name, "verdict": self.verdict, "share_explained": self.share}
+    share_explained: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -275,3 +294,8 @@ class Diagnosis(Shown):
     def experiments(self) -> tuple[Experiment, ...]:
         """The recordings as they were compared."""
         return self.extended.experiments
+
+    @property
+    def driven(self) -> bool:
+        """Whether the measured angle drives the model, as for a sealed joint."""
+        return any(part.joint == "driven" for part in self.by_recording)

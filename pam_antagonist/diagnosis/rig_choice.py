@@ -105,7 +105,7 @@ def rig_errors(
             if not settings.estimator:
                 return alone, None
             given = held_out.corrected(recording, part, "extended")
-            return alone, held_out.estimator_errors(*given, rigs[name]).errors
+            return alone, held_out.estimator_errors(*given, rigs[name])[0]
 
         found = [errors(part) for part in parts]
         counts = [int(part.experiment.held_samples.sum()) for part in parts]
@@ -121,21 +121,17 @@ def _parts_of_one_rig(groups: Sequence[tuple[Group, Model, Mapping[str, float]]]
     parts: dict[int, HeldOutComparison] = {}
     for group, model, effects in groups:
         common = common_point(model, effects)
-        # Zeros, scales and late stamps belong to a recording, not to the rig.
-        runs = [
-            (experiment, number, Point(common.theta, {**common.effects, **_calibrations(fitted.point)}))
-            for (experiment, fitted), number in zip(model.pairs, group.numbers, strict=True)
-        ]
+        runs = []
+        for (experiment, fitted), number in zip(model.pairs, group.numbers, strict=True):
+            # Zeros, scales and late stamps belong to a recording, not to the rig.
+            own = {path: value for path, value in fitted.point.effects.items() if calibration.is_calibration(path)}
+            runs.append((experiment, number, Point(common.theta, {**common.effects, **own})))
         if group.held_out:
             runs = [(other, number, common) for number, other in enumerate(group.held_out, len(group.experiments))]
         for experiment, number, point in runs:
             points = {"extended": experiment.started(point)}
             parts.setdefault(number, HeldOutComparison(experiment.free_run, points, "both", number))
     return [parts[number] for number in sorted(parts)]
-
-
-def _calibrations(point: Point) -> dict[str, float]:
-    return {dotted: value for dotted, value in point.effects.items() if calibration.is_calibration(dotted)}
 
 
 def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> RigChoice:

@@ -20,6 +20,7 @@ from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, Linear
 from pam_antagonist.inference.trial import Split
+from pam_antagonist.strict_json import picked
 
 Floats = NDArray[np.float64]
 
@@ -66,6 +67,15 @@ class Firmness:
         return sum(value > 0.0 for value in self.evidence)
 
     @property
+    def of(self) -> int:
+        """How many splits there are."""
+        return len(self.evidence)
+
+    def to_json(self) -> dict[str, int]:
+        """The keys of ``report.json``."""
+        return picked(self, "agree", "of")
+
+    @property
     def is_firm(self) -> bool:
         """Whether most splits support the effect."""
         return self.agree >= thresholds.SPLITS_AGREE
@@ -77,7 +87,7 @@ class Firmness:
             for value, (begin, end) in zip(self.evidence, self.held_s, strict=True)
             if value <= 0.0
         ]
-        text = f"{self.agree} of {len(self.evidence)} splits agree"
+        text = f"{self.agree} of {self.of} splits agree"
         return text if not against else f"{text}; those that hold out {', '.join(against)} disagree"
 
 

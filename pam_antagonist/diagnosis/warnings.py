@@ -26,8 +26,6 @@ from pam_antagonist.rig import Rig
 
 _WITH_VALVES = tuple(effect for effect in CATALOGUE.values() if "valve" in effect.tested_with)
 """What is tested here: effects of joints with regulators alone are no candidates."""
-
-
 _OF_STEADY_PRESSURES = {"voltage_shift", "open_rate_shift", "supply_change", "mass_loss", "sensor_reading"}
 """Hooks of effects that change the steady pressure of a voltage, as another valve curve does."""
 
@@ -39,11 +37,8 @@ def like_a_curve(rig: Rig, effects: Iterable[str]) -> tuple[str, ...]:
     """
     if not guesses_curves(rig):
         return ()
-    return tuple(dict.fromkeys(name for name in effects if _changes_steady_pressures(name)))
-
-
-def _changes_steady_pressures(name: str) -> bool:
-    return name in CATALOGUE and not _OF_STEADY_PRESSURES.isdisjoint(CATALOGUE[name].hooks)
+    alike = {name for name, effect in CATALOGUE.items() if not _OF_STEADY_PRESSURES.isdisjoint(effect.hooks)}
+    return tuple(dict.fromkeys(name for name in effects if name in alike))
 
 
 def guessed_curves(rig: Rig, effects: Iterable[str]) -> list[str]:
@@ -119,7 +114,8 @@ def changes(above_noise: Mapping[str, Sequence[Span]]) -> list[str]:
     """
     out = []
     for name, spans in above_noise.items():
-        acts = [" and ".join(f"{what} at {time:.1f} s" for what, time in _edges(span)) for span in spans]
+        edges = ([("begins", span.begin_s), ("ends", span.end_s)] for span in spans)
+        acts = [" and ".join(f"{what} at {time:.1f} s" for what, time in pair if np.isfinite(time)) for pair in edges]
         if all(acts):
             part = "that part" if len(acts) == 1 else "these parts"
             out.append(
@@ -127,10 +123,6 @@ def changes(above_noise: Mapping[str, Sequence[Span]]) -> list[str]:
                 "as small as the sensors' noise allows"
             )
     return out
-
-
-def _edges(span: Span) -> list[tuple[str, float]]:
-    return [(what, time) for what, time in zip(("begins", "ends"), span.limits, strict=True) if np.isfinite(time)]
 
 
 def along_motion(base: Model, model: Model) -> str:
@@ -203,19 +195,16 @@ def few_sweeps(prepared: Prepared) -> list[str]:
         return []
     cuts = {number: e.fitted for g in prepared.groups for number, e in zip(g.numbers, g.experiments, strict=True)}
     trials = [(prepared.trials[number], cut) for number, cut in cuts.items()]
-    fitted = sum(sweeps(trial, 0, cut) for trial, cut in trials)
-    held = sum(sweeps(trial, cut, len(trial)) for trial, cut in trials)
-    if min(fitted, held) >= thresholds.FEW_SWEEPS:
+    counts = [sum(sweeps(trial, 0, cut) for trial, cut in trials)]
+    counts += [sum(sweeps(trial, cut, len(trial)) for trial, cut in trials)]
+    if min(counts) >= thresholds.FEW_SWEEPS:
         return []
+    fitted, held = ("once" if count == 1 else f"{count} times" for count in counts)
     return [
-        f"the joint slides only {_times(fitted)} in the fitted part and {_times(held)} in the held-out part; all "
-        "samples of one sweep have nearly the same error, so the errors rest on few independent values; record for "
-        "minutes, at several amplitudes"
+        f"the joint slides only {fitted} in the fitted part and {held} in the held-out part; all samples of one sweep "
+        "have nearly the same error, so the errors rest on few independent values; record for minutes, at several "
+        "amplitudes"
     ]
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
 
 
 def unseen(prepared: Prepared, bases: Iterable[Model]) -> tuple[str, ...]:

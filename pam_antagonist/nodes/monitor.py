@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.monitor import Monitor
-from pam_antagonist.diagnosis.monitor_alarm import Alarms, Conclusion
+from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor
 from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pam_antagonist.diagnosis import found_calibrations, thresholds
+from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.result import Ambiguity
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report.document import Finding, good, note, number, warn, words
@@ -50,7 +50,7 @@ def calibration_findings(result: ClosedLoop) -> tuple[Finding, ...]:
     """The calibrations that the recordings need, with command line options."""
     if not result.calibrations:
         return ()
-    what = sentence("; ".join(map(found_calibrations.in_words, result.calibrations)))
+    what = sentence("; ".join(item.in_words() for item in result.calibrations))
     if not result.corrections:
         return (warn(f"{what} Together with the options given, that is too much."),)
     text = f"{what} To correct that, add `{' '.join(result.corrections)}` to every command that reads these recordings."

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.closed_trials import ClosedTrials
+from pam_antagonist.diagnosis.closed_loop import ClosedTrials
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
 from pam_antagonist.report.close_loop import effects_frame, sizes_table, title_of
 from pam_antagonist.report.document import (
@@ -43,7 +43,7 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        found, rig, best = self.found, self.start.name, self.found.proposed
+        found, rig, best = self, self.start.name, self.proposed
         items = [note(text) for text in (found.extended or found.recalibrated).notes]
         if found.ambiguous_with:
             items.append(warn(f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
@@ -80,7 +80,7 @@ def _errors(diagnosis: FoundFromPressures) -> Table:
 
 
 def _effects(diagnosis: FoundFromPressures) -> Table:
-    taken = {effect.name for _, effect in diagnosis.effects}
+    taken = {effect.name for _, effect in diagnosis.placed}
     rows = tuple(
         (
             item.effect,

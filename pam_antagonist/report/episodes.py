@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.episode_drift import WINDOWS
-from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Row
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven

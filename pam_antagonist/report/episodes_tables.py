@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from pam_antagonist.diagnosis.episode_drift import PARTS
-from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis
+from pam_antagonist.diagnosis.episodes import PARTS, EpisodeDiagnosis
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.report.document import (
     MISSING,

@@ -10,7 +10,7 @@ import pytest
 
 from pam_antagonist import simulate
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.checkpoint import Checkpoint
+from pam_antagonist.diagnosis.hypotheses import Checkpoint
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
 from validation.battery.plants import Case

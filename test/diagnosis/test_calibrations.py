@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
-from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose, found_calibrations
+from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.search import hypotheses, search
@@ -81,19 +81,19 @@ def test_errors_are_those_of_the_calibrated_recording(late) -> None:
 
 def test_a_calibration_is_said_in_the_unit_that_is_typed() -> None:
     zero = calibrations.FoundCalibration("encoder_zero", np.radians(0.312), np.radians(0.021), "rad", 30.0, {})
-    assert found_calibrations.in_words(zero) == "the encoder reads 0.31 ± 0.02° too high"
+    assert zero.in_words() == "the encoder reads 0.31 ± 0.02° too high"
     scale = calibrations.FoundCalibration("torque_scale", -0.03, 0.0012, "-", 30.0, {})
-    assert found_calibrations.in_words(scale) == "the torque meter reads 3.00 ± 0.12 % too little"
+    assert scale.in_words() == "the torque meter reads 3.00 ± 0.12 % too little"
     late = calibrations.FoundCalibration("delay_angle", -0.03, 0.002, "s", 30.0, {})
-    assert found_calibrations.in_words(late) == "the angle is stamped 30 ± 2 ms too late"
+    assert late.in_words() == "the angle is stamped 30 ± 2 ms too late"
 
 
 def test_recordings_that_differ_in_a_calibration_are_told() -> None:
     apart = {"free": (0.30, 0.01), "locked": (0.20, 0.01)}
     found = calibrations.FoundCalibration("torque_zero", 0.25, 0.05, "N m", 30.0, apart)
-    (text,) = found_calibrations.differences([found])
+    (text,) = calibrations.differences([found])
     assert "free: the torque meter reads 0.300 ± 0.010 N m too high" in text and "locked" in text
-    assert found_calibrations.differences([replace(found, by_recording={**apart, "locked": (0.29, 0.01)})]) == []
+    assert calibrations.differences([replace(found, by_recording={**apart, "locked": (0.29, 0.01)})]) == []
 
 
 @pytest.mark.parametrize(("zero", "names"), [(0.0, ()), (0.3, ("encoder_zero",))])

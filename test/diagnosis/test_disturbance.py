@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import disturbance, disturbance_search
+from pam_antagonist.diagnosis import disturbance
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.inference.gauss_newton import refit
@@ -59,9 +59,9 @@ def test_where_nothing_is_held_out_no_share_of_it_is_claimed(free) -> None:
     experiment, fitted = free("external_torque", "smooth pushes", SIZE)
     whole = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)))
     fitted = refit(whole, fitted.point, rounds=2, renewals=1)
-    found = disturbance_search.beside_effects(Model((whole,), (fitted,)), Work())
-    assert found is not None and found.share is None
-    assert [effect.holdout_gain for effect in found.effects if effect.name == DISTURBANCE] == [None]
+    found = disturbance.beside_effects(Model((whole,), (fitted,)), Work())
+    assert found is not None
+    assert [effect.holdout_gain for effect in found[1].effects if effect.name == DISTURBANCE] == [None]
 
 
 def test_a_law_that_always_holds_is_no_push(free) -> None:

@@ -18,8 +18,7 @@ import pytest
 import pam_antagonist
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.episode_drift import Linear, Lines, course
-from pam_antagonist.diagnosis.episodes import diagnose, search
+from pam_antagonist.diagnosis.episodes import Linear, Lines, course, diagnose, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.bootstrap import drawn, ratio
 from pam_antagonist.inference.episode_search import ABOVE_NOISE, with_effect
@@ -33,6 +32,7 @@ from pam_antagonist.report.document import number
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.rig.learned import laws_of
 
+RIG = load_rig("regulator_joint", regulators=True)
 EPISODES, ROWS, PERIOD = 120, 60, 0.0125
 GAIN, STIFFNESS, VISCOUS = 2.4e-4, 60.0, 6.0  # [rad/s² by Pa], [1/s²], [1/s]
 SUBSTEPS = 25
@@ -111,9 +111,7 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
 
 
 def test_nothing_is_found_where_friction_is_constant_but_that() -> None:
-    episodes = PressureDriven.of(
-        joint(by_signal=0.0, seed=2), load_rig("regulator_joint", regulators=True), ["decoy", "other"]
-    )
+    episodes = PressureDriven.of(joint(by_signal=0.0, seed=2), RIG, ["decoy", "other"])
     searched = search(episodes, held_out(len(episodes), 1.0 / 3.0).pool, lambda text: None)
     assert [item.name for item in searched.tried if item.taken] == ["friction"]
     assert list(searched.model.effects) == ["effects.friction.coulomb"]
@@ -122,7 +120,7 @@ def test_nothing_is_found_where_friction_is_constant_but_that() -> None:
 def test_of_few_episodes_nothing_is_named_that_is_hardly_more_than_noise() -> None:
     """What this simulation's own steps leave is explained by creep, to half; readings are no better than that."""
     count = 24
-    whole = PressureDriven.of(joint(by_signal=0.0, coulomb=0.0, seed=4), load_rig("regulator_joint", regulators=True))
+    whole = PressureDriven.of(joint(by_signal=0.0, coulomb=0.0, seed=4), RIG)
     searched = search(whole.take(np.arange(count)), held_out(count, 1.0 / 3.0).pool, lambda text: None)
     assert not [item.name for item in searched.tried if item.taken]
     assert searched.left.low < ABOVE_NOISE and any(item.removed and item.removed.low > 0.0 for item in searched.tried)
@@ -135,7 +133,7 @@ def test_a_signal_that_goes_with_another_one_is_not_told_apart_from_it(tied: Rec
     other = tied.signals["other"]
     noise = 2e3 * np.random.default_rng(7).standard_normal(len(tied))
     both = replace(tied, signals={"other": other, "alike": FurtherSignal(other.values + noise, "Pa")})
-    episodes = PressureDriven.of(both, load_rig("regulator_joint", regulators=True), ["other", "alike"])
+    episodes = PressureDriven.of(both, RIG, ["other", "alike"])
     found = diagnose(episodes, 1.0 / 3.0)
     assert set(found.effects) < {"friction", "friction_by_signal: other", "friction_by_signal: alike"}
     (one, place, row), *_ = [item for item in found.others if item[0].startswith("friction_by_signal")]
@@ -152,10 +150,7 @@ def test_a_signal_that_goes_with_another_one_is_not_told_apart_from_it(tied: Rec
 
 def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
     """Coulomb friction grows from 4 to 12 rad/s²; the stiffness stays."""
-    episodes = PressureDriven.of(
-        joint(by_signal=0.0, coulomb=np.linspace(4.0, 12.0, EPISODES), seed=6),
-        load_rig("regulator_joint", regulators=True),
-    )
+    episodes = PressureDriven.of(joint(by_signal=0.0, coulomb=np.linspace(4.0, 12.0, EPISODES), seed=6), RIG)
     held = held_out(len(episodes), 1.0 / 3.0)
     model = search(episodes, held.pool, lambda text: None).model
     found = course(episodes, held, episodes.take(held.pool).fit(model))
@@ -218,22 +213,21 @@ def test_what_cannot_be_is_refused(
 
 def test_a_recording_in_one_piece_is_refused(tied: Recording) -> None:
     with pytest.raises(BadInput, match="1 whole episodes of 1; expected at least 20"):
-        PressureDriven.of(tied.slice(0.0, 0.5), load_rig("regulator_joint", regulators=True))
+        PressureDriven.of(tied.slice(0.0, 0.5), RIG)
 
 
 def test_episodes_of_a_few_rows_are_left_out(tied: Recording) -> None:
     """A bag may have them: the last one of a single row, and one of three."""
     marks = np.append(tied.episode_ns, [tied.stamp_ns[-4], tied.stamp_ns[-1]])
-    found = PressureDriven.of(replace(tied, episode_ns=marks), load_rig("regulator_joint", regulators=True))
+    found = PressureDriven.of(replace(tied, episode_ns=marks), RIG)
     assert (len(found), found.left_out) == (EPISODES, 2)
     assert np.isfinite(found.residual(found.as_configured)).all()
 
 
 def test_setpoints_in_the_place_of_measured_pressures_are_refused(tied: Recording) -> None:
     signals = {**tied.signals, "p1_set": FurtherSignal(tied.pressure[:, 0], "Pa")}
-    rig = load_rig("regulator_joint", regulators=True)
     with pytest.raises(BadInput, match="pressure_1 is p1_set, row by row"):
-        PressureDriven.of(replace(tied, signals=signals), rig)
+        PressureDriven.of(replace(tied, signals=signals), RIG)
 
 
 def test_only_who_is_ready_for_it_gets_a_rig_with_regulators() -> None:
@@ -243,10 +237,9 @@ def test_only_who_is_ready_for_it_gets_a_rig_with_regulators() -> None:
 
 def test_rows_of_any_period_give_the_same_course() -> None:
     """Inner steps: a row in the place of four changes little where the pressures are linear between them."""
-    rig = load_rig("regulator_joint", regulators=True)
     time = np.linspace(0.0, 1.0, 201)
     pressure = np.column_stack([300e3 + 200e3 * time, 400e3 - 100e3 * time])
-    p, start, none = rig.parameters(), np.array([[0.1, 0.0]]), np.empty((201, 0))
+    p, start, none = RIG.parameters(), np.array([[0.1, 0.0]]), np.empty((201, 0))
     fine = angles(np.array([0, 201]), start, time, pressure, none, p, 1e-3)
     coarse = angles(np.array([0, 51]), start, time[::4], pressure[::4], none[::4], p, 1e-3)
     assert coarse == pytest.approx(fine[::4], abs=1e-4)
@@ -288,17 +281,14 @@ def test_a_torque_that_no_effect_of_the_catalogue_follows_becomes_a_learned_law(
     result.save(tmp_path / "out")
     numbers = json.loads((tmp_path / "out" / "report.json").read_text())
     (entry,) = (one for one in numbers["laws"] if one["arguments"] == ["time"])
-    assert entry["place"] == "torque" and set(numbers["coverage95"]) == {
-        "later",
-        "interleaved",
-    }
+    assert entry["place"] == "torque" and set(numbers["coverage95"]) == {"later", "interleaved"}
     assert "Learned laws" in (tmp_path / "out" / "report.html").read_text()
     assert law in laws_of(load_rig(tmp_path / "out" / "rig_extended.yaml", regulators=True)).values()
 
 
 def test_the_first_order_of_all_laws_is_that_of_small_changes(tied: Recording) -> None:
     """Places, arguments and operators; friction that holds the joint makes difference quotients a little rough."""
-    episodes = PressureDriven.of(tied, load_rig("regulator_joint", regulators=True), ["other"]).take(np.arange(30))
+    episodes = PressureDriven.of(tied, RIG, ["other"]).take(np.arange(30))
     model = episodes.fit(with_effect(episodes.as_configured, episodes.candidates({})["friction"], {}))
     offered = {candidate.name: candidate for candidate in episodes.laws(model)}
     left = episodes.residual(model).ravel()

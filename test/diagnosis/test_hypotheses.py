@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.diagnosis import calibrations, catalogue_effects, diagnose
+from pam_antagonist.diagnosis import calibrations, diagnose, search
 
 MINE = """
 from dataclasses import replace
@@ -35,7 +35,7 @@ class SwappedValves(Hypothesis):
     def sentence(self, name, muscle, values, sealed=False):
         return "the plugs of the valves are swapped"
 
-    def instead(self, name, sealed=False):
+    def instead(self, name):
         return "swapped plugs would explain the data as well"
 
     def experiment(self, name, found=None, sealed=False):
@@ -53,7 +53,7 @@ def registered(tmp_path: Path, monkeypatch) -> Iterator[None]:
     (about / "entry_points.txt").write_text(ENTRY_POINTS, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     # All are scored; fewer fits of what is wrong save time.
-    monkeypatch.setattr(catalogue_effects, "_REFITTED", 1)
+    monkeypatch.setattr(search, "_REFITTED", 1)
     monkeypatch.setattr(calibrations, "_FITTED", 0)
     yield
     sys.modules.pop("mine", None)

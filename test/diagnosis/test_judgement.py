@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +11,7 @@ import pytest
 
 from pam_antagonist.diagnosis import models, warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
-from pam_antagonist.diagnosis.checkpoint import Checkpoint, Kept
-from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
+from pam_antagonist.diagnosis.hypotheses import Checkpoint, Kept, Ranking, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
@@ -32,37 +30,28 @@ def leader(candidates: list[TriedCandidate]) -> TriedCandidate | None:
     return Ranking(NO_MODEL, NO_MODEL, tuple(candidates)).leader
 
 
-def test_evidence_without_held_out_gain_is_not_enough() -> None:
-    assert tried(1, 50.0, 0.8).is_worth_taking
-    assert not tried(1, 50.0, 0.04).is_worth_taking
-    assert not tried(1, 50.0, 0.8, held_out=1.0).is_worth_taking
-    assert not tried(1, 1.0, 0.8).is_worth_taking
-    assert not TriedCandidate("leak", 1, 50.0).is_worth_taking
-
-
-def test_what_hardly_pays_where_it_was_fitted_needs_more_held_out_evidence() -> None:
-    assert tried(1, 4.0, 0.8, held_out=8.0).is_worth_taking
-    assert not tried(1, 4.0, 0.8, held_out=7.0).is_worth_taking
-    assert not tried(1, 9.0, 0.8, held_out=4.0).is_worth_taking
-
-
-def test_a_second_effect_may_be_small_beside_the_first_but_must_be_certain() -> None:
-    assert tried(2, 9.0, 0.25).is_worth_taking
-    assert not tried(2, 9.0, 0.25, held_out=-4.0).is_worth_taking
-    assert not tried(2, 1.0, 0.9).is_worth_taking
-    assert not tried(2, 9.0, 0.1).is_worth_taking
-
-
-def test_what_has_little_held_out_evidence_must_be_the_more_certain() -> None:
-    assert tried(1, 30.0, 0.4, held_out=4.0).is_worth_taking
-    assert not tried(1, 19.0, 0.4, held_out=4.0).is_worth_taking
-    assert not tried(1, 90.0, 0.4, held_out=1.0).is_worth_taking
-
-
-def test_a_further_effect_is_judged_by_both_parts_together() -> None:
-    assert tried(2, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
-    assert not tried(2, 24.0, 0.3, held_out=10.0, share=0.1).is_worth_taking
-    assert not tried(1, 24.0, -0.1, held_out=10.0, share=0.3).is_worth_taking
+@pytest.mark.parametrize(
+    ("candidate", "worth"),
+    [
+        # Evidence without a gain on held-out data is not enough.
+        (tried(1, 50.0, 0.8), True), (tried(1, 50.0, 0.04), False), (tried(1, 50.0, 0.8, held_out=1.0), False),
+        (tried(1, 1.0, 0.8), False), (TriedCandidate("leak", 1, 50.0), False),
+        # What hardly pays where it was fitted needs more held-out evidence.
+        (tried(1, 4.0, 0.8, held_out=8.0), True), (tried(1, 4.0, 0.8, held_out=7.0), False),
+        (tried(1, 9.0, 0.8, held_out=4.0), False),
+        # A second effect may be small beside the first, but must be certain.
+        (tried(2, 9.0, 0.25), True), (tried(2, 9.0, 0.25, held_out=-4.0), False), (tried(2, 1.0, 0.9), False),
+        (tried(2, 9.0, 0.1), False),
+        # What has little held-out evidence must be the more certain.
+        (tried(1, 30.0, 0.4, held_out=4.0), True), (tried(1, 19.0, 0.4, held_out=4.0), False),
+        (tried(1, 90.0, 0.4, held_out=1.0), False),
+        # A further effect is judged by both parts together.
+        (tried(2, 24.0, -0.1, held_out=10.0, share=0.3), True), (tried(2, 24.0, 0.3, held_out=10.0, share=0.1), False),
+        (tried(1, 24.0, -0.1, held_out=10.0, share=0.3), False),
+    ],
+)  # fmt: skip
+def test_what_is_taken_is_certain_and_removes_enough(candidate: TriedCandidate, worth: bool) -> None:
+    assert candidate.is_worth_taking is worth
 
 
 @pytest.mark.parametrize(
@@ -96,34 +85,28 @@ def test_an_experiment_that_tells_is_named() -> None:
     assert "locked" in said["valve_offset"]
 
 
-@dataclass
-class Ended:
-    point: Point
-    free: tuple[FreeEffectParameter, ...]
+RECORDED: Any = SimpleNamespace(trial=SimpleNamespace(name="free"))
 
 
-@dataclass
-class Recorded:
-    trial: SimpleNamespace
+def ended(values: dict[str, float], effect: str) -> Model:
+    """A recording's model whose fit ended at some values of an effect."""
+    items = {item.name: item for item in CATALOGUE[effect].parameters}
+    free = tuple(FreeEffectParameter((f"effects.{effect}.{name}",), items[name]) for name in values)
+    point = Point(np.zeros(0), {f"effects.{effect}.{name}": value for name, value in values.items()})
+    fitted: Any = SimpleNamespace(point=point, free=free)
+    return Model((RECORDED,), (fitted,), (effect,))
 
 
 def test_a_number_that_ends_at_its_bound_is_named() -> None:
     items = {item.name: item for item in CATALOGUE["creep"].parameters}
     values = {"time": items["time"].high, "share_1": items["share_1"].low, "share_2": 0.0, "stiffness": 700.0}
-    free = tuple(FreeEffectParameter((f"effects.creep.{name}",), items[name]) for name in values)
-    point = Point(np.zeros(0), {f"effects.creep.{name}": value for name, value in values.items()})
-    recorded = Recorded(SimpleNamespace(name="free"))
-    size, time = sorted(warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("creep",))))
+    size, time = sorted(warnings.at_bounds(ended(values, "creep")))
     assert size.startswith("creep.share_1 ends at its bound") and "in free" in size
     assert time.startswith(f"creep.time ends at its bound, {values['time']:g} s") and "how much further" in time
 
 
 def test_a_small_leak_is_not_at_its_bound() -> None:
-    area = next(item for item in CATALOGUE["leak"].parameters if item.name == "area_1")
-    point = Point(np.zeros(0), {"effects.leak.area_1": 1e-9})
-    free = (FreeEffectParameter(("effects.leak.area_1",), area),)
-    recorded = Recorded(SimpleNamespace(name="free"))
-    assert warnings.at_bounds(Model((recorded,), (Ended(point, free),), ("leak",))) == []
+    assert warnings.at_bounds(ended({"area_1": 1e-9}, "leak")) == []
 
 
 def estimated(angle: float | None, torque: float) -> SimpleNamespace:

@@ -12,9 +12,10 @@ import pytest
 from pam_antagonist import diagnose, load_rig, simulate
 from pam_antagonist.api import diagnose as api
 from pam_antagonist.diagnosis import Diagnosis, learned_law
-from pam_antagonist.diagnosis.arguments import Group
+from pam_antagonist.diagnosis.law_regression import Group
+from pam_antagonist.diagnosis.law_search import LawSearch
 from pam_antagonist.diagnosis.law_simulation import Simulation, Subject
-from pam_antagonist.diagnosis.learned_law import Learned, is_better, joined, learn, leaves_excess, refusal
+from pam_antagonist.diagnosis.learned_law import is_better, joined, learn, leaves_excess, refusal
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
@@ -50,7 +51,7 @@ class Course:
 
     result: DiagnoseResult
     diagnoses: list[Diagnosis]
-    learned: list[Learned]
+    learned: list[LawSearch]
 
     def like(self, name: str) -> Diagnosis:
         """The first diagnosis, as if it had named an effect that leaves all of the excess."""
@@ -79,7 +80,7 @@ def _noting(function: Any, results: list[Any]) -> Any:
 
 
 def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange: Course) -> None:
-    assert exchange.learned[0].search.places[0].name == "exchange"
+    assert exchange.learned[0].places[0].name == "exchange"
     assert [effect.name for effect in exchange.result.effects] == ["learned"]
     law = exchange.result.effects[0].law
     assert law is not None
@@ -88,7 +89,7 @@ def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange:
 
 
 def test_the_simulation_with_the_law_leaves_little_but_noise(exchange: Course) -> None:
-    search = exchange.learned[0].search
+    search = exchange.learned[0]
     assert search.found is not None
     assert np.all(search.without.excess[0, :2] > 20.0)
     assert np.all(search.found.excess[0, :2] < 1.2)
@@ -241,7 +242,7 @@ def test_recordings_are_corrected_by_the_error_of_an_encoder() -> None:
 def test_no_law_is_added_where_nothing_is_wrong() -> None:
     nothing = learn([recorded()], rig(), SEEN)
     assert nothing.law is None
-    assert nothing.search.gain < 40.0
+    assert nothing.gain < 40.0
 
 
 def test_a_joint_without_a_measured_angle_is_refused_in_a_sentence() -> None:

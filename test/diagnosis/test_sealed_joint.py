@@ -88,7 +88,7 @@ def test_friction_and_a_leak_of_one_muscle_are_found_with_their_sizes(recorded, 
 def test_each_part_of_the_joint_is_judged_by_itself(recorded, joint) -> None:
     found = diagnosed(recorded({"leak": {"area_1": 2e-11, "area_2": 2e-11}}), joint)
     assert {part.name: part.verdict for part in found.parts} == {"pressures": "effect", "torque": "none"}
-    assert found.share == next(part.share for part in found.parts if part.name == "pressures")
+    assert found.share == next(part.share_explained for part in found.parts if part.name == "pressures")
     assert [tried.effect for tried in found.ranking if tried.taken] == ["leak"]
 
 
@@ -271,8 +271,6 @@ def test_the_measured_joint_has_one_answer_wherever_it_is_split(measured: Path, 
     """What is held out at the end judges a report's errors; all splits together judge what was found."""
     share = 0.5
     found = diagnose([read_bag(measured)], joint, holdout=share, jobs=1, profiles=False, estimator=False)
-    assert [(effect.name, effect.muscle, effect.splits) for effect in found.effects] == [
-        ("friction", None, (5, 5)),
-        ("leak", None, (5, 5)),
-    ]
+    agree = [(effect.name, effect.muscle, effect.splits.agree, effect.splits.of) for effect in found.effects]
+    assert agree == [("friction", None, 5, 5), ("leak", None, 5, 5)]
     assert found.by_recording[0].held_out_from_s == pytest.approx(18.7 * (1.0 - share), abs=0.1)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from pam_antagonist.diagnosis import driven_law, sticking
+from pam_antagonist.diagnosis import driven_law, judgement
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.inference.gauss_newton import refit
@@ -21,7 +21,7 @@ def asked(recorded, experiment_of) -> Callable[..., Ranking | None]:
     def ask(effect: str, form: str, amount: float) -> Ranking | None:
         experiment = experiment_of(recorded(effect, None, form, amount, "free", 20.0), "free")
         base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
-        return sticking.friction_along_motion(Ranking(base, base), Work())
+        return judgement.friction_along_motion(Ranking(base, base), Work())
 
     return ask
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from sent import MS, estimate, refer
 
-from pam_antagonist.diagnosis.monitor_alarm import Alarms
+from pam_antagonist.diagnosis.monitor import Alarms
 
 pytestmark = pytest.mark.ros
 
