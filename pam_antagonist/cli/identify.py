@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import argparse
 
-from pam_antagonist.cli import cluster, common
+from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.common import real, whole
 from pam_antagonist.cli.progress import phases
@@ -66,11 +66,11 @@ def _run(arguments: argparse.Namespace) -> int:
         _refuse_choice(arguments, "of a sealed joint are fitted")
     recordings = given.read(arguments, rig)
     if are_episodes(recordings, rig):
-        cluster.refuse_for_episodes(arguments.dask)
+        given.refuse_for_episodes(arguments.dask)
         _refuse_choice(arguments, "are fitted to episodes")
     elif damage := given.damage(arguments, recordings):
         print(terminal.warnings(damage))
-    with cluster.connected(arguments.dask), phases("identify") as progress:
+    with given.connected(arguments.dask), phases("identify") as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,
