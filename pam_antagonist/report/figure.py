@@ -2,7 +2,7 @@
 
 A figure holds panels. A panel holds two axes and the series on them, from back to front. Arrays of a series are (N,),
 NaN where a value is missing; series of one name have one entry in the legend, and are switched together.
-:mod:`pam_antagonist.report.plotly_renderer` draws it on the page.
+:mod:`pam_antagonist.report.html` draws it on the page.
 Colours are CSS colours of the light theme; the page maps them to the dark one.
 """
 
@@ -86,7 +86,7 @@ TIME = Axis("Time [s]", is_time=True)
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.decimate`)."""
+    """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.html`)."""
 
     name: str
     x: FloatArray

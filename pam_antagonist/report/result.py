@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
 from pam_antagonist.output import output_folder
-from pam_antagonist.report import html, plotly_renderer, terminal
+from pam_antagonist.report import html, terminal
 from pam_antagonist.report.document import Document, figures_of
 from pam_antagonist.shown import Shown
 from pam_antagonist.strict_json import plain
@@ -80,7 +80,7 @@ class Result(Shown):
             raise BadInput(f"number {number!r}: this result has {has}")
         with needs("reports", "plot()"):
             from plotly.graph_objects import Figure as Plot
-        plot = plotly_renderer.plot(figures[number])
+        plot = html.plot(figures[number])
         plot["layout"]["title"] = {"text": figures[number].title}
         return Plot(plot, skip_invalid=True)
 
