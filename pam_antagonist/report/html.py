@@ -17,7 +17,6 @@ import itertools
 import json
 import math
 import re
-import textwrap
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -32,8 +31,10 @@ from pam_antagonist.optional import needs
 from pam_antagonist.report.document import Document, Section, figures_of, with_unit
 from pam_antagonist.report.figure import (
     DARK,
+    DEEP,
     GRID,
     INK,
+    PALE,
     QUIET,
     VEIL,
     ZERO,
@@ -62,8 +63,6 @@ _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 _FONT = 'system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans","DejaVu Sans",sans-serif'
 _DECADES = [10.0**power for power in range(-6, 10)]
 _CLEAR = "rgba(0,0,0,0)"
-_LONGEST = 10
-"""Largest number of letters in one line of a name below a column."""
 _DENSE = 26.0
 """Rows with a smaller height [px] have small letters."""
 
@@ -145,13 +144,10 @@ def plot(figure: Figure) -> Values:
         suffix = str(number + 1) if number else ""
         lowest = figure.side_by_side or number == len(figure.panels) - 1
         follows = {"matches": "x"} if number and not figure.side_by_side else {}
-        whole = {"fixedrange": True} if any(isinstance(part, Heatmap) and part.cell for part in panel.series) else {}
         layout["xaxis" + suffix] = {
-            **_horizontal(panel, lowest), **follows, **whole, "domain": area[:2], "anchor": "y" + suffix
+            **_horizontal(panel, lowest), **follows, "domain": area[:2], "anchor": "y" + suffix
         }  # fmt: skip
-        layout["yaxis" + suffix] = {**_vertical(panel), **whole, "domain": area[2:], "anchor": "x" + suffix}
-        if panel.title:
-            layout["annotations"].append(_label(panel.title, f"x{suffix} domain", f"y{suffix} domain", 0, 1, INK))
+        layout["yaxis" + suffix] = {**_vertical(panel), "domain": area[2:], "anchor": "x" + suffix}
         for part in panel.series:
             if isinstance(part, Region):
                 look = {"fillcolor": part.color, "line": {"width": 0}, "layer": "below"}
@@ -162,8 +158,8 @@ def plot(figure: Figure) -> Values:
                 layout["shapes"].append(_shape("line", axis, part.value, part.value, suffix, line=dashed))
                 if part.label:
                     height = math.log10(part.value) if panel.y.log else part.value
-                    label = _label(part.label, f"x{suffix} domain", "y" + suffix, 1, height, part.color)
-                    layout["annotations"].append({**label, "bgcolor": VEIL})
+                    label = _label(part.label, f"x{suffix} domain", "y" + suffix, height, part.color)
+                    layout["annotations"].append(label)
             else:
                 place = {"xaxis": "x" + suffix, "yaxis": "y" + suffix}
                 data.append({**_trace(part, panel), **place})
@@ -191,13 +187,9 @@ def _axis(axis: Axis, standoff: int) -> Values:
 def _horizontal(panel: Panel, lowest: bool) -> Values:
     axis = panel.x
     # Named rows get a vertical line at zero.
-    out = {**_axis(axis, 6), "zeroline": bool(panel.y.labels) and not axis.is_time and not axis.labels}
+    out = {**_axis(axis, 6), "zeroline": bool(panel.y.labels) and not axis.is_time}
     if axis.is_time:
         out |= {"meta": "time", "hoverformat": ".3f"}
-    if axis.labels:
-        # Wrap long names: plotly leaves out names that do not fit, as on a phone.
-        names = ["<br>".join(_text(line) for line in textwrap.wrap(name, _LONGEST)) for name in axis.labels]
-        out |= {"showgrid": False, "ticktext": names}
     if not lowest:
         del out["title"]
         out |= {"showticklabels": False, "ticks": ""}
@@ -209,7 +201,7 @@ def _vertical(panel: Panel) -> Values:
     out = _axis(axis, 4)
     if axis.labels:
         count = len(axis.labels)
-        out |= {"zeroline": False, "showgrid": not panel.x.labels, "range": axis.bounds or (count - 0.5, -0.5)}
+        out |= {"zeroline": False, "range": axis.bounds or (count - 0.5, -0.5)}
         if panel.height / count < _DENSE:
             out["tickfont"] = {"size": 10}
     elif axis.log:
@@ -235,8 +227,8 @@ def _trace(part: Line | Band | Points | Bars | Heatmap, panel: Panel) -> Values:
         if part.opacity < 1.0:
             out |= {"opacity": part.opacity, "hoverinfo": "skip"}
     else:
-        marker = {"color": part.color, "size": part.size, "opacity": part.opacity}
-        out |= {"mode": "markers", "marker": {**marker, "symbol": "circle-open" if part.hollow else "circle"}}
+        symbol = "circle-open" if part.hollow else "circle"
+        out |= {"mode": "markers", "marker": {"color": part.color, "size": part.size, "symbol": symbol}}
         if part.half_width is not None:
             half = {"array": _rounded(part.half_width, panel.x), "thickness": part.bar_width, "width": 0}
             return {**out, "error_x": {"type": "data", "color": part.color, **half}}
@@ -259,25 +251,13 @@ def _outline(part: Band, panel: Panel) -> Values:
 
 
 def _heatmap(part: Heatmap, panel: Panel) -> Values:
-    steps = len(part.colors) - 1
-    out: Values = {
+    return {
         "type": "heatmap", "x": _rounded(part.x, panel.x, 6), "y": list(range(len(part.rows))),
-        "z": [_rounded(row, Axis(), 4) for row in part.values], "hovertemplate": _template(part) + "<extra></extra>",
-        "colorscale": [[k / steps, color] for k, color in enumerate(part.colors)],
-        "zmin": part.bounds[0], "zmax": part.bounds[1], "showscale": False,
+        "z": [_rounded(row, Axis(), 4) for row in part.values],
+        "text": [[_text(name)] * len(part.x) for name in part.rows],
+        "hovertemplate": "%{text}<br>%{x} s: %{z:.0%} of the time<extra></extra>",
+        "colorscale": [[0.0, PALE], [1.0, DEEP]], "zmin": 0.0, "zmax": 1.0, "showscale": False,
     }  # fmt: skip
-    if not part.cell:
-        return {**out, "text": [[_text(name)] * len(part.x) for name in part.rows]}
-    cells = [[part.cell.format(value=value) if math.isfinite(value) else "" for value in row] for row in part.values]
-    return {**out, "text": cells, "texttemplate": "%{text}", "xgap": 1, "ygap": 1}
-
-
-def _template(part: Heatmap) -> str:
-    """The hover text as a plotly template; if cells have a text, the axis gives the name of the row."""
-    out = part.hover.replace("\n", "<br>")
-    for name, place in (("row", "y" if part.cell else "text"), ("column", "x"), ("value", "z")):
-        out = re.sub(rf"\{{{name}\b", f"%{{{place}", out)
-    return out
 
 
 def _shape(kind: str, along: str, first: float, last: float, suffix: str, **look: Any) -> Values:
@@ -288,10 +268,10 @@ def _shape(kind: str, along: str, first: float, last: float, suffix: str, **look
     return {"type": kind, **ends, **whole, **look}
 
 
-def _label(text: str, xref: str, yref: str, x: float, y: float, color: str) -> Values:
-    """A text above a position, towards the middle of the panel."""
-    place = {"xref": xref, "yref": yref, "x": x, "y": y, "xanchor": "right" if x else "left", "yanchor": "bottom"}
-    return {**place, "text": _text(text), "showarrow": False, "font": {"size": 11, "color": color}}
+def _label(text: str, xref: str, yref: str, y: float, color: str) -> Values:
+    """A text above a position at the right end of a panel."""
+    place = {"xref": xref, "yref": yref, "x": 1, "y": y, "xanchor": "right", "yanchor": "bottom"}
+    return {**place, "text": _text(text), "showarrow": False, "font": {"size": 11, "color": color}, "bgcolor": VEIL}
 
 
 def _text(text: str) -> str:

@@ -12,13 +12,11 @@ from pam_antagonist.estimation import metrics
 from pam_antagonist.replays import Replay
 from pam_antagonist.report.figure import (
     BAND,
-    DEEP,
     EDGE,
     ESTIMATE,
     FAINT,
     MEASURED,
     MODEL,
-    PALE,
     QUIET,
     SECOND,
     TIME,
@@ -94,11 +92,9 @@ def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, colu
     seen = [int(number) for number in np.flatnonzero(share.sum(axis=1) > 0.0)]
     cells = np.where(share[seen] > 0.0, share[seen], np.nan)
     rows = tuple(names[number] for number in seen)
-    hover = "{row}\n{column} s: {value:.0%} of the time"
     short = tuple(name.split(":")[0] for name in rows)
     y = Axis("Subsystem σ [-]", labels=short, bounds=(-0.5, len(seen) - 0.5))
-    part = Heatmap(x[middle], cells, rows, (PALE, DEEP), (0.0, 1.0), hover)
-    return Panel(TIME, y, (part,), max(66, 26 * len(seen) + 36))
+    return Panel(TIME, y, (Heatmap(x[middle], cells, rows),), max(66, 26 * len(seen) + 36))
 
 
 def time(replay: Replay) -> FloatArray:
