@@ -178,7 +178,7 @@ class GuessedCommission(Commission):
         from pam_antagonist.api.identify import IdentifyResult, identify
         from pam_antagonist.identification.from_pressures import FromPressures
 
-        result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+        result = identify([*self._bags().values()], self._rig, seed=self._arguments.seed)
         assert isinstance(result, IdentifyResult), "a rig of new_rig"
         result.save(self._result("identified"), figures=True)
         self._note_down(result)

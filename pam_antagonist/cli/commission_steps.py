@@ -30,9 +30,7 @@ from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
-from pam_antagonist.report.commission import CommissionResult, Step
-from pam_antagonist.report.commission import Driven as DrivenStep
-from pam_antagonist.report.excite import ExciteResult
+from pam_antagonist.report.experiments import CommissionResult, ExciteResult
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.limits import steady_voltage
 from pam_antagonist.shown import widened
@@ -105,8 +103,9 @@ class Commission:
         new.write_text(json.dumps({"rig": self._rig.name, "steps": self.steps}, indent=1) + "\n", encoding="utf-8")
         new.replace(self._out / "state.json")
 
-    def _bags(self) -> list[Path]:
-        return [self._out / step["bag"] for step in self.steps.values() if "bag" in step]
+    def _bags(self) -> dict[str, Path]:
+        """The recordings, by their steps."""
+        return {name: self._out / step["bag"] for name, step in self.steps.items() if "bag" in step}
 
     def _result(self, name: str) -> Path:
         """A result's folder, which is not there: what an attempt left that was interrupted is removed."""
@@ -227,7 +226,7 @@ class Commission:
         from pam_antagonist.api.identify import EpisodesIdentifyResult, identify
 
         try:
-            result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+            result = identify([*self._bags().values()], self._rig, seed=self._arguments.seed)
             assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
@@ -249,7 +248,7 @@ class Commission:
     def _diagnosed(self, name: str) -> dict[str, Any]:
         from pam_antagonist.api.diagnose import EpisodesDiagnoseResult, diagnose
 
-        result = diagnose(self._bags(), self._rig, seed=self._arguments.seed)
+        result = diagnose([*self._bags().values()], self._rig, seed=self._arguments.seed)
         assert not isinstance(result, EpisodesDiagnoseResult), "recorded in one piece"
         result.save(self._result(name), figures=False)
         return {
@@ -336,16 +335,10 @@ class Commission:
 
     def report(self) -> None:
         """Write ``report.html`` and ``report.json`` on what was done so far."""
-        steps, driven = [], []
-        for name, one in self.steps.items():
-            took = one.get("seconds", 0.0), one.get("rig_s", 0.0)
-            steps.append(Step(name, bool(one["done"]), one["said"], *took, one.get("folder", "")))
-            if "bag" in one:
-                recording = read_bag(self._out / one["bag"], judge=False)
-                driven.append(DrivenStep(name, recording, self._limits.pressure, self._limits.angle))
+        driven = {name: read_bag(bag, judge=False) for name, bag in self._bags().items()}
         left = tuple(name for name in self.STEPS if name not in self.steps and not self.left_out(name))
         command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
-        result = CommissionResult(self._rig.name, tuple(steps), command, left, tuple(driven), self.next_line())
+        result = CommissionResult(self._rig.name, self.steps, driven, self._limits, command, left, self.next_line())
         result.write(self._out)
 
     def next_line(self) -> str:
