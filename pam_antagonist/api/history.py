@@ -18,7 +18,7 @@ from pam_antagonist.identification.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash
-from pam_antagonist.report import episodes_tables
+from pam_antagonist.report import identify_episodes
 from pam_antagonist.report.history import FORCE, HistoryResult, Limit, values_of
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig, load_rig
@@ -160,9 +160,9 @@ def _of_episodes(result: EpisodesIdentifyResult) -> dict[str, Any]:
         return {"verdict": "rejected", "said": f"rejected: {result.rejected}"}
     rig, values = result.rig, {}
     for name, interval in result.found.values.items():
-        unit, factor = episodes_tables.unit(rig, name)
+        unit, factor = identify_episodes.unit(rig, name)
         std = factor * (interval.high - interval.low) / _WIDTH
-        values[episodes_tables.value_name(rig, name)] = (factor * interval.value, std, unit)
+        values[identify_episodes.value_name(rig, name)] = (factor * interval.value, std, unit)
     errs = result.found.errors["identified"][0].value
     said = f"the model's angle errs by {errs:.2g}° on later episodes"
     return {"verdict": "identified", "said": said, "values": measured(values)}
