@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pam_antagonist.api.given import Bag, RigGiven, calibration
 from pam_antagonist.checks import Checked, check_recording
@@ -12,14 +12,11 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.report import terminal
-from pam_antagonist.report.result import frame_of
+from pam_antagonist.report.result import DataFrame, frame_of
 from pam_antagonist.rig import as_rig
 from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.shown import widened
 from pam_antagonist.strict_json import write_json
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 _MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
 

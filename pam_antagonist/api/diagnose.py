@@ -17,8 +17,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import is_for
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording, bag_name, recording_hash
-from pam_antagonist.report.close_loop import DiagnoseResult
-from pam_antagonist.report.close_loop_from_pressures import PressuresDiagnoseResult
+from pam_antagonist.report.close_loop import DiagnoseResult, PressuresDiagnoseResult
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.rig import Rig, as_rig
 from pam_antagonist.shown import widened

@@ -92,6 +92,13 @@ class Comparison:
         return Table(self._header, tuple(self._rows), caption, tuple(self._best))
 
 
+def sentence(text: str) -> str:
+    """A sentence; the name of a value, a file, an effect or a recording keeps its first letter."""
+    first = text.split(" ", 1)[0].rstrip(",")
+    named = first.endswith(":") or any(sign in first for sign in "/_.")
+    return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
+
+
 def markdown(table: Table) -> list[str]:
     """A table as lines of Markdown."""
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -46,15 +46,12 @@ from pam_antagonist.report.identify_episodes import (
     units_findings,
     value_name,
 )
-from pam_antagonist.report.result import Result
+from pam_antagonist.report.result import DataFrame, Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, laws_of, value_path
 from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import write_rig
 from pam_antagonist.strict_json import picked
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 T = TypeVar("T")
 

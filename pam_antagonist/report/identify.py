@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -31,17 +31,15 @@ from pam_antagonist.report.document import (
     in_first_lines,
     number,
     percent,
+    sentence,
 )
 from pam_antagonist.report.figure import FAINT, MODEL, Axis, Figure, Panel, Points
 from pam_antagonist.report.identify_findings import findings, verdict
 from pam_antagonist.report.replay_figures import replay_figures
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.units import readable, unit_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,39 +57,34 @@ class IdentifyResult(Identified, Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return document(self, figures)
+        what = f"{len(self.held)} recordings" if len(self.held) > 1 else "one recording"
+        lede = (
+            f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
+            "whole ones, which no step used."
+        )
+        title = "Identification of a pneumatic muscle joint"
+        if isinstance(self.found, SealedIdentified):
+            title = "Identification of a sealed muscle joint"
+            lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
+        parts: list[Block] = [
+            Text(lede, "lede"),
+            Text(verdict(self), "verdict"),
+            Tiles(_tiles(self)),
+            Findings(findings(self)),
+            *in_first_lines(assumption(self.found.start, identified=True)),
+            *_angles(self),
+            _held_out(self, figures),
+            _parameters(self, figures),
+            *_between(self),
+            *(_of_sealed(self.found) if isinstance(self.found, SealedIdentified) else _steps(self.found)),
+            *background("identify", _provenance(self)),
+        ]
+        return Document(title, f"Rig {self.found.start.name}", tuple(parts))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each identified parameter: start value, identified value, standard error (needs pandas)."""
         rows = [(item.name, item.start, item.value, item.std) for item in self.parameters]
         return frame_of(rows, ("parameter", "start", "value", "std"), "parameter")
-
-
-def document(result: Identified, with_figures: bool) -> Document:
-    """The page."""
-    what = f"{len(result.held)} recordings" if len(result.held) > 1 else "one recording"
-    lede = (
-        f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
-        "whole ones, which no step used."
-    )
-    title = "Identification of a pneumatic muscle joint"
-    if isinstance(result.found, SealedIdentified):
-        title = "Identification of a sealed muscle joint"
-        lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
-    parts: list[Block] = [
-        Text(lede, "lede"),
-        Text(verdict(result), "verdict"),
-        Tiles(_tiles(result)),
-        Findings(findings(result)),
-        *in_first_lines(assumption(result.found.start, identified=True)),
-        *_angles(result),
-        _held_out(result, with_figures),
-        _parameters(result, with_figures),
-        *_between(result),
-        *(_of_sealed(result.found) if isinstance(result.found, SealedIdentified) else _steps(result.found)),
-        *background("identify", _provenance(result)),
-    ]
-    return Document(title, f"Rig {result.found.start.name}", tuple(parts))
 
 
 def _angles(result: Identified) -> tuple[Block, ...]:
@@ -241,7 +234,7 @@ def _steps(fit: FromPressures) -> list[Section]:
         )
     ]
     for step in fit.steps:
-        note = f" {step.note[:1].upper()}{step.note[1:]}." if step.note else ""
+        note = f" {sentence(step.note)}" if step.note else ""
         table = (_step_table(step, fit.start),) if step.values else ()
         content.append(Section(step.name, (Text(f"From {step.source}.{note}"), *table)))
     text = (

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typing_extensions import override
 
@@ -31,13 +31,10 @@ from pam_antagonist.report.document import (
     percent,
     warn,
 )
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.units import readable, unit_of
 from pam_antagonist.rig.write import write_rig, write_unread
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typing_extensions import override
 
@@ -32,15 +32,13 @@ from pam_antagonist.report.document import (
     note,
     number,
     percent,
+    sentence,
     warn,
 )
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.assumption import assumption
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -374,7 +372,7 @@ def _equality(live: LiveComparison, rig: str = "") -> Finding:
 
 def _quality(report: ReplayReport) -> list[Finding]:
     counts, issues = report.estimator.counts, report.recording.issues
-    out = [warn(f"{issue[:1].upper()}{issue[1:].rstrip('.')}.") for issue in issues[:_ISSUES]]
+    out = [warn(sentence(issue)) for issue in issues[:_ISSUES]]
     if len(issues) > _ISSUES:
         out.append(warn(f"{len(issues) - _ISSUES} more such remarks are in report.json."))
     events = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
@@ -16,7 +16,10 @@ from pam_antagonist.shown import Shown
 from pam_antagonist.strict_json import plain
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    import pandas
+
+DataFrame: TypeAlias = "pandas.DataFrame"
+"""Of pandas, which is loaded where somebody asks for a table."""
 
 
 class Result(Shown):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from typing_extensions import override
@@ -17,13 +16,13 @@ from pam_antagonist.report.document import (
     MISSING,
     Block,
     Document,
-    Finding,
     Findings,
     Table,
     Text,
     background,
     note,
     number,
+    sentence,
     warn,
 )
 from pam_antagonist.report.figure import (
@@ -39,12 +38,9 @@ from pam_antagonist.report.figure import (
     Reference,
     Series,
 )
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import write_rig
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
 """Colours from the shortest to the longest length; lighter is longer, also without colour vision."""
@@ -77,9 +73,7 @@ class StaticResult(StaticFits, Result):
         whose = "both muscles" if len(self.muscles) == 2 else f"muscle {self.muscles[0]}"
         rig = f"for {whose} of rig {self.fitted.name}" if self.fitted else "without a rig to put them into"
         lede = f"Static measurements of a muscle, fitted {rig}."
-        starts = tuple(table.name for table in self.tables)
-        begun = (text if text.startswith(starts) else f"{text[:1].upper()}{text[1:]}" for text in self.warnings)
-        findings = [_warning(text) for text in begun]
+        findings = [warn(sentence(text)) for text in self.warnings]
         if len(self.muscles) == 2 and self.fitted is not None:
             text = (
                 "Both muscles get the same coefficients. If you have a table of each, run once with --muscle 1, then "
@@ -119,10 +113,6 @@ class StaticResult(StaticFits, Result):
         tables, whose = (" and ".join(map(str, names)) for names in ([t.name for t in self.tables], self.muscles))
         about = f"Rig {self.fitted.name} with static fits of muscle {whose} from {tables}; their errors: priors."
         write_rig(self.fitted, folder / "rig.yaml", [about, *(f"! {text}" for text in self.warnings)])
-
-
-def _warning(text: str) -> Finding:
-    return warn(f"{text}.")
 
 
 def forms_table(result: StaticResult) -> Table:
