@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from pam_antagonist.checks.wiring import guessed
 from pam_antagonist.cli.commission_steps import Commission, StepFailed
-from pam_antagonist.cli.demo_steps import MODEL, task
+from pam_antagonist.cli.demo import MODEL, task
 from pam_antagonist.cli.driving import SIMULATED
 from pam_antagonist.control.command import Mode, VoltageLimits
 from pam_antagonist.control.laws import Laws, Reachable
