@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.api.check import CheckResult
 from pam_antagonist.api.identify import EpisodesIdentifyResult, IdentifyResult
+from pam_antagonist.api.replay import CheckResult
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.identification.unknowns import Fit, parameters
