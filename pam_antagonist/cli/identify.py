@@ -60,6 +60,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.report import terminal
+    from pam_antagonist.report.document import Findings, warn
 
     rig = given.begun(arguments, FITS)
     if rig.valves.sealed:
@@ -69,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
         given.refuse_for_episodes(arguments.dask)
         _refuse_choice(arguments, "are fitted to episodes")
     elif damage := given.damage(arguments, recordings):
-        print(terminal.warnings(damage))
+        print(terminal.render([Findings(tuple(map(warn, damage)))]))
     with given.connected(arguments.dask), phases("identify") as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,

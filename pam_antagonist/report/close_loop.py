@@ -17,17 +17,8 @@ from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.replays.channels import CHANNELS, TORQUE, Channel
-from pam_antagonist.report.close_loop_findings import (
-    assumed,
-    calibration_findings,
-    findings,
-    laws,
-    left,
-    profiles,
-    residuals,
-)
+from pam_antagonist.report import close_loop_findings as said
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Comparison,
     Definitions,
@@ -41,8 +32,6 @@ from pam_antagonist.report.document import (
     background,
     in_first_lines,
     note,
-    number,
-    percent,
     warn,
     words,
 )
@@ -50,6 +39,7 @@ from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.units import readable
+from pam_antagonist.shown import MISSING, number, percent
 
 _FEW_WORDS = 300
 """Longest list of what the recordings cannot show [characters] that is among the findings."""
@@ -92,14 +82,14 @@ class DiagnoseResult(ClosedLoop, Result):
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
         if self.calibrations and self.verdict == "none":
             title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in self.calibrations)
-        first, *others = residuals(self) if figures else (None,)
+        first, *others = said.residuals(self) if figures else (None,)
         unseen = tuple(map(note, self.unseen))
         few = unseen if sum(map(len, self.unseen)) <= _FEW_WORDS else ()
         parts: list[Block] = [
             Text(lede, "lede"),
             Text(self.sentence, "verdict"),
             Tiles(_tiles(self)),
-            Findings((*calibration_findings(self), *findings(self), *few, *map(note, self.next_steps))),
+            Findings((*said.calibration_findings(self), *said.findings(self), *few, *map(note, self.next_steps))),
             *(() if first is None else (first,)),
             *in_first_lines(assumption(self.start)),
             errors_table(self),
@@ -109,19 +99,19 @@ class DiagnoseResult(ClosedLoop, Result):
         if self.calibrations:
             parts.append(Section("Calibration", (calibration_table(self),), 2, "calibration", brief=True))
         if self.effects:
-            shapes = (*laws(self.effects), *profiles(self.profiles)) if figures else ()
+            shapes = (*said.laws(self.effects), *said.profiles(self.profiles)) if figures else ()
             sizes = (sizes_table(self.effects), *_laws(self), *shapes)
             parts.append(Section("Size of the effect", sizes, 2, "parameters", brief=True))
         parts.append(Section("All candidates", (ranking_table(self),), 2, "candidates", brief=True))
         if self.remaining:
-            parts.append(Section("What is left", left(self.remaining, figures), 2, "left"))
+            parts.append(Section("What is left", said.left(self.remaining, figures), 2, "left"))
         about = Text(_STATISTICS_DRIVEN if self.driven else _STATISTICS)
         models = ("recalibrated", "extended") if self.effects else ("recalibrated",)
         tables = (_statistics(one.recording, one.residuals, models) for one in self.recordings if one.residuals)
         parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
         if unseen and not few:
             parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
-        parts.append(Section("What was assumed", (Definitions(assumed(self)),), folded=True))
+        parts.append(Section("What was assumed", (Definitions(said.assumed(self)),), folded=True))
         meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if self.driven else {})
         parts += background(tuple(meanings.items()), _provenance(self))
         return Document("Closing the loop with measured data", title, tuple(parts))

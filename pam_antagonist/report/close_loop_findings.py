@@ -12,19 +12,7 @@ from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, HeldOutComparison, SizeProfile
 from pam_antagonist.inference.point import Span
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report.document import (
-    Block,
-    Finding,
-    Findings,
-    Table,
-    good,
-    note,
-    number,
-    percent,
-    sentence,
-    warn,
-    words,
-)
+from pam_antagonist.report.document import Block, Finding, Findings, Table, good, note, sentence, warn, words
 from pam_antagonist.report.figure import (
     ESTIMATE,
     MODEL,
@@ -42,6 +30,7 @@ from pam_antagonist.report.figure import (
     Series,
 )
 from pam_antagonist.rig.units import readable
+from pam_antagonist.shown import number, percent
 
 if TYPE_CHECKING:
     from pam_antagonist.diagnosis.closed_loop import ClosedLoop

@@ -18,12 +18,13 @@ from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
 from pam_antagonist.replays.channels import judged
 from pam_antagonist.replays.result import numbers as replay_numbers
-from pam_antagonist.report.document import Block, Document, Section, Table, Text, number, percent
+from pam_antagonist.report.document import Block, Document, Section, Table, Text
 from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND, TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig.limits import rest_pressure, rest_voltage
+from pam_antagonist.shown import number, percent
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance in the paper
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}

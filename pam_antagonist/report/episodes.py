@@ -18,7 +18,6 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Document,
     Finding,
@@ -30,8 +29,6 @@ from pam_antagonist.report.document import (
     Tiles,
     background,
     note,
-    number,
-    percent,
     warn,
 )
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, Line, Panel
@@ -51,6 +48,7 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, laws_of, value_path
 from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.shown import MISSING, number, percent
 from pam_antagonist.strict_json import picked
 
 T = TypeVar("T")

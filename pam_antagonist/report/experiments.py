@@ -14,23 +14,12 @@ from typing_extensions import override
 
 from pam_antagonist.design import Limits, Plan, standard_errors
 from pam_antagonist.recording import Recording
-from pam_antagonist.report.document import (
-    Block,
-    Document,
-    Findings,
-    Links,
-    Table,
-    Text,
-    background,
-    good,
-    number,
-    percent,
-    warn,
-)
+from pam_antagonist.report.document import Block, Document, Findings, Links, Table, Text, background, good, warn
 from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND, TIME, Axis, Figure, Line, Panel, Reference
 from pam_antagonist.report.replay_figures import seconds
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import number, percent
 from pam_antagonist.strict_json import write_json
 
 

@@ -15,7 +15,6 @@ from typing_extensions import override
 
 from pam_antagonist.inference.trend import FEWEST, Trend, significant, trend
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Document,
     Finding,
@@ -26,13 +25,13 @@ from pam_antagonist.report.document import (
     background,
     good,
     note,
-    number,
     warn,
 )
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel, Points, Reference
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.logbook import Entry, Logbook
+from pam_antagonist.shown import MISSING, number
 from pam_antagonist.software import versions
 
 _LOSS = 0.8

@@ -17,7 +17,6 @@ from pam_antagonist.identification.result import FromPressures, Held, Step
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
 from pam_antagonist.replays.channels import CHANNELS
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Comparison,
     Document,
@@ -29,8 +28,6 @@ from pam_antagonist.report.document import (
     Tiles,
     background,
     in_first_lines,
-    number,
-    percent,
     sentence,
 )
 from pam_antagonist.report.figure import FAINT, MODEL, Axis, Figure, Panel, Points
@@ -40,6 +37,7 @@ from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.units import readable, unit_of
+from pam_antagonist.shown import MISSING, number, percent
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,23 +18,12 @@ from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import (
-    MISSING,
-    Document,
-    Finding,
-    Findings,
-    Table,
-    Text,
-    background,
-    note,
-    number,
-    percent,
-    warn,
-)
+from pam_antagonist.report.document import Document, Finding, Findings, Table, Text, background, note, warn
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.units import readable, unit_of
 from pam_antagonist.rig.write import write_rig, write_unread
+from pam_antagonist.shown import MISSING, number, percent
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""

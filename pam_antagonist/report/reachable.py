@@ -13,10 +13,11 @@ from typing_extensions import override
 from pam_antagonist.control.laws import Reachable
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
-from pam_antagonist.report.document import Block, Document, Table, Text, background, number
+from pam_antagonist.report.document import Block, Document, Table, Text, background
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import number
 
 _POINTS = 121
 _TABLE_STEP = 5.0  # between two rows of the table [°]

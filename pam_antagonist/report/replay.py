@@ -14,7 +14,6 @@ from pam_antagonist.replays.channels import CHANNELS, Judged, joined, joint_text
 from pam_antagonist.replays.live import ENDED, LiveComparison
 from pam_antagonist.replays.result import Replay, ReplayReport, columns, numbers, write_estimate
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Columns,
     Comparison,
@@ -30,8 +29,6 @@ from pam_antagonist.report.document import (
     good,
     in_first_lines,
     note,
-    number,
-    percent,
     sentence,
     warn,
 )
@@ -39,6 +36,7 @@ from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.assumption import assumption
+from pam_antagonist.shown import MISSING, number, percent
 
 
 @dataclass(frozen=True, eq=False, repr=False)

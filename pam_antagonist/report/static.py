@@ -12,35 +12,12 @@ from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
-from pam_antagonist.report.document import (
-    MISSING,
-    Block,
-    Document,
-    Findings,
-    Table,
-    Text,
-    background,
-    note,
-    number,
-    sentence,
-    warn,
-)
-from pam_antagonist.report.figure import (
-    BAND,
-    ESTIMATE,
-    MEASURED,
-    Axis,
-    Band,
-    Figure,
-    Line,
-    Panel,
-    Points,
-    Reference,
-    Series,
-)
+from pam_antagonist.report.document import Block, Document, Findings, Table, Text, background, note, sentence, warn
+from pam_antagonist.report.figure import BAND, ESTIMATE, MEASURED, Axis, Band, Figure, Line, Panel, Points, Reference
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.units import readable
 from pam_antagonist.rig.write import write_rig
+from pam_antagonist.shown import MISSING, number
 
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
 """Colours from the shortest to the longest length; lighter is longer, also without colour vision."""
@@ -200,7 +177,7 @@ def static_figures(result: StaticResult) -> list[Figure]:
 
 def force_figure(table: StaticTable, fit: StaticFit) -> Figure:
     """Force over pressure, a line for each length."""
-    parts: list[Series] = []
+    parts: list[Line | Points] = []
     grid = np.linspace(table.pressure.min(), table.pressure.max(), _POINTS)
     for group in range(table.lengths):
         inside, color = table.group == group, _color(group, table.lengths)
@@ -225,19 +202,18 @@ def force_figure(table: StaticTable, fit: StaticFit) -> Figure:
 def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> Figure:
     """Volume over length with the fitted parabola and its 95 % interval; marks the range of a fitted rig's lengths."""
     low, high = float(table.length.min()), float(table.length.max())
-    edges: list[Reference] = []
+    edges: tuple[Reference, ...] = ()
     if result.fitted is not None:
         span = reach(result.fitted)
         low, high = min(low, span.shortest), max(high, span.longest)
-        edges = [Reference(edge * 1e3, vertical=True) for edge in (span.shortest, span.longest)]
+        edges = Reference(span.shortest * 1e3, vertical=True), Reference(span.longest * 1e3, vertical=True)
     grid = np.linspace(low, high, _POINTS)
     volume, half = fit.value(grid), fit.value_std(grid) * fit.reach95
-    parts: list[Series] = [*edges]
-    if np.all(np.isfinite(half)):
-        parts.append(Band("95 % interval", grid * 1e3, (volume - half) * 1e6, (volume + half) * 1e6, BAND))
-    parts.append(Line("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, width=1.8))
-    parts.append(Points("measured", table.length * 1e3, table.value * 1e6, MEASURED, 7.0))
-    panel = Panel(Axis("Length [mm]"), Axis("Volume [cm³]"), tuple(parts), 262)
+    band = Band("95 % interval", grid * 1e3, (volume - half) * 1e6, (volume + half) * 1e6, BAND)
+    fitted = Line("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, width=1.8)
+    measured = Points("measured", table.length * 1e3, table.value * 1e6, MEASURED, 7.0)
+    series = (*edges, *((band,) if np.all(np.isfinite(half)) else ()), fitted, measured)
+    panel = Panel(Axis("Length [mm]"), Axis("Volume [cm³]"), series, 262)
     about = "Equation (3)." + (" Dashed: the lengths between which the rig's joint takes its muscles." if edges else "")
     return Figure("Volume over length", about, (panel,), "volume")
 
