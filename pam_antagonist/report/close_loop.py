@@ -33,7 +33,6 @@ from pam_antagonist.report.document import (
     in_first_lines,
     note,
     warn,
-    words,
 )
 from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import DataFrame, Result, frame_of
@@ -112,8 +111,8 @@ class DiagnoseResult(ClosedLoop, Result):
         if unseen and not few:
             parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
         parts.append(Section("What was assumed", (Definitions(said.assumed(self)),), folded=True))
-        meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if self.driven else {})
-        parts += background(tuple(meanings.items()), _provenance(self))
+        driven = ("close_loop of a driven joint",) if self.driven else ()
+        parts += background("close_loop", _provenance(self), *driven)
         return Document("Closing the loop with measured data", title, tuple(parts))
 
     def to_dataframe(self) -> DataFrame:

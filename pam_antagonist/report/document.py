@@ -223,16 +223,15 @@ class Document:
     footer: str = field(default_factory=_software)
 
 
-def words(page: str) -> tuple[tuple[str, str], ...]:
-    """What the words of a page mean, from ``templates/words.yaml``."""
-    text = (Path(__file__).parent / "templates" / "words.yaml").read_text(encoding="utf-8")
-    return tuple(yaml.safe_load(text)[page].items())
+def words(*pages: str) -> tuple[tuple[str, str], ...]:
+    """What the words of a page mean, from ``templates/words.yaml``; of several, what the last one says."""
+    known = yaml.safe_load((Path(__file__).parent / "templates" / "words.yaml").read_text(encoding="utf-8"))
+    return tuple({word: meaning for page in pages for word, meaning in known[page].items()}.items())
 
 
-def background(meaning: str | Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]) -> tuple[Section, ...]:
-    """The two folded sections at the end of every report; the words are those of a page, or given themselves."""
-    known = words(meaning) if isinstance(meaning, str) else tuple(meaning)
+def background(page: str, provenance: Sequence[tuple[str, str]], *further: str) -> tuple[Section, ...]:
+    """The two folded sections at the end of every report, with the words of a page, and of further ones."""
     return (
-        Section("What the words mean", (Definitions(known),), folded=True),
+        Section("What the words mean", (Definitions(words(page, *further)),), folded=True),
         Section("How this report was made", (Table(("What", "Which"), tuple(provenance), prose=True),), folded=True),
     )

@@ -17,6 +17,7 @@ from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
+from pam_antagonist.replays.channels import joined
 from pam_antagonist.report.document import (
     Block,
     Document,
@@ -86,10 +87,9 @@ def verdict(diagnosis: EpisodeDiagnosis) -> str:
     words = [in_words(effect) for effect in diagnosis.effects if not effect.startswith(LEARNED)]
     if count := len(diagnosis.effects) - len(words):
         words.append(in_words(diagnosis.effects[-1]) if count == 1 else f"what {count} learned laws add")
-    listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
     change = "falls" if diagnosis.rows[-1].forecast.value < diagnosis.rows[0].forecast.value else "changes"
     return (
-        f"What the model lacks is {listed}. The error on later episodes {change} from {given}° as configured to "
+        f"What the model lacks is {joined(words)}. The error on later episodes {change} from {given}° as configured to "
         f"{after}°; of a model without that, fitted to the same episodes, it is {before}°."
     )
 

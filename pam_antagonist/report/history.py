@@ -258,7 +258,7 @@ class HistoryResult(Result):
                 blocks.append(Section("Other values", drawn[count:], folded=True))
         blocks += [
             Section("Log book", (self._log(),), level=2, anchor="log", brief=True),
-            *background(_WORDS, [("Rig", self.rig.name)]),
+            *background("history", [("Rig", self.rig.name)]),
         ]
         return Document("Log book", self.rig.name, tuple(blocks))
 
@@ -283,18 +283,6 @@ class HistoryResult(Result):
         unit = f"[{course.unit}]" if course.unit else ""
         panel = Panel(Axis(f"Days since {self.date(0.0)}"), Axis(unit), tuple(series), 240)
         return Figure(course.name, course.words + "." if course.changed else "", (panel,))
-
-
-_WORDS = (
-    ("force of muscle", "What half of the supply's pressure adds to its contraction force at angle 0, against the "
-     "atmosphere's."),
-    ("spread", "Recordings of one joint differ by more than the standard errors of their values: temperature, muscles "
-     "that settle. This is the standard deviation of that difference."),
-    ("a trend", "A line through the values whose slope is not 0, with the spread and the errors counted, and with all "
-     "values that were tested: at most one joint in twenty without any change gets one."),
-    ("limit", "80 % of a muscle's first force, or what --limit says."),
-    ("date", "The middle of the recordings. Without a calendar in their stamps, the time at which the command ran."),
-)  # fmt: skip
 
 
 def values_of(entries: Sequence[Entry]) -> set[str]:
