@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.api.identify import EpisodesIdentifyResult, IdentifyResult
+from pam_antagonist.api.diagnose import EpisodesIdentifyResult, IdentifyResult
 from pam_antagonist.api.replay import CheckResult
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures

@@ -175,7 +175,7 @@ class GuessedCommission(Commission):
 
     @override
     def _identify(self) -> dict[str, Any]:
-        from pam_antagonist.api.identify import IdentifyResult, identify
+        from pam_antagonist.api.diagnose import IdentifyResult, identify
         from pam_antagonist.identification.from_pressures import FromPressures
 
         result = identify([*self._bags().values()], self._rig, seed=self._arguments.seed)

@@ -36,7 +36,7 @@ from pam_antagonist.rig.limits import steady_voltage
 from pam_antagonist.shown import widened
 
 if TYPE_CHECKING:
-    from pam_antagonist.api.identify import IdentifyResult
+    from pam_antagonist.api.diagnose import IdentifyResult
 
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
@@ -223,7 +223,7 @@ class Commission:
         return {"said": f"recorded {plan.duration:.0f} s", **self._recorded(joint, plan)}
 
     def _identify(self) -> dict[str, Any]:
-        from pam_antagonist.api.identify import EpisodesIdentifyResult, identify
+        from pam_antagonist.api.diagnose import EpisodesIdentifyResult, identify
 
         try:
             result = identify([*self._bags().values()], self._rig, seed=self._arguments.seed)

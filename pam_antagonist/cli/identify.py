@@ -56,8 +56,7 @@ def parser() -> common.Parser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api.diagnose import are_episodes
-    from pam_antagonist.api.identify import IdentifyResult, identify
+    from pam_antagonist.api.diagnose import IdentifyResult, are_episodes, identify
     from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.report import terminal
     from pam_antagonist.report.document import Findings, warn

@@ -75,7 +75,7 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
         commission_steps, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97})
     )
     monkeypatch.setattr(
-        "pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=(), rejected="")
+        "pam_antagonist.api.diagnose.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=(), rejected="")
     )
     monkeypatch.setattr("pam_antagonist.api.diagnose.diagnose", diagnose)
     return out
@@ -115,7 +115,7 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(stopped, monkeypat
         return found
 
     explained = diagnose.diagnose
-    monkeypatch.setattr("pam_antagonist.api.identify.identify", refuse)
+    monkeypatch.setattr("pam_antagonist.api.diagnose.identify", refuse)
     monkeypatch.setattr(diagnose, "diagnose", judged)
     stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "found"), 1))
     words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
