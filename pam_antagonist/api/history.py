@@ -83,7 +83,7 @@ def log(
     rig: Rig,
     result: object,
     written: Path | None = None,
-) -> Path | None:
+) -> None:
     """Write what a command found into the log book of its rig.
 
     The rig file that came out of it gets a log book too, which begins with the entries of the rig it came from. So the
@@ -97,15 +97,11 @@ def log(
         result: the result.
         written: the rig file that came out of it.
 
-    Returns:
-        The log book to name to the user; None where there is none (a rig of the package, and no new file).
-
     Raises:
         BadInput: it cannot be written.
     """
     books = [book for book in (book_of(rig_file), None if written is None else book_of(written)) if book is not None]
     append(books, entry(command, recordings, rig, result), book_of(rig_file))
-    return books[0] if books else None
 
 
 def entry(command: str, recordings: Sequence[Recording], rig: Rig, result: object) -> Entry:

@@ -48,6 +48,7 @@ _SAMPLES = 0.4
 _WIDEST = 1.5
 """Standard deviations of the priors at most: beyond, a ruler was read wrongly."""
 _TRIES = 200
+_WIDER = "; let the air out, and give wider limits if the rig allows it (--max-angle, --max-pressure)"
 _HOLD_S, _LAST_S = 5.0, 1.0
 """[s] Of each step, and of its end, where the joint should rest."""
 _INTEGRALS = (3.0, 1.0, 0.3)
@@ -122,14 +123,7 @@ class GuessedCommission(Commission):
         """Drive the joint by a program, from muscles without air on."""
         least, command = vented(self._rig)
         plan = Plan(np.empty((0, 2)), self._rig.sample_period, "free", 0.0, self._limits, least, command)
-        bag, _, ended = self._driven(name, plan, program)
-        if ended:
-            raise StepFailed(
-                f"{name}: the experiment ended early, {ended}; let the air out, and give wider limits if the rig "
-                "allows it (--max-angle, --max-pressure)"
-            )
-        seconds = read_bag(bag, judge=False).duration_s
-        return {"bag": str(bag.relative_to(self._out)), "rig_s": seconds}
+        return self._recorded(name, plan, program, _WIDER)
 
     def _towards(self) -> Towards:
         p, (low, high) = self._rig.parameters(), self._rig.command_limits

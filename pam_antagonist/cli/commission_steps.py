@@ -168,12 +168,15 @@ class Commission:
         self._at(name, "driving the joint", plan.duration if program is None else program.seconds)
         return drive(self._owner, plan, folder, self._rig, program)
 
-    def _recorded(self, name: str, plan: Plan) -> dict[str, Any]:
-        """Drive a plan, to its end."""
-        driven = self._driven(name, plan)
+    def _recorded(
+        self, name: str, plan: Plan, program: Program | None = None, advice: str = f". {_BEYOND}"
+    ) -> dict[str, Any]:
+        """Drive a plan or a program, to its end; the advice is for one that ends early."""
+        driven = self._driven(name, plan, program)
         if driven.ended:
-            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}. {_BEYOND}")
-        return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
+            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}{advice}")
+        seconds = plan.duration if program is None else read_bag(driven.bag, judge=False).duration_s
+        return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": seconds}
 
     def _wiring(self) -> dict[str, Any]:
         self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
