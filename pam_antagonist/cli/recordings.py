@@ -45,8 +45,7 @@ def begun(arguments: argparse.Namespace, parts: Sequence[str]) -> Rig:
     from pam_antagonist.cli.first_start import compile_first
     from pam_antagonist.rig import load_rig
 
-    common.check_output(arguments.out)
-    common.only_available_figures(arguments)
+    check_page(arguments)
     common.lock_angle(arguments)
     rig = load_rig(arguments.rig, regulators=True)
     compile_first(parts, rig)

@@ -91,13 +91,8 @@ class Course:
         """What has changed, in a sentence without its end."""
         change, std = self.change
         level = self.line.at(self.days[:1])[0][0] if self.line else math.nan
-        verb = (
-            "has grown by"
-            if (change > 0.0) is (level >= 0.0)
-            else "has lost"
-            if FORCE in self.name
-            else "has fallen by"
-        )
+        grown = (change > 0.0) is (level >= 0.0)
+        verb = "has grown by" if grown else "has lost" if FORCE in self.name else "has fallen by"
         name = self.name.replace(FORCE, "muscle") if verb == "has lost" else self.name
         if level and abs(change / level) < 2.0:
             size = f"{100.0 * abs(change / level):.2g} ± {100.0 * std / abs(level):.1g} %"

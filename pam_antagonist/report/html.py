@@ -91,7 +91,7 @@ def _environment() -> Environment:
         undefined=StrictUndefined,
     )
     environment.filters |= {
-        "unbroken": _unbroken, "kind": lambda block: type(block).__name__, "json": _json, "packed": _packed,
+        "unbroken": _unbroken, "kind": lambda block: type(block).__name__, "packed": _packed,
         "plotly": _figure,
     }  # fmt: skip
     environment.globals["next"] = next
@@ -102,11 +102,6 @@ def _unbroken(text: str) -> str:
     """Forbid line breaks between a number and its unit, in units and options; allow them in checksums."""
     shown = _CHECKSUM.sub(lambda found: "<wbr>".join(re.findall(".{8}", found[0])), escape(with_unit(text)))
     return do_mark_safe(_OPTION.sub(r'<span class="option">\g<0></span>', shown))
-
-
-def _json(value: Any) -> str:
-    """JSON for a script element, with ``<`` escaped because ``</script>`` in a string would end the element."""
-    return strict_json.dumps(value, indent=None).replace("<", "\\u003c")
 
 
 def _library() -> str:
