@@ -29,9 +29,9 @@ from pam_antagonist.report.document import (
     Text,
     Tile,
     Tiles,
-    background,
     in_first_lines,
     note,
+    page,
     warn,
 )
 from pam_antagonist.report.identify import held_out_figures
@@ -40,6 +40,7 @@ from pam_antagonist.rig.assumption import assumption
 from pam_antagonist.rig.units import readable
 from pam_antagonist.shown import MISSING, number, percent
 
+_KICKER = "Closing the loop with measured data"
 _FEW_WORDS = 300
 """Longest list of what the recordings cannot show [characters] that is among the findings."""
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
@@ -85,8 +86,6 @@ class DiagnoseResult(ClosedLoop, Result):
         unseen = tuple(map(note, self.unseen))
         few = unseen if sum(map(len, self.unseen)) <= _FEW_WORDS else ()
         parts: list[Block] = [
-            Text(lede, "lede"),
-            Text(self.sentence, "verdict"),
             Tiles(_tiles(self)),
             Findings((*said.calibration_findings(self), *said.findings(self), *few, *map(note, self.next_steps))),
             *(() if first is None else (first,)),
@@ -111,9 +110,8 @@ class DiagnoseResult(ClosedLoop, Result):
         if unseen and not few:
             parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
         parts.append(Section("What was assumed", (Definitions(said.assumed(self)),), folded=True))
-        driven = ("close_loop of a driven joint",) if self.driven else ()
-        parts += background("close_loop", _provenance(self), *driven)
-        return Document("Closing the loop with measured data", title, tuple(parts))
+        words_of = "close_loop of a driven joint" if self.driven else "close_loop"
+        return page(_KICKER, title, parts, words_of, _provenance(self), lede, self.sentence)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter of each detected effect (needs pandas)."""
@@ -347,11 +345,11 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         tiles = Tiles((Tile("Error of the angle, held out", now, was),))
         held = (found.extended or found.recalibrated).held if figures else ()
         drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
-        ends = background("close_loop of trials", [("Rig", rig), *(("Recording", text) for text in self.hashes)])
-        first = Text(f"Rig {rig}: which effect its model lacks.", "lede"), Text(self.sentence, "verdict"), tiles
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
-        blocks: tuple[Block, ...] = (*first, Findings(tuple(items)), *tables, *drawn, *ends)
-        return Document("Closing the loop with measured data", title, blocks)
+        made = [("Rig", rig), *(("Recording", text) for text in self.hashes)]
+        blocks = (tiles, Findings(tuple(items)), *tables, *drawn)
+        lede = f"Rig {rig}: which effect its model lacks."
+        return page(_KICKER, title, blocks, "close_loop of trials", made, lede, self.sentence)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter of each detected effect (needs pandas)."""

@@ -223,15 +223,21 @@ class Document:
     footer: str = field(default_factory=_software)
 
 
-def words(*pages: str) -> tuple[tuple[str, str], ...]:
-    """What the words of a page mean, from ``templates/words.yaml``; of several, what the last one says."""
-    known = yaml.safe_load((Path(__file__).parent / "templates" / "words.yaml").read_text(encoding="utf-8"))
-    return tuple({word: meaning for page in pages for word, meaning in known[page].items()}.items())
+def words(page: str) -> tuple[tuple[str, str], ...]:
+    """What the words of a page mean, from ``templates/words.yaml``."""
+    text = (Path(__file__).parent / "templates" / "words.yaml").read_text(encoding="utf-8")
+    return tuple(yaml.safe_load(text)[page].items())
 
 
-def background(page: str, provenance: Sequence[tuple[str, str]], *further: str) -> tuple[Section, ...]:
-    """The two folded sections at the end of every report, with the words of a page, and of further ones."""
-    return (
-        Section("What the words mean", (Definitions(words(page, *further)),), folded=True),
-        Section("How this report was made", (Table(("What", "Which"), tuple(provenance), prose=True),), folded=True),
+def page(
+    kicker: str, title: str, blocks: Sequence[Block], words_of: str, provenance: Sequence[tuple[str, str]],
+    lede: str = "", verdict: str = "",
+) -> Document:  # fmt: skip
+    """A report: its first sentences, blocks, and two folded sections. `words_of`: page of ``templates/words.yaml``."""
+    first = (Text(lede, "lede"), Text(verdict, "verdict"))
+    made = Table(("What", "Which"), tuple(provenance), prose=True)
+    last = (
+        Section("What the words mean", (Definitions(words(words_of)),), folded=True),
+        Section("How this report was made", (made,), folded=True),
     )
+    return Document(kicker, title, (*(text for text in first if text.text), *blocks, *last))

@@ -18,22 +18,10 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
 from pam_antagonist.replays.channels import joined
-from pam_antagonist.report.document import (
-    Block,
-    Document,
-    Finding,
-    Findings,
-    Section,
-    Table,
-    Text,
-    Tile,
-    Tiles,
-    background,
-    note,
-    warn,
-)
+from pam_antagonist.report.document import Document, Finding, Findings, Section, Table, Tile, Tiles, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.identify_episodes import (
+    ABOUT,
     BY_SIGNAL,
     about_episodes,
     interval,
@@ -385,15 +373,14 @@ class EpisodesDiagnoseResult(Result):
             "Forecasts within the fitted episodes, by which the share was chosen",
         )
         drawn = (*law_figures(found, self.rig_extended), figure(found, joint.rig)) if figures else ()
-        recordings = [(f"Recording {k}", value) for k, value in enumerate(self.hashes, 1)]
-        blocks: tuple[Block, ...] = (
-            Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
-            Text(verdict(found), "verdict"), tiles, Findings(findings(found, joint)), errors_table(found),
-            values_table(found, joint.rig), Section("All candidates", (tried_table(found),), 2, "candidates"),
+        made = [("Rig", joint.rig.name), *((f"Recording {k}", value) for k, value in enumerate(self.hashes, 1))]
+        blocks = (
+            tiles, Findings(findings(found, joint)), errors_table(found), values_table(found, joint.rig),
+            Section("All candidates", (tried_table(found),), 2, "candidates"),
             Section("Over the recording", (drift_table(found, joint.rig), *drawn, forecasts), 2, "drift"),
-            *background("close_loop of episodes", [("Rig", joint.rig.name), *recordings]),
         )  # fmt: skip
-        return Document("What the model of a joint lacks", joint.name, blocks)
+        kicker, words_of = "What the model of a joint lacks", "close_loop of episodes"
+        return page(kicker, joint.name, blocks, words_of, made, ABOUT, verdict(found))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each number of the extended model: its value and 95 % interval by episode (needs pandas)."""

@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from pam_antagonist.design import Limits, Plan, standard_errors
 from pam_antagonist.recording import Recording
-from pam_antagonist.report.document import Block, Document, Findings, Links, Table, Text, background, good, warn
+from pam_antagonist.report.document import Block, Document, Findings, Links, Table, Text, good, page, warn
 from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND, TIME, Axis, Figure, Line, Panel, Reference
 from pam_antagonist.report.replay_figures import seconds
 from pam_antagonist.report.result import Result
@@ -120,7 +120,7 @@ class CommissionResult(Result):
         steps = self.to_json()["steps"]
         found = tuple((good if step["done"] else warn)(f"{step['name']}: {step['said']}") for step in steps)
         rows = tuple((step["name"], f"{step['seconds']:.0f}", f"{step['rig_seconds']:.0f}") for step in steps)
-        blocks: list[Block] = [Text(self._lede(), "lede"), Findings(found)]
+        blocks: list[Block] = [Findings(found)]
         if self.next_line and not self.left and all(step["done"] for step in steps):
             blocks.append(Text(f"Next, type: {self.next_line}"))
         pages = tuple(
@@ -131,8 +131,8 @@ class CommissionResult(Result):
         blocks.append(Table(("step", "took [s]", "rig time [s]"), rows, "How long each step took"))
         if figures:
             blocks += [self._figure(name, recording) for name, recording in self.driven.items()]
-        ends = background("commission", [("Rig", self.rig), ("Command", self.command)])
-        return Document("Commissioning", self.rig, (*blocks, *ends))
+        made = [("Rig", self.rig), ("Command", self.command)]
+        return page("Commissioning", self.rig, blocks, "commission", made, self._lede())
 
     def _lede(self) -> str:
         """What failed, else what is left, else that all is done."""

@@ -14,19 +14,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.inference.trend import FEWEST, Trend, significant, trend
-from pam_antagonist.report.document import (
-    Block,
-    Document,
-    Finding,
-    Findings,
-    Section,
-    Table,
-    Text,
-    background,
-    good,
-    note,
-    warn,
-)
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Section, Table, good, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel, Points, Reference
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
@@ -242,7 +230,7 @@ class HistoryResult(Result):
         lede = f"{len(self.book.entries)} entries from {span}. " + (
             f"{len(changed)} of {len(self.courses)} values change over time." if changed else "Nothing has changed."
         )
-        blocks: list[Block] = [Text(lede, "lede"), Findings(self.findings())]
+        blocks: list[Block] = [Findings(self.findings())]
         if self.courses:
             blocks.append(self.values_table())
         if figures and self.courses:
@@ -251,11 +239,8 @@ class HistoryResult(Result):
             blocks.append(Section("Over time", drawn[:count], level=2, anchor="time"))
             if drawn[count:]:
                 blocks.append(Section("Other values", drawn[count:], folded=True))
-        blocks += [
-            Section("Log book", (self._log(),), level=2, anchor="log", brief=True),
-            *background("history", [("Rig", self.rig.name)]),
-        ]
-        return Document("Log book", self.rig.name, tuple(blocks))
+        blocks.append(Section("Log book", (self._log(),), level=2, anchor="log", brief=True))
+        return page("Log book", self.rig.name, blocks, "history", [("Rig", self.rig.name)], lede)
 
     def _figure(self, course: Course) -> Figure:
         x, y, half = course.days, course.value, 1.96 * course.std

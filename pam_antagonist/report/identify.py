@@ -26,8 +26,8 @@ from pam_antagonist.report.document import (
     Text,
     Tile,
     Tiles,
-    background,
     in_first_lines,
+    page,
     sentence,
 )
 from pam_antagonist.report.figure import FAINT, MODEL, Axis, Figure, Panel, Points
@@ -65,8 +65,6 @@ class IdentifyResult(Identified, Result):
             title = "Identification of a sealed muscle joint"
             lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
         parts: list[Block] = [
-            Text(lede, "lede"),
-            Text(verdict(self), "verdict"),
             Tiles(_tiles(self)),
             Findings(findings(self)),
             *in_first_lines(assumption(self.found.start, identified=True)),
@@ -75,9 +73,8 @@ class IdentifyResult(Identified, Result):
             _parameters(self, figures),
             *_between(self),
             *(_of_sealed(self.found) if isinstance(self.found, SealedIdentified) else _steps(self.found)),
-            *background("identify", _provenance(self)),
         ]
-        return Document(title, f"Rig {self.found.start.name}", tuple(parts))
+        return page(title, f"Rig {self.found.start.name}", parts, "identify", _provenance(self), lede, verdict(self))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each identified parameter: start value, identified value, standard error (needs pandas)."""

@@ -18,7 +18,7 @@ from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import Document, Finding, Findings, Table, Text, background, note, warn
+from pam_antagonist.report.document import Document, Finding, Findings, Table, note, page, warn
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.units import readable, unit_of
@@ -27,6 +27,7 @@ from pam_antagonist.shown import MISSING, number, percent
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""
+ABOUT = "A joint driven by pressure regulators, in many short recordings."
 BY_SIGNAL = {
     "friction_by_signal": "friction that grows with",
     "load_by_signal": "a torque that depends on",
@@ -205,13 +206,12 @@ class EpisodesIdentifyResult(Result):
         else:
             remarks += map(note, regulators_sentences(found.regulators))
         tables = () if found.regulators is None else (regulators_table(found.regulators, found.rig),)
-        blocks = (
-            Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
-            Text(do_not_use(self.rejected) if self.rejected else said, "verdict"),
-            Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables,
-            *background("identify of episodes", [("Rig", found.start.name), ("Recording", self.hashes[0])]),
+        blocks = Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables
+        return page(
+            "Identified joint", self.joint.name, blocks, "identify of episodes",
+            [("Rig", found.start.name), ("Recording", self.hashes[0])], ABOUT,
+            do_not_use(self.rejected) if self.rejected else said,
         )  # fmt: skip
-        return Document("Identified joint", self.joint.name, blocks)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each identified value: the value and its 95 % interval by episode (needs pandas)."""

@@ -25,10 +25,10 @@ from pam_antagonist.report.document import (
     Text,
     Tile,
     Tiles,
-    background,
     good,
     in_first_lines,
     note,
+    page,
     sentence,
     warn,
 )
@@ -104,8 +104,6 @@ def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
     # The first figure comes before all tables, so that it is on the first screen.
     first, shown[0] = shown[0][:1], shown[0][1:]
     parts: list[Block] = [
-        Text(lede, "lede"),
-        Text(verdict(reports), "verdict"),
         *(replace(one, title=f"{replays[0].name}: {one.title}") if several else one for one in first),
         *in_first_lines(assumption(replays[0].rig, replays[0].tuning)),
         *((overview(reports),) if several else ()),
@@ -116,9 +114,8 @@ def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
             above = " Its first figure is at the top of the page." if first and place == 1 else ""
             own = (Section(replay.name, (Text(verdict([replay.report]) + above), *own), 2, f"r{place}"),)
         parts += own
-    parts += background("replay", _provenance(replays))
-    title = f"{len(reports)} recordings" if several else replays[0].name
-    return Document("Replay of a pneumatic muscle joint", title, tuple(parts))
+    kicker, title = "Replay of a pneumatic muscle joint", f"{len(reports)} recordings" if several else replays[0].name
+    return page(kicker, title, parts, "replay", _provenance(replays), lede, verdict(reports))
 
 
 def _recording(replay: Replay, figures: Sequence[Figure], with_figures: bool) -> tuple[Block, ...]:

@@ -12,7 +12,7 @@ from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
-from pam_antagonist.report.document import Block, Document, Findings, Table, Text, background, note, sentence, warn
+from pam_antagonist.report.document import Block, Document, Findings, Table, Text, note, page, sentence, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, MEASURED, Axis, Band, Figure, Line, Panel, Points, Reference
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.units import readable
@@ -58,10 +58,7 @@ class StaticResult(StaticFits, Result):
             )
             findings.append(note(text))
         drawn = static_figures(self) if figures else ()
-        parts: list[Block] = [
-            Text(lede, "lede"), Text(verdict(self), "verdict"), *drawn[:1],
-            Findings(tuple(findings)), coefficients_table(self),
-        ]  # fmt: skip
+        parts: list[Block] = [*drawn[:1], Findings(tuple(findings)), coefficients_table(self)]
         if self.force_map is not None:
             parts += [forms_table(self), lengths_table(self.forms)]
             parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in self.forms.items()
@@ -70,8 +67,8 @@ class StaticResult(StaticFits, Result):
                 if isinstance(fit, StaticFit) and name != self.form:
                     parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
         parts += drawn[1:]
-        parts += background("static", _provenance(self))
-        return Document("Static data of a pneumatic muscle", names, tuple(parts))
+        kicker = "Static data of a pneumatic muscle"
+        return page(kicker, names, parts, "static", _provenance(self), lede, verdict(self))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each coefficient: value, standard deviation and unit (needs pandas)."""

@@ -14,19 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pam_antagonist.report import html
-from pam_antagonist.report.document import (
-    Comparison,
-    Definitions,
-    Finding,
-    Findings,
-    Section,
-    Table,
-    Text,
-    number,
-    percent,
-)
+from pam_antagonist.report.document import Comparison, Definitions, Finding, Findings, Section, Table, Text
 from pam_antagonist.report.replay_figures import shares
 from pam_antagonist.report.terminal import WIDTH, render
+from pam_antagonist.shown import number, percent
 from pam_antagonist.strict_json import dumps, plain, write_json
 
 
