@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from pam_antagonist.report import html
 from pam_antagonist.report.document import Comparison, Definitions, Finding, Findings, Section, Table, Text
-from pam_antagonist.report.replay_figures import shares
 from pam_antagonist.report.terminal import WIDTH, render
 from pam_antagonist.shown import number, percent
 from pam_antagonist.strict_json import dumps, plain, write_json
@@ -149,12 +148,6 @@ def test_a_thinned_band_covers_all_of_the_full_one(values: list[float]) -> None:
         if np.isfinite(lower[k]):
             assert low[k // width] <= lower[k]
             assert high[k // width] >= upper[k]
-
-
-def test_shares_of_a_category() -> None:
-    middle, share = shares(np.array([0, 0, 1, 2, 2, 2]), 4, 2)
-    assert list(middle) == [1, 4]
-    assert share.tolist() == [[2 / 3, 0.0], [1 / 3, 0.0], [0.0, 1.0], [0.0, 0.0]]
 
 
 def test_a_pause_starts_a_new_stretch() -> None:
