@@ -347,7 +347,7 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
         made = [("Rig", rig), *(("Recording", text) for text in self.hashes)]
-        blocks = (tiles, Findings(tuple(items)), *tables, *drawn)
+        blocks: list[Block] = [tiles, Findings(tuple(items)), *tables, *drawn]
         lede = f"Rig {rig}: which effect its model lacks."
         return page(_KICKER, title, blocks, "close_loop of trials", made, lede, self.sentence)
 

@@ -206,10 +206,10 @@ class EpisodesIdentifyResult(Result):
         else:
             remarks += map(note, regulators_sentences(found.regulators))
         tables = () if found.regulators is None else (regulators_table(found.regulators, found.rig),)
-        blocks = Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables
         return page(
-            "Identified joint", self.joint.name, blocks, "identify of episodes",
-            [("Rig", found.start.name), ("Recording", self.hashes[0])], ABOUT,
+            "Identified joint", self.joint.name,
+            (Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables),
+            "identify of episodes", [("Rig", found.start.name), ("Recording", self.hashes[0])], ABOUT,
             do_not_use(self.rejected) if self.rejected else said,
         )  # fmt: skip
 

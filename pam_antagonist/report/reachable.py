@@ -63,8 +63,10 @@ class ReachableResult(Result):
     @override
     def document(self, figures: bool = True) -> Document:
         drawn = _figures(self) if figures else ()
-        blocks, made = (*drawn, table(self), *_yielding(self)), [("Rig", self.rig.name)]
-        return page("What a joint can reach", self.rig.name, blocks, "reachable", made, verdict=_lede(self))
+        return page(
+            "What a joint can reach", self.rig.name, (*drawn, table(self), *_yielding(self)), "reachable",
+            [("Rig", self.rig.name)], verdict=_lede(self),
+        )  # fmt: skip
 
 
 def table(result: ReachableResult) -> Table:
