@@ -64,13 +64,14 @@ class IdentifyResult(Identified, Result):
         if isinstance(self.found, SealedIdentified):
             title = "Identification of a sealed muscle joint"
             lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
+        drawn = (parameters_figure(self.parameters),) if figures else ()
         parts: list[Block] = [
             Tiles(_tiles(self)),
             Findings(findings(self)),
             *in_first_lines(assumption(self.found.start, identified=True)),
             *_angles(self),
             _held_out(self, figures),
-            _parameters(self, figures),
+            Section("Parameters", (*drawn, parameters_table(self)), 2, "parameters", brief=True),
             *_between(self),
             *(_of_sealed(self.found) if isinstance(self.found, SealedIdentified) else _steps(self.found)),
         ]
@@ -152,11 +153,6 @@ def _rows(out: Comparison, name: str, unit: str, errors: Sequence[ChannelErrors]
         out.values(f"  {name} 𝕄 over range, ℚ", [item.ratio for item in errors], percent)
 
 
-def _parameters(result: Identified, with_figures: bool) -> Section:
-    drawn = (parameters_figure(result.parameters),) if with_figures else ()
-    return Section("Parameters", (*drawn, parameters_table(result, "All free parameters")), 2, "parameters", brief=True)
-
-
 def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
     """Change of each parameter with its 95 % interval, and the prior's interval."""
     items = [item for item in parameters if item.start]
@@ -178,7 +174,7 @@ def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
     return Figure("Parameters with 95 % intervals", about, (panel,), "parameters")
 
 
-def parameters_table(result: Identified, caption: str = "") -> Table:
+def parameters_table(result: Identified) -> Table:
     """Configured and identified value of each parameter."""
     rows = tuple(
         (
@@ -194,7 +190,7 @@ def parameters_table(result: Identified, caption: str = "") -> Table:
         for unit in [readable(item.unit)]
     )
     header = ("Parameter", "configured", "identified", "std error", "change", "± 95 %", "determined")
-    return Table(header, rows, caption)
+    return Table(header, rows, "All free parameters")
 
 
 def change(value: float) -> str:

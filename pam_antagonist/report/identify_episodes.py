@@ -122,11 +122,6 @@ def _errors(identified: EpisodesIdentified) -> Table:
     return Table(header, rows, about_episodes(*identified.counts))
 
 
-def _values(identified: EpisodesIdentified) -> Table:
-    rows = tuple(shown(identified.rig, name, value) for name, value in identified.values.items())
-    return Table(("Value", "95 % interval by episode", "Unit"), rows, "Identified values")
-
-
 def regulators_table(regulators: RegulatorsFound, rig: Rig) -> Table:
     """Identified values of both regulators."""
     rows = []
@@ -205,10 +200,12 @@ class EpisodesIdentifyResult(Result):
             remarks.append(note("No commands were recorded: the regulators stay as configured."))
         else:
             remarks += map(note, regulators_sentences(found.regulators))
+        rows = tuple(shown(found.rig, name, value) for name, value in found.values.items())
+        values = Table(("Value", "95 % interval by episode", "Unit"), rows, "Identified values")
         tables = () if found.regulators is None else (regulators_table(found.regulators, found.rig),)
         return page(
             "Identified joint", self.joint.name,
-            (Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables),
+            (Findings((*remarks, *units_findings(self.joint))), _errors(found), values, *tables),
             "identify of episodes", [("Rig", found.start.name), ("Recording", self.hashes[0])], ABOUT,
             do_not_use(self.rejected) if self.rejected else said,
         )  # fmt: skip
