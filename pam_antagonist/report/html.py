@@ -90,10 +90,10 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
         undefined=StrictUndefined,
     )
-    environment.filters |= {
-        "unbroken": _unbroken, "kind": lambda block: type(block).__name__, "packed": _packed,
-        "plotly": _figure,
-    }  # fmt: skip
+    environment.filters["unbroken"] = _unbroken
+    environment.filters["kind"] = lambda block: type(block).__name__
+    environment.filters["packed"] = _packed
+    environment.filters["plotly"] = _figure
     environment.globals["next"] = next
     return environment
 
