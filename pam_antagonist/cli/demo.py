@@ -162,7 +162,7 @@ def _judge(out: Path, rig: Rig, mode: Mode, law: str, stopped: str, arguments: a
     """Replay OUT/bag, print the tables, write OUT/report.html and OUT/report.json."""
     from pam_antagonist.recording import read_bag
     from pam_antagonist.replays import replay
-    from pam_antagonist.report import demo
+    from pam_antagonist.report.demo import Demo
 
     begin = time.perf_counter()
     recording = read_bag(out / "bag")
@@ -170,7 +170,7 @@ def _judge(out: Path, rig: Rig, mode: Mode, law: str, stopped: str, arguments: a
     joint, lock_angle = ("free", None) if mode.quantity is Mode.ANGLE else ("locked", 0.0)
     with counted(len(recording.stamp_ns), "replay") as advance:
         done = replay(recording, rig, arguments.tuning, joint, lock_angle, read_seconds, progress=advance)
-    judged = demo.Demo.of(done, mode, demo.Simulated(arguments.mismatch, arguments.seed), law, stopped)
+    judged = Demo.of(done, mode, arguments.mismatch, arguments.seed, law, stopped)
     print(f"\n{judged.summary()}\n")
     judged.write(out, figures=not arguments.no_figures)
     print(f"recording: {out / 'bag'}")
