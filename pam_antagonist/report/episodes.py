@@ -19,7 +19,7 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
 from pam_antagonist.replays.channels import joined
 from pam_antagonist.report.document import Document, Finding, Findings, Section, Table, Tile, Tiles, note, page, warn
-from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, Line, Panel
+from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.identify_episodes import (
     ABOUT,
     BY_SIGNAL,
@@ -245,15 +245,17 @@ def figure(diagnosis: EpisodeDiagnosis, rig: Rig) -> Figure:
     panels = [Panel(Axis(), Axis("RMSE [°]", from_zero=True), series)]
     for name, values in without_laws(diagnosis.drift.values).items():
         shown, factor = unit(rig, name)
-        value, low, high = factor * np.array(values).T
-        drawn = (
-            Band("95 % interval by episode", parts, low, high, BAND, len(panels) > 1),
-            Line("the number", parts, value, ESTIMATE, quiet=len(panels) > 1),
-        )
+        drawn = _with_interval("the number", parts, factor * np.array(values), quiet=len(panels) > 1)
         panels.append(Panel(Axis(), Axis(f"{value_name(rig, name)} [{shown}]", from_zero=True), drawn))
     panels[-1] = replace(panels[-1], x=Axis("Eighth of the recording"))
     about = "Errors and numbers of the extended model over the recording. What lies between the errors is drift."
     return Figure("Drift", about, tuple(panels))
+
+
+def _with_interval(name: str, x: FloatArray, rows: FloatArray, quiet: bool) -> tuple[Band, Line]:
+    """A curve (N,) over its interval: `rows` are values with their lower and upper ends (N, 3)."""
+    value, low, high = rows.T
+    return Band("95 % interval by episode", x, low, high, BAND, quiet), Line(name, x, value, ESTIMATE, quiet=quiet)
 
 
 def without_laws(values: Mapping[str, T]) -> dict[str, T]:
@@ -266,16 +268,10 @@ def law_figures(diagnosis: EpisodeDiagnosis, extended: Rig) -> tuple[Figure, ...
     panels: list[Panel] = []
     for k, law in laws_of(extended).items():
         rows = [diagnosis.values[value_path(k, node)] for node in range(1, len(law.nodes) + 1)]
-        shown, factor = _unit_of_law(extended, law)
-        value, low, high = factor * np.array(rows).T
-        nodes = np.array(law.nodes)
-        unit_shown = readable(law.argument_unit)
-        drawn = (
-            Band("95 % interval by episode", nodes * unit_shown.scale, low, high, BAND, bool(panels)),
-            Line("the law", nodes * unit_shown.scale, value, ESTIMATE, quiet=bool(panels)),
-        )
-        across = Axis(f"{law.on} [{unit_shown.name}]")
-        panels.append(Panel(across, Axis(f"{law.at} [{shown}]"), drawn))
+        (shown, factor), across = _unit_of_law(extended, law), readable(law.argument_unit)
+        x = np.array(law.nodes) * across.scale
+        drawn = _with_interval("the law", x, factor * np.array(rows), quiet=bool(panels))
+        panels.append(Panel(Axis(f"{law.on} [{across.name}]"), Axis(f"{law.at} [{shown}]"), drawn))
     about = (
         "Laws that were learned from the episodes: changes of the muscles' strength, of friction, damping or torque by "
         "what each depends on. They are constant outside of the range that is shown."
