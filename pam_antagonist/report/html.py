@@ -152,9 +152,7 @@ def plot(figure: Figure) -> Values:
                 axis = "x" if part.vertical else "y"
                 layout["shapes"].append(_shape("line", axis, part.value, part.value, suffix, line=dashed))
                 if part.label:
-                    height = math.log10(part.value) if panel.y.log else part.value
-                    label = _label(part.label, f"x{suffix} domain", "y" + suffix, height, part.color)
-                    layout["annotations"].append(label)
+                    layout["annotations"].append(_label(part, panel, suffix))
             else:
                 place = {"xaxis": "x" + suffix, "yaxis": "y" + suffix}
                 data.append({**_trace(part, panel), **place})
@@ -263,10 +261,15 @@ def _shape(kind: str, along: str, first: float, last: float, suffix: str, **look
     return {"type": kind, **ends, **whole, **look}
 
 
-def _label(text: str, xref: str, yref: str, y: float, color: str) -> Values:
-    """A text above a position at the right end of a panel."""
-    place = {"xref": xref, "yref": yref, "x": 1, "y": y, "xanchor": "right", "yanchor": "bottom"}
-    return {**place, "text": _text(text), "showarrow": False, "font": {"size": 11, "color": color}, "bgcolor": VEIL}
+def _label(part: Reference, panel: Panel, suffix: str) -> Values:
+    """The text of a line: at the right end above it, or at the upper end beside it."""
+    if part.vertical:
+        place: Values = {"xref": "x" + suffix, "x": part.value, "yref": f"y{suffix} domain", "y": 1, "yanchor": "top"}
+    else:
+        height = math.log10(part.value) if panel.y.log else part.value
+        place = {"xref": f"x{suffix} domain", "x": 1, "yref": "y" + suffix, "y": height, "yanchor": "bottom"}
+    look = {"font": {"size": 11, "color": part.color}, "bgcolor": VEIL, "xanchor": "right", "showarrow": False}
+    return {**place, **look, "text": _text(part.label)}
 
 
 def _text(text: str) -> str:

@@ -150,7 +150,7 @@ def test_every_kind_of_series_has_its_trace_or_shape() -> None:
         Points("points", x, x, "#000000", hollow=True, half_width=0.1 * x),
         Bars("bars", x, x, "#000000"),
         Reference(1.5, "level"),
-        Reference(1.0, vertical=True),
+        Reference(1.0, "begin", vertical=True),
         Region(1.0, 2.0),
     )
     plot = html.plot(Figure("t", "", (Panel(Axis("x [m]"), Axis("y [m]", log=True), parts),)))
@@ -163,7 +163,8 @@ def test_every_kind_of_series_has_its_trace_or_shape() -> None:
     assert (vertical["yref"], vertical["x0"], vertical["x1"]) == ("y domain", 1.0, 1.0)
     assert (region["type"], region["x0"], region["x1"], region["layer"]) == ("rect", 1.0, 2.0, "below")
     # plotly gives logarithms for texts on such an axis, but not for lines.
-    assert plot["layout"]["annotations"][0]["y"] == pytest.approx(np.log10(1.5))
+    above, beside = plot["layout"]["annotations"]
+    assert above["y"] == pytest.approx(np.log10(1.5)) and (beside["x"], beside["yref"]) == (1.0, "y domain")
 
 
 def test_every_colour_of_the_light_theme_that_a_dark_page_would_hide_has_a_dark_one() -> None:
