@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from pam_antagonist.api.check import CheckResult, check
-    from pam_antagonist.api.diagnose import DiagnoseResult, diagnose
+    from pam_antagonist.api.diagnose import DiagnoseResult, IdentifyResult, diagnose, identify
     from pam_antagonist.api.excite import ExciteResult, excite
     from pam_antagonist.api.history import HistoryResult, history
-    from pam_antagonist.api.identify import IdentifyResult, identify
     from pam_antagonist.api.import_csv import import_csv
     from pam_antagonist.api.new_rig import new_rig
-    from pam_antagonist.api.replay import ReplayResult, replay
+    from pam_antagonist.api.replay import CheckResult, ReplayResult, check, replay
     from pam_antagonist.api.simulate import simulate
     from pam_antagonist.api.static import StaticResult, static
     from pam_antagonist.errors import BadInput
@@ -37,14 +35,12 @@ _NAMES = {
     "recording.writer": ("write_bag",),
     "rig.schema": ("Rig",),
     "rig.file": ("load_rig",),
-    "api.check": ("CheckResult", "check"),
-    "api.diagnose": ("DiagnoseResult", "diagnose"),
+    "api.diagnose": ("DiagnoseResult", "IdentifyResult", "diagnose", "identify"),
     "api.excite": ("ExciteResult", "excite"),
     "api.history": ("HistoryResult", "history"),
-    "api.identify": ("IdentifyResult", "identify"),
     "api.import_csv": ("import_csv",),
     "api.new_rig": ("new_rig",),
-    "api.replay": ("ReplayResult", "replay"),
+    "api.replay": ("CheckResult", "ReplayResult", "check", "replay"),
     "api.simulate": ("simulate",),
     "api.static": ("StaticResult", "static"),
 }

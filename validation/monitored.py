@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.cli.tried_gains import seen
+from pam_antagonist.cli.commission_guessed import seen
 from pam_antagonist.control.command import Mode, VoltageLimits
 from pam_antagonist.control.laws import Reachable
 from pam_antagonist.control.model_law import ModelController, ModelGains

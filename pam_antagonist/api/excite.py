@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pam_antagonist.api.given import RigGiven
 from pam_antagonist.design import SHORTEST, Limits, designed
 from pam_antagonist.errors import number
-from pam_antagonist.report.excite import ExciteResult
+from pam_antagonist.report.experiments import ExciteResult
 from pam_antagonist.rig import as_rig
 from pam_antagonist.shown import widened
 

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from pam_antagonist.api.check import CheckResult
-from pam_antagonist.api.identify import EpisodesIdentifyResult, IdentifyResult
+from pam_antagonist.api.diagnose import EpisodesIdentifyResult, IdentifyResult
+from pam_antagonist.api.replay import CheckResult
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.inference.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash
-from pam_antagonist.report import episodes_tables
+from pam_antagonist.report import identify_episodes
 from pam_antagonist.report.history import FORCE, HistoryResult, Limit, values_of
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig, load_rig
@@ -83,7 +83,7 @@ def log(
     rig: Rig,
     result: object,
     written: Path | None = None,
-) -> Path | None:
+) -> None:
     """Write what a command found into the log book of its rig.
 
     The rig file that came out of it gets a log book too, which begins with the entries of the rig it came from. So the
@@ -97,15 +97,11 @@ def log(
         result: the result.
         written: the rig file that came out of it.
 
-    Returns:
-        The log book to name to the user; None where there is none (a rig of the package, and no new file).
-
     Raises:
         BadInput: it cannot be written.
     """
     books = [book for book in (book_of(rig_file), None if written is None else book_of(written)) if book is not None]
     append(books, entry(command, recordings, rig, result), book_of(rig_file))
-    return books[0] if books else None
 
 
 def entry(command: str, recordings: Sequence[Recording], rig: Rig, result: object) -> Entry:
@@ -160,9 +156,9 @@ def _of_episodes(result: EpisodesIdentifyResult) -> dict[str, Any]:
         return {"verdict": "rejected", "said": f"rejected: {result.rejected}"}
     rig, values = result.rig, {}
     for name, interval in result.found.values.items():
-        unit, factor = episodes_tables.unit(rig, name)
+        unit, factor = identify_episodes.unit(rig, name)
         std = factor * (interval.high - interval.low) / _WIDTH
-        values[episodes_tables.value_name(rig, name)] = (factor * interval.value, std, unit)
+        values[identify_episodes.value_name(rig, name)] = (factor * interval.value, std, unit)
     errs = result.found.errors["identified"][0].value
     said = f"the model's angle errs by {errs:.2g}° on later episodes"
     return {"verdict": "identified", "said": said, "values": measured(values)}

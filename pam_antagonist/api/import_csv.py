@@ -8,7 +8,7 @@ from pathlib import Path
 from pam_antagonist.paths import output_folder
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.csv_import import notes, read_csv
-from pam_antagonist.recording.csv_map import CsvMap, load_map
+from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.notes import issues_note, write_notes
 
 
@@ -50,12 +50,7 @@ def import_csv(
     mapping = load_map(str(map))
     recording = read_csv(Path(file), mapping, progress=progress)
     if out is not None:
-        write_imported(Path(out), Path(file), mapping, recording)
+        with output_folder(Path(out), make=False) as folder:
+            write_bag(folder, recording)
+            write_notes(folder, notes(Path(file), mapping) | issues_note(recording.issues))
     return recording
-
-
-def write_imported(out: Path, file: Path, mapping: CsvMap, recording: Recording) -> None:
-    """Write an imported recording as a bag, with what its file and map said."""
-    with output_folder(out, make=False) as folder:
-        write_bag(folder, recording)
-        write_notes(folder, notes(file, mapping) | issues_note(recording.issues))

@@ -1,12 +1,16 @@
-"""``new_rig``: a rig from what a ruler, a scale and data sheets tell."""
+"""``new_rig``: a rig from what a ruler, a scale and data sheets tell; what is asked, and what an answer may be."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from pam_antagonist.api.rig_questions import OWN, QUESTIONS, Answers
 from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.plausible import UNITS, canonical
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.new import Facts, starting_point
 from pam_antagonist.rig.parts import (
@@ -19,6 +23,221 @@ from pam_antagonist.rig.parts import (
     valve_parts,
 )
 from pam_antagonist.rig.schema import Curve
+
+OWN = "own"
+"""Answer for a muscle, a valve or a regulator that is in no list."""
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_NUMBER = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*)\s*")
+
+
+def _quantity(quantity: str, low: float, high: float) -> Callable[[str], float]:
+    """Reads a number with its unit; the bounds are in SI units."""
+
+    def read(text: str) -> float:
+        units = UNITS[quantity]
+        example = {"length": "36.5mm", "pressure": "6bar", "force": "120N", "angle": "25deg", "voltage": "10V"}
+        found = _NUMBER.fullmatch(text)
+        if found is None or not found[2]:
+            raise BadInput(f"{text!r}: expected a number and its unit, such as {example.get(quantity, '250g')}")
+        unit = canonical(repr(text), quantity, found[2])
+        value = float(found[1]) * units[unit]
+        if not low <= value <= high:
+            raise BadInput(f"{text!r}: expected {low / units[unit]:g} to {high / units[unit]:g} {unit}")
+        return value
+
+    return read
+
+
+def _number(low: float, high: float, unit: str) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise BadInput(f"{text!r}: expected {low:g} to {high:g} {unit}".rstrip())
+        return value
+
+    return read
+
+
+def _one_of(*choices: str) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text not in choices:
+            raise BadInput(f"{text!r}: expected one of {', '.join(choices)}")
+        return text
+
+    return read
+
+
+def _part(what: str, parts: Callable[[], Mapping[str, Any]]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text != OWN:
+            named(what, text, dict(parts()))
+        return text
+
+    return read
+
+
+def _list(parts: Callable[[], Mapping[str, Any]]) -> str:
+    return f"{', '.join(parts())}, or own where none of these is yours"
+
+
+def _name(text: str) -> str:
+    if _NAME.fullmatch(text) is None:
+        raise BadInput(f"{text!r}: expected letters, digits, - and _, such as left_elbow")
+    return text
+
+
+def _or_none(quantity: str, low: float, high: float) -> Callable[[str], float | None]:
+    return lambda text: None if text == "none" else _quantity(quantity, low, high)(text)
+
+
+def _volts(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    read = _number(0.0, 10.0, "V")
+    values = (read(low), read(high)) if colon else (math.nan, math.nan)
+    if not values[0] < values[1]:
+        raise BadInput(f"{text!r}: expected the least and the largest voltage [V], such as 0:10")
+    return values
+
+
+def _gauge_range(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    values = (math.nan, math.nan)
+    if colon:
+        values = _quantity("pressure", 0.0, 9e5)(low), _quantity("pressure", 2e4, 1.5e6)(high)
+    if not values[0] < values[1]:
+        raise BadInput(f"{text!r}: expected the least and the largest gauge pressure, such as 0bar:6bar")
+    return values
+
+
+@dataclass(frozen=True)
+class Question:
+    """Something that a person is asked."""
+
+    option: str
+    text: str
+    how: str
+    read: Callable[[str], Any]
+    default: str | None = None  # answer that is taken where none is given; None: there is none
+    only_with: tuple[str, str] = ("", "")  # option and answer with which it is asked; no answer: with any but none
+
+    @property
+    def name(self) -> str:
+        """Of its value."""
+        return self.option.replace("-", "_")
+
+    def wanted(self, values: Mapping[str, Any]) -> bool:
+        """Whether it is asked beside these answers."""
+        option, answer = self.only_with
+        given = values.get(option.replace("-", "_"), "valve" if option == "drive" else None)
+        return not option or (given == answer if answer else given is not None)
+
+
+class Answers:
+    """Answers to the questions, by name: `values` as they are read, `texts` as they were given.
+
+    `assumed`: names of the questions for which the default was taken. `before`: of an answer's name in messages.
+    """
+
+    def __init__(self, given: Mapping[str, str | None], before: str = "") -> None:
+        self._given, self._before = given, before
+        self.values: dict[str, Any] = {}
+        self.texts: dict[str, str] = {}
+        self.assumed: set[str] = set()
+
+    def read(self) -> None:
+        """Read what was given, in the order of the questions."""
+        for question in QUESTIONS:
+            text, label = self._given.get(question.name), self._label(question.option)
+            if not question.wanted(self.values):
+                if text is not None:
+                    option, answer = question.only_with
+                    raise BadInput(f"{label}: only with {self._label(option)} {answer}".rstrip())
+            elif text is None:
+                self.unanswered(question)
+            else:
+                try:
+                    self.take(question, str(text))
+                except BadInput as error:
+                    raise BadInput(f"{label} {error}") from None
+
+    def _label(self, option: str) -> str:
+        return f"{self._before}{option}" if self._before else option.replace("-", "_")
+
+    def take(self, question: Question, text: str) -> None:
+        """Take an answer."""
+        self.values[question.name], self.texts[question.name] = question.read(text), text
+
+    def unanswered(self, question: Question) -> None:
+        """Take the default where there is no answer."""
+        if question.default is None:
+            raise BadInput(f"{question.name}: missing; expected {question.text[0].lower()}{question.text[1:]}")
+        self.take(question, question.default)
+        self.assumed.add(question.name)
+
+
+_SHEET = "its data sheet"
+_VALVES, _REGULATORS, _LIMB = ("drive", "valve"), ("drive", "regulator"), ("limb-mass", "")
+_NO_MUSCLE = ("muscle", OWN)
+_metres = partial(_quantity, "length")
+_pascals = partial(_quantity, "pressure")
+_FIELDS = (
+    ("name", "Name of the rig", "letters, digits, - and _", _name, "my_rig"),
+    ("kind", "Lever or pulley",
+     "lever: the muscles pull at two points of a bar; pulley: they pull at a belt on a wheel",
+     _one_of("lever", "pulley"), "lever"),
+    ("radius", "Lever arm, or radius of the pulley", "from the axis to where a muscle pulls, by ruler",
+     _metres(2e-3, 0.4)),
+    ("muscle", "Muscle", _list(muscle_parts), _part("muscle", muscle_parts)),
+    ("muscle-diameter", "Inner diameter of the muscle without pressure", _SHEET, _metres(2e-3, 0.15), None, _NO_MUSCLE),
+    ("muscle-pressure", "Gauge pressure for the next two answers (force and contraction)", _SHEET,
+     _pascals(2e4, 1.5e6), None, _NO_MUSCLE),
+    ("muscle-force", "Force of the muscle at that pressure, without contraction",
+     "its data sheet, or a scale between its ends", _quantity("force", 1.0, 5e4), None, _NO_MUSCLE),
+    ("muscle-contraction", "Contraction of the muscle at that pressure, without load, in percent",
+     "inflate it and measure its length", _number(3.0, 45.0, "%"), None, _NO_MUSCLE),
+    ("nominal-length", "Length of the muscle without pressure and load", "the hose between the fittings, by ruler",
+     _metres(0.03, 1.5)),
+    ("length", "Length of a muscle in the joint at angle 0", "the same hose, joint in the middle, no pressure",
+     _metres(0.03, 1.5)),
+    ("supply", "Gauge pressure of the supply", "the gauge of the regulator", _pascals(6e4, 1.5e6)),
+    ("drive", "What drives the joint, proportional valves or pressure regulators: valve or regulator",
+     "valve if your driver commands a voltage, regulator if it commands a pressure", _one_of("valve", "regulator"),
+     "valve"),
+    ("regulator", "Pressure regulator", _list(regulator_parts), _part("regulator", regulator_parts), OWN, _REGULATORS),
+    ("regulator-range", "Least and largest gauge pressure of a regulator", _SHEET, _gauge_range, "0bar:6bar",
+     ("regulator", OWN)),
+    ("regulator-time", "Time of a regulator from 10 to 90 % of a small step, with the muscle on it [s]",
+     "a recorded step, or its data sheet", _number(0.002, 1.0, "s"), "0.03", _REGULATORS),
+    ("valve", "Valve", _list(valve_parts), _part("valve", valve_parts), None, _VALVES),
+    ("valve-flow", "Standard nominal flow of the valve [l/min]", _SHEET, _number(0.1, 5e3, "l/min"), None,
+     ("valve", OWN)),
+    ("valve-centre", "Middle position of the valve: closed or open",
+     "its data sheet: closed if no air passes in the middle, as in a 5/3 valve with closed centre",
+     _one_of("closed", "open"), "closed", ("valve", OWN)),
+    ("voltage", "Least and largest voltage of a valve [V]", "what your driver can put out", _volts, "0:10", _VALVES),
+    ("inertia", "Inertia of the parts that turn with the joint [kg m²]",
+     "roughly the mass times the squared distance of its centre from the axis", _number(2e-7, 5.0, "kg m²")),
+    ("mass", "Mass of the parts that the shaft carries", "a scale", _quantity("mass", 0.0, 80.0)),
+    ("limb-mass", "Mass of a limb that the joint carries in a vertical plane",
+     "a scale; type none if there is no limb, or if its weight is not known", _or_none("mass", 1e-3, 80.0), "none"),
+    ("limb-distance", "Distance of the limb's centre from the axis", "balance the limb on an edge, then by ruler",
+     _metres(1e-3, 2.0), None, _LIMB),
+    ("limb-hanging", "Angle of the joint at which the limb hangs straight down",
+     "a protractor; the angle grows when muscle 1 shortens, and may lie outside the joint's range",
+     _quantity("angle", -math.pi, math.pi), None, _LIMB),
+    ("shaft-radius", "Radius of the shaft", "a calliper", _metres(5e-4, 0.08), "5mm"),
+    ("stop", "Angle of the mechanical stop, to either side", "a protractor; type none if there is no stop",
+     _or_none("angle", math.radians(1.0), math.radians(89.0)), "none"),
+    ("sensor-range", "Range of a pressure sensor", _SHEET, _pascals(1e5, 2e6), "10bar"),
+    ("sensor-bits", "Bits of the converter that reads the pressure sensor", "the board's data sheet",
+     _number(8, 24, "bits"), "12"),
+    ("rate", "Samples a second that your driver takes", "your driver", _number(10, 10000, "Hz"), "1000"),
+)  # fmt: skip
+QUESTIONS = tuple(Question(*fields) for fields in _FIELDS)
+"""In the order in which they are asked."""
 
 
 def new_rig(**answers: str) -> Rig:

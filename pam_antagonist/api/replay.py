@@ -1,16 +1,127 @@
-"""``replay``: run a recording through the live estimator, and through the model alone."""
+"""``check`` and ``replay``: test rig, units and wiring of a recording; run it through the live estimator again."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from pam_antagonist.api.given import Bag, RigGiven, as_recording
+from pam_antagonist.api.given import Bag, RigGiven, as_recording, calibration
+from pam_antagonist.checks import Checked, check_recording
+from pam_antagonist.errors import BadInput
+from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.replays import replay as _replay
+from pam_antagonist.report import terminal
 from pam_antagonist.report.replay import ReplayResult
+from pam_antagonist.report.result import DataFrame, frame_of
 from pam_antagonist.rig import as_rig
+from pam_antagonist.rig.units import assumption
 from pam_antagonist.shown import widened
+from pam_antagonist.strict_json import write_json
 
-__all__ = ["ReplayResult", "replay"]
+__all__ = ["CheckResult", "ReplayResult", "check", "replay"]
+
+_MARKS = {"wrong": "✗", "doubtful": "!", "untested": "?", "good": "✓"}
+
+
+@dataclass(frozen=True, repr=False)
+class CheckResult(Checked):
+    """Result of a check.
+
+    Attributes:
+        findings: the worst first.
+        corrections: all corrections that the recording needs, with those that were given and are right.
+        joint: ``free`` or ``locked``.
+        assumption: the uncertainty that the rig claims; None for an identified one.
+    """
+
+    assumption: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as plain values: ``assumption``, ``joint``, command line ``options``, and ``findings``."""
+        return {
+            "assumption": self.assumption,
+            "joint": self.joint,
+            "options": self.corrections.options(),
+            "findings": [
+                {
+                    "status": finding.status, "text": finding.text, "options": list(finding.options),
+                    "leave_out": list(finding.leave_out),
+                }
+                for finding in self.findings
+            ],
+        }  # fmt: skip
+
+    def summary(self) -> str:
+        """The findings that the command prints, the worst first, with what to do."""
+        lines = []
+        for finding in self.findings:
+            text = finding.text
+            if finding.todo:
+                text += f". {finding.todo[0].upper()}{finding.todo[1:]}"
+            lines.append(terminal.marked(text if text.endswith("?") else f"{text}.", _MARKS[finding.status]))
+        options = self.corrections.options()
+        if options and self.wrong:
+            lines.append(f"With these options every command corrects this recording: {' '.join(options)}")
+        return "\n".join(lines)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the findings as JSON to a file; returns its path.
+
+        Raises:
+            BadInput: the file cannot be written.
+        """
+        try:
+            write_json(Path(path), self.to_json())
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
+        return Path(path)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each finding: ``status``, ``text``, ``options``, ``leave_out`` (needs pandas)."""
+        return frame_of(self.to_json()["findings"], ["status", "text", "options", "leave_out"])
+
+
+def check(
+    recording: Bag,
+    rig: RigGiven,
+    joint: str = "auto",
+    lock_angle: float | None = None,
+    corrections: Corrections | None = None,
+) -> CheckResult:
+    """Compare a recording with the model of its rig, driven by the recorded voltages.
+
+    The check finds gauge pressures and other units, exchanged lines or valves, sensors with the wrong sign, delays, and
+    recordings of another rig.
+
+    Args:
+        recording: a bag, or a recording that was read with ``read_bag(..., judge=False)`` and without corrections.
+        rig: a rig, its name or its file.
+        joint: ``free``, ``locked`` or ``auto`` (detected).
+        lock_angle: of a locked joint [rad], where it is known.
+        corrections: that are given for the recording: the check says which of them make it wrong. Default: those of
+            the rig file (``calibration``).
+
+    Returns:
+        The findings, with command line options that correct them.
+
+    Raises:
+        BadInput: a recording that is too short, or has no finite voltages or pressures.
+
+    Example:
+        >>> from pam_antagonist import check
+        >>> checked = check("examples/recordings/leak_free", "shin2022")
+        >>> checked.joint, len(checked.wrong)
+        ('free', 0)
+    """
+    configured = as_rig(rig, regulators=True)
+    given = calibration(configured) if corrections is None else corrections
+    if not isinstance(recording, Recording):
+        recording = read_bag(recording, corrections=Corrections(align_clocks=given.align_clocks), judge=False)
+    found = check_recording(recording, configured, joint, lock_angle, given)
+    return widened(CheckResult, found, assumption=assumption(configured))
 
 
 def replay(

@@ -37,7 +37,7 @@ def parser() -> common.Parser:
 
 
 def _main(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api.check import check
+    from pam_antagonist.api.replay import check
     from pam_antagonist.recording import read_bag
     from pam_antagonist.report import terminal
     from pam_antagonist.report.document import in_first_lines

@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist import __version__
-from pam_antagonist.cli import cluster, common
+from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.common import real
 from pam_antagonist.cli.progress import phases
@@ -109,7 +109,7 @@ def _in_one_go(
     arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording], whole: bool
 ) -> int:
     """Diagnose a joint of many short episodes or trials, or one whose muscles have the force of a data sheet."""
-    cluster.refuse_for_episodes(arguments.dask)
+    given.refuse_for_episodes(arguments.dask)
     if whole and arguments.resume:
         raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
     found = _diagnosed(arguments, rig, recordings, share)
@@ -141,7 +141,7 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
         "version": __version__,
     })  # fmt: skip
     try:
-        with cluster.connected(arguments.dask):
+        with given.connected(arguments.dask):
             found = _diagnosed(arguments, rig, recordings, share, store)
     except KeyboardInterrupt:
         again = [*(word for word in arguments.words if word != "--resume"), "--resume"]

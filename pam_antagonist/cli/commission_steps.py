@@ -30,15 +30,13 @@ from pam_antagonist.inference.trial import ANGLE, CHANNELS, TORQUE
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed
 from pam_antagonist.recording import read_bag
-from pam_antagonist.report.commission import CommissionResult, Step
-from pam_antagonist.report.commission import Driven as DrivenStep
-from pam_antagonist.report.excite import ExciteResult
+from pam_antagonist.report.experiments import CommissionResult, ExciteResult
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.shown import widened
 
 if TYPE_CHECKING:
-    from pam_antagonist.api.identify import IdentifyResult
+    from pam_antagonist.api.diagnose import IdentifyResult
 
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
@@ -105,8 +103,9 @@ class Commission:
         new.write_text(json.dumps({"rig": self._rig.name, "steps": self.steps}, indent=1) + "\n", encoding="utf-8")
         new.replace(self._out / "state.json")
 
-    def _bags(self) -> list[Path]:
-        return [self._out / step["bag"] for step in self.steps.values() if "bag" in step]
+    def _bags(self) -> dict[str, Path]:
+        """The recordings, by their steps."""
+        return {name: self._out / step["bag"] for name, step in self.steps.items() if "bag" in step}
 
     def _result(self, name: str) -> Path:
         """A result's folder, which is not there: what an attempt left that was interrupted is removed."""
@@ -169,12 +168,15 @@ class Commission:
         self._at(name, "driving the joint", plan.duration if program is None else program.seconds)
         return drive(self._owner, plan, folder, self._rig, program)
 
-    def _recorded(self, name: str, plan: Plan) -> dict[str, Any]:
-        """Drive a plan, to its end."""
-        driven = self._driven(name, plan)
+    def _recorded(
+        self, name: str, plan: Plan, program: Program | None = None, advice: str = f". {_BEYOND}"
+    ) -> dict[str, Any]:
+        """Drive a plan or a program, to its end; the advice is for one that ends early."""
+        driven = self._driven(name, plan, program)
         if driven.ended:
-            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}. {_BEYOND}")
-        return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": plan.duration}
+            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}{advice}")
+        seconds = plan.duration if program is None else read_bag(driven.bag, judge=False).duration_s
+        return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": seconds}
 
     def _wiring(self) -> dict[str, Any]:
         self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
@@ -224,10 +226,10 @@ class Commission:
         return {"said": f"recorded {plan.duration:.0f} s", **self._recorded(joint, plan)}
 
     def _identify(self) -> dict[str, Any]:
-        from pam_antagonist.api.identify import EpisodesIdentifyResult, identify
+        from pam_antagonist.api.diagnose import EpisodesIdentifyResult, identify
 
         try:
-            result = identify(self._bags(), self._rig, seed=self._arguments.seed)
+            result = identify([*self._bags().values()], self._rig, seed=self._arguments.seed)
             assert not isinstance(result, EpisodesIdentifyResult), "recorded in one piece"
         except BadInput as error:
             # An effect that acts on the free joint only lets both recordings look like two joints.
@@ -249,7 +251,7 @@ class Commission:
     def _diagnosed(self, name: str) -> dict[str, Any]:
         from pam_antagonist.api.diagnose import EpisodesDiagnoseResult, diagnose
 
-        result = diagnose(self._bags(), self._rig, seed=self._arguments.seed)
+        result = diagnose([*self._bags().values()], self._rig, seed=self._arguments.seed)
         assert not isinstance(result, EpisodesDiagnoseResult), "recorded in one piece"
         result.save(self._result(name), figures=False)
         return {
@@ -336,16 +338,10 @@ class Commission:
 
     def report(self) -> None:
         """Write ``report.html`` and ``report.json`` on what was done so far."""
-        steps, driven = [], []
-        for name, one in self.steps.items():
-            took = one.get("seconds", 0.0), one.get("rig_s", 0.0)
-            steps.append(Step(name, bool(one["done"]), one["said"], *took, one.get("folder", "")))
-            if "bag" in one:
-                recording = read_bag(self._out / one["bag"], judge=False)
-                driven.append(DrivenStep(name, recording, self._limits.pressure, self._limits.angle))
+        driven = {name: read_bag(bag, judge=False) for name, bag in self._bags().items()}
         left = tuple(name for name in self.STEPS if name not in self.steps and not self.left_out(name))
         command = typed(f"commission --rig {self._arguments.rig} --out {self._out}")
-        result = CommissionResult(self._rig.name, tuple(steps), command, left, tuple(driven), self.next_line())
+        result = CommissionResult(self._rig.name, self.steps, driven, self._limits, command, left, self.next_line())
         result.write(self._out)
 
     def next_line(self) -> str:

@@ -35,8 +35,6 @@ _STOP_BEYOND = 0.1
 _LONGEST_VENT_S = 20.0
 """[s] So long a plan waits for the pressures to fall below half way to the limit."""
 _KPA = 1e3
-_FIRST_STAMP_NS = 1_000_000_000_000_000_000
-"""Stamp of the first sample of a rehearsal."""
 
 
 @dataclass(frozen=True)
@@ -212,6 +210,7 @@ def rehearse(rig: Rig, plan: Plan, program: Program, seed: int, mismatch: float,
     `plan`: says where the joint begins and what its limits are. `mismatch`: standard deviation of the joint's
     parameters from the rig's [-].
     """
+    from pam_antagonist.api.simulate import FIRST_STAMP_NS
     from pam_antagonist.recording import Recording, write_bag
     from pam_antagonist.safety.supervision import RETREAT, TICK, Lookout
     from pam_antagonist.simulation.plant import Plant
@@ -231,7 +230,7 @@ def rehearse(rig: Rig, plan: Plan, program: Program, seed: int, mismatch: float,
             ended = f"after {k * period:.1f} s {reason}"
             samples += [plant.step(plan.rest) for _ in range(round(RETREAT / period))]
             break
-    stamps = _FIRST_STAMP_NS + np.rint(np.arange(len(samples)) * period * 1e9).astype(np.int64)
+    stamps = FIRST_STAMP_NS + np.rint(np.arange(len(samples)) * period * 1e9).astype(np.int64)
     recording = Recording(
         path=bag,
         stamp_ns=stamps,
@@ -243,4 +242,4 @@ def rehearse(rig: Rig, plan: Plan, program: Program, seed: int, mismatch: float,
         drive=rig.drive,
     )
     write_bag(bag, recording, pressure_variance=rig.sensors.pressure_std**2)
-    return _FIRST_STAMP_NS, ended
+    return FIRST_STAMP_NS, ended

@@ -66,7 +66,7 @@ def parser() -> common.Parser:
 
 def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.design import SHORTEST, designed
-    from pam_antagonist.report.excite import ExciteResult
+    from pam_antagonist.report.experiments import ExciteResult
     from pam_antagonist.rig import load_rig
 
     if not SHORTEST <= arguments.duration <= 3600.0:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import argparse
 
-from pam_antagonist.cli import cluster, common
+from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.common import real, whole
 from pam_antagonist.cli.progress import phases
@@ -56,21 +56,21 @@ def parser() -> common.Parser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api.diagnose import are_episodes
-    from pam_antagonist.api.identify import IdentifyResult, identify
+    from pam_antagonist.api.diagnose import IdentifyResult, are_episodes, identify
     from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.report import terminal
+    from pam_antagonist.report.document import Findings, warn
 
     rig = given.begun(arguments, FITS)
     if rig.valves.sealed:
         _refuse_choice(arguments, "of a sealed joint are fitted")
     recordings = given.read(arguments, rig)
     if are_episodes(recordings, rig):
-        cluster.refuse_for_episodes(arguments.dask)
+        given.refuse_for_episodes(arguments.dask)
         _refuse_choice(arguments, "are fitted to episodes")
     elif damage := given.damage(arguments, recordings):
-        print(terminal.warnings(damage))
-    with cluster.connected(arguments.dask), phases("identify") as progress:
+        print(terminal.render([Findings(tuple(map(warn, damage)))]))
+    with given.connected(arguments.dask), phases("identify") as progress:
         found = identify(
             recordings, rig, joint=arguments.joint, lock_angle=arguments.lock_angle, free=arguments.free,
             freeze=arguments.freeze, holdout=arguments.holdout, starts=arguments.starts, seed=arguments.seed,

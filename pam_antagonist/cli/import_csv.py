@@ -16,13 +16,12 @@ examples:
 from __future__ import annotations
 
 import argparse
-import sys
 import textwrap
 from pathlib import Path
 
 import numpy as np
 
-from pam_antagonist.api.import_csv import import_csv, write_imported
+from pam_antagonist.api.import_csv import import_csv
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.cli.recordings import span
@@ -30,8 +29,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map_names
-
-_LONG = 100_000  # samples that take long enough to write to be worth a word
 
 
 def parser() -> common.Parser:
@@ -52,11 +49,8 @@ def _main(arguments: argparse.Namespace) -> int:
     _check_given(arguments)
     common.check_output(arguments.out)
     file, mapping = arguments.file, load_map(arguments.map)
-    with counted(file.stat().st_size if file.is_file() else 0, f"read {file.name}") as done:
-        recording = import_csv(file, arguments.map, progress=done)
-    if len(recording) >= _LONG and sys.stderr.isatty():
-        print(f"writing {len(recording):,} samples ...", file=sys.stderr)
-    write_imported(arguments.out, file, mapping, recording)
+    with counted(file.stat().st_size if file.is_file() else 0, f"import {file.name}") as done:
+        recording = import_csv(file, arguments.map, arguments.out, done)
     print(_summary(recording, mapping, arguments))
     return common.DONE
 

@@ -24,8 +24,7 @@ from pathlib import Path
 
 from typing_extensions import override
 
-from pam_antagonist.api.new_rig import facts_of, remarks
-from pam_antagonist.api.rig_questions import OWN, QUESTIONS, Answers, Question
+from pam_antagonist.api.new_rig import OWN, QUESTIONS, Answers, Question, facts_of, remarks
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed

@@ -1,17 +1,21 @@
-"""What the commands share that learn from recordings: their arguments, and reading the bags."""
+"""What the commands share that learn from recordings: their arguments, reading the bags, the workers of a scheduler."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pam_antagonist import __version__
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
+from pam_antagonist.optional import needs
 from pam_antagonist.program import typed
 from pam_antagonist.recording import corrections
 
@@ -19,6 +23,9 @@ if TYPE_CHECKING:
     from pam_antagonist.recording import Recording
     from pam_antagonist.report.result import Result
     from pam_antagonist.rig import Rig
+
+_SCHEDULER_S = 10.0
+"""[s] A scheduler that does not answer for so long is not there."""
 
 
 def add_bags(parser: common.Parser) -> None:
@@ -38,8 +45,7 @@ def begun(arguments: argparse.Namespace, parts: Sequence[str]) -> Rig:
     from pam_antagonist.cli.first_start import compile_first
     from pam_antagonist.rig import load_rig
 
-    common.check_output(arguments.out)
-    common.only_available_figures(arguments)
+    check_page(arguments)
     common.lock_angle(arguments)
     rig = load_rig(arguments.rig, regulators=True)
     compile_first(parts, rig)
@@ -148,3 +154,48 @@ def announce(arguments: argparse.Namespace, result: Result, rig: str | None, apa
     if rig is not None or apart:
         print("" if rig is None else f"\nrig: {arguments.out / rig}")
     common.announce_report(arguments, arguments.out)
+
+
+def refuse_for_episodes(address: str | None) -> None:
+    """Say that episodes are fitted here."""
+    if address is not None:
+        raise BadInput("--dask: a recording of episodes is fitted on this machine only; leave --dask out")
+
+
+@contextmanager
+def connected(address: str | None) -> Iterator[None]:
+    """Everything inside that runs in parallel by joblib does so on the workers of a scheduler."""
+    if address is None:
+        yield
+        return
+    from joblib import parallel_config
+
+    with needs("dask", "--dask"):
+        import distributed
+    try:
+        client = distributed.Client(address, timeout=_SCHEDULER_S, set_as_default=True)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise BadInput(
+            f"--dask {address}: no scheduler answers there ({type(error).__name__}); expected an address such as "
+            "tcp://host:8786"
+        ) from None
+    with client:
+        found = client.run(_version)
+        if not found:
+            raise BadInput(f"--dask {address}: the scheduler has no workers; start one with: dask worker {address}")
+        for worker, version in found.items():
+            if version != __version__:
+                raise BadInput(
+                    f"--dask {address}: worker {worker} has {version or 'no pam_antagonist'}; expected pam_antagonist "
+                    f"{__version__}, as here"
+                )
+        with parallel_config(backend="dask"):
+            yield
+
+
+def _version() -> str:
+    """Version of the package where this runs; empty where there is none."""
+    try:
+        return str(importlib.import_module("pam_antagonist").__version__)
+    except ImportError:
+        return ""

@@ -23,7 +23,7 @@ from pathlib import Path
 from pam_antagonist.api.static import StaticResult, static
 from pam_antagonist.cli import common
 from pam_antagonist.cli.common import real
-from pam_antagonist.cli.recordings import announce
+from pam_antagonist.cli.recordings import announce, check_page
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import QUANTITIES, Choice
 from pam_antagonist.model import parameters as par
@@ -74,8 +74,7 @@ def _column(text: str) -> tuple[str, Choice]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    common.check_output(arguments.out)
-    common.only_available_figures(arguments)
+    check_page(arguments)
     result = _worked_out(arguments)
     announce(arguments, result, None if result.fitted is None else "rig.yaml", apart=True)
     if result.fitted is not None:

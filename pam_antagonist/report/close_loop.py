@@ -1,25 +1,23 @@
-"""The result of ``close_loop`` with its page: sentences and tables of its typed numbers."""
+"""The results of ``close_loop`` with their pages: sentences and tables of typed numbers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from pam_antagonist.diagnosis import FoundEffect
-from pam_antagonist.diagnosis.closed_loop import ClosedLoop
+from pam_antagonist.diagnosis import FoundEffect, thresholds
+from pam_antagonist.diagnosis.closed_loop import ClosedLoop, ClosedTrials
 from pam_antagonist.diagnosis.errors import ModelErrors
+from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
 from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.replays.result import CHANNELS, TORQUE, Channel
-from pam_antagonist.report import close_loop_figures as drawn
-from pam_antagonist.report.close_loop_findings import assumed, calibration_findings, findings
+from pam_antagonist.report import close_loop_findings as said
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Comparison,
     Definitions,
@@ -30,24 +28,24 @@ from pam_antagonist.report.document import (
     Text,
     Tile,
     Tiles,
-    background,
     in_first_lines,
     note,
-    number,
-    percent,
-    words,
+    page,
+    warn,
 )
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.identify import held_out_figures
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.units import assumption, readable
+from pam_antagonist.shown import MISSING, number, percent
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
+_KICKER = "Closing the loop with measured data"
 _FEW_WORDS = 300
 """Longest list of what the recordings cannot show [characters] that is among the findings."""
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
 _CERTAIN = 0.05
+_SHOWN = 10
+"""Effects in the table of what was tried on short trials."""
 _STATISTICS = (
     "On held-out data. Sensors: measurement minus model, which starts with the recording and gets the voltages only. "
     "Equations: errors of flow, torque and motion, where the model starts again from the measurement every fifth of a "
@@ -75,7 +73,43 @@ class DiagnoseResult(ClosedLoop, Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return document(self, figures)
+        lede = (
+            "This report compares the model of the joint with measurements. It traces what the model lacks to a "
+            "physical effect, if one explains it on data that no fit used."
+        )
+        title = title_of(self.verdict, [effect.in_short for effect in self.effects])
+        if self.calibrations and self.verdict == "none":
+            title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in self.calibrations)
+        first, *others = said.residuals(self) if figures else (None,)
+        unseen = tuple(map(note, self.unseen))
+        few = unseen if sum(map(len, self.unseen)) <= _FEW_WORDS else ()
+        parts: list[Block] = [
+            Tiles(_tiles(self)),
+            Findings((*said.calibration_findings(self), *said.findings(self), *few, *map(note, self.next_steps))),
+            *(() if first is None else (first,)),
+            *in_first_lines(assumption(self.start)),
+            errors_table(self),
+        ]
+        if others:
+            parts.append(Section("More residuals before and after", tuple(others), 2, "residual"))
+        if self.calibrations:
+            parts.append(Section("Calibration", (calibration_table(self),), 2, "calibration", brief=True))
+        if self.effects:
+            shapes = (*said.laws(self.effects), *said.profiles(self.profiles)) if figures else ()
+            sizes = (sizes_table(self.effects), *_laws(self), *shapes)
+            parts.append(Section("Size of the effect", sizes, 2, "parameters", brief=True))
+        parts.append(Section("All candidates", (ranking_table(self),), 2, "candidates", brief=True))
+        if self.remaining:
+            parts.append(Section("What is left", said.left(self.remaining, figures), 2, "left"))
+        about = Text(_STATISTICS_DRIVEN if self.driven else _STATISTICS)
+        models = ("recalibrated", "extended") if self.effects else ("recalibrated",)
+        tables = (_statistics(one.recording, one.residuals, models) for one in self.recordings if one.residuals)
+        parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
+        if unseen and not few:
+            parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
+        parts.append(Section("What was assumed", (Definitions(said.assumed(self)),), folded=True))
+        words_of = "close_loop of a driven joint" if self.driven else "close_loop"
+        return page(_KICKER, title, parts, words_of, _provenance(self), lede, self.sentence)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter of each detected effect (needs pandas)."""
@@ -90,50 +124,6 @@ def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
         for name, (value, std, unit) in effect.parameters.items()
     ]
     return frame_of(rows, ("effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"))
-
-
-def document(result: ClosedLoop, with_figures: bool) -> Document:
-    """The page."""
-    lede = (
-        "This report compares the model of the joint with measurements. It traces what the model lacks to a physical "
-        "effect, if one explains it on data that no fit used."
-    )
-    title = title_of(result.verdict, [effect.in_short for effect in result.effects])
-    if result.calibrations and result.verdict == "none":
-        title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in result.calibrations)
-    first, *others = drawn.residuals(result) if with_figures else (None,)
-    unseen = tuple(map(note, result.unseen))
-    few = unseen if sum(map(len, result.unseen)) <= _FEW_WORDS else ()
-    parts: list[Block] = [
-        Text(lede, "lede"),
-        Text(result.sentence, "verdict"),
-        Tiles(_tiles(result)),
-        Findings((*calibration_findings(result), *findings(result), *few, *map(note, result.next_steps))),
-        *(() if first is None else (first,)),
-        *in_first_lines(assumption(result.start)),
-        errors_table(result),
-    ]
-    if others:
-        parts.append(Section("More residuals before and after", tuple(others), 2, "residual"))
-    if result.calibrations:
-        parts.append(Section("Calibration", (calibration_table(result),), 2, "calibration", brief=True))
-    if result.effects:
-        figures = (*drawn.laws(result.effects), *drawn.profiles(result.profiles)) if with_figures else ()
-        sizes = (sizes_table(result.effects), *_laws(result), *figures)
-        parts.append(Section("Size of the effect", sizes, 2, "parameters", brief=True))
-    parts.append(Section("All candidates", (ranking_table(result),), 2, "candidates", brief=True))
-    if result.remaining:
-        parts.append(Section("What is left", drawn.left(result.remaining, with_figures), 2, "left"))
-    about = Text(_STATISTICS_DRIVEN if result.driven else _STATISTICS)
-    models = ("recalibrated", "extended") if result.effects else ("recalibrated",)
-    tables = (_statistics(one.recording, one.residuals, models) for one in result.recordings if one.residuals)
-    parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
-    if unseen and not few:
-        parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
-    parts.append(Section("What was assumed", (Definitions(assumed(result)),), folded=True))
-    meanings = dict(words("close_loop")) | (dict(words("close_loop of a driven joint")) if result.driven else {})
-    parts += background(tuple(meanings.items()), _provenance(result))
-    return Document("Closing the loop with measured data", title, tuple(parts))
 
 
 def title_of(verdict: str, effects: Sequence[str]) -> str:
@@ -329,3 +319,68 @@ def _provenance(result: ClosedLoop) -> list[tuple[str, str]]:
         role = "; held out" if part.role == "held out" else ""
         rows.append((f"Recording {part.recording}", f"{part.joint}{role}; SHA-256 {part.sha256}"))
     return [*rows, ("Time [s]", ", ".join(f"{name} {value:.1f}" for name, value in result.seconds.items()))]
+
+
+# ------------------------------------------------------------------ short trials, and rigs of data sheets
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PressuresDiagnoseResult(ClosedTrials, Result):
+    """An effect that the model of a rig lacks, from measured pressures."""
+
+    @override
+    def document(self, figures: bool = True) -> Document:
+        found, rig, best = self, self.start.name, self.proposed
+        items = [note(text) for text in (found.extended or found.recalibrated).notes]
+        if found.ambiguous_with:
+            items.append(warn(f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
+        items += [warn(text) for one in found.judged for text in one.warnings]
+        for place in found.unexplained if found.effects else ():
+            items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
+        tables = [table for table in (_errors_of_trials(found), sizes_table(self.effects), _tried(found)) if table.rows]
+        was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
+        now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
+        tiles = Tiles((Tile("Error of the angle, held out", now, was),))
+        held = (found.extended or found.recalibrated).held if figures else ()
+        drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
+        title = title_of(self.verdict, [effect.in_short for effect in self.effects])
+        made = [("Rig", rig), *(("Recording", text) for text in self.hashes)]
+        blocks: list[Block] = [tiles, Findings(tuple(items)), *tables, *drawn]
+        lede = f"Rig {rig}: which effect its model lacks."
+        return page(_KICKER, title, blocks, "close_loop of trials", made, lede, self.sentence)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each parameter of each detected effect (needs pandas)."""
+        return effects_frame(self.effects)
+
+
+def _errors_of_trials(diagnosis: FoundFromPressures) -> Table:
+    results = [diagnosis.recalibrated, *([] if diagnosis.extended is None else [diagnosis.extended])]
+    titles = ["recalibrated", "with the effect"][: len(results)]
+    out = Comparison("Error of the angle on held-out data, RMS [°]", "as configured", *titles)
+    configured = diagnosis.recalibrated.pooled("as_configured")
+    out.values("UKF", [configured, *(item.pooled("identified") for item in results)])
+    for key, title in (("model_alone", "model alone, from the commands"), ("pressures_alone", "driven by pressures")):
+        out.values(title, [None, *(item.pooled(key) for item in results)])
+    out.values("in the 95 % interval", [None, *(item.coverage for item in results)], percent, best=None)
+    return out.table()
+
+
+def _tried(diagnosis: FoundFromPressures) -> Table:
+    taken = {effect.name for _, effect in diagnosis.placed}
+    rows = tuple(
+        (
+            item.effect,
+            place,
+            percent(None if item.shares is None else item.shares[0]),
+            number(item.delta_bic),
+            number(item.held_out_evidence),
+            "taken" if item.effect in taken else "",
+        )
+        for place, item in diagnosis.tried[:_SHOWN]
+    )
+    caption = (
+        f"An effect is taken if its held-out evidence is {number(thresholds.STRONG)} or more, both together "
+        f"{number(thresholds.TAKEN)}, and if it explains enough of the excess over noise."
+    )
+    return Table(("Effect", "acts on", "explains, held-out", "ΔBIC", "held-out evidence", ""), rows, caption)

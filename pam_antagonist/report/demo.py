@@ -18,12 +18,13 @@ from pam_antagonist.replays import Replay
 from pam_antagonist.replays.accounting import STAGES, Accounting, account
 from pam_antagonist.replays.result import judged
 from pam_antagonist.replays.result import numbers as replay_numbers
-from pam_antagonist.report.document import Block, Document, Section, Table, Text, number, percent
+from pam_antagonist.report.document import Block, Document, Section, Table, Text
 from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND, TIME, Axis, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.replay import document as replay_document
 from pam_antagonist.report.replay_figures import time
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig.physical import rest_pressure, rest_voltage
+from pam_antagonist.shown import number, percent
 
 _PAPER = {Mode.ANGLE: 0.9475, Mode.TORQUE: 0.95}  # steady-state performance in the paper
 _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
@@ -83,21 +84,14 @@ class Yielding:
         )
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """The simulated joint."""
-
-    mismatch: float  # relative standard deviation of its parameters from the rig's [-]
-    seed: int
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Demo(Result):
     """A finished demo; angles in degrees, torques in N m, times in ms."""
 
     replay: Replay
     mode: Mode
-    simulated: Simulated
+    mismatch: float  # relative standard deviation of the simulated joint's parameters from the rig's [-]
+    seed: int  # of the simulated joint
     gains: str  # of the controller: ``fast`` or ``published``, ``model`` for that law, ``found`` for those of a file
     tracking: Tracking
     stiffness: Tracking | None  # tracking of the estimated stiffness [N m/rad]; None without a reference for it
@@ -106,19 +100,19 @@ class Demo(Result):
     stopped: str = ""  # why the joint was stopped for safety, in words; empty where it was not
 
     @classmethod
-    def of(cls, replay: Replay, mode: Mode, simulated: Simulated, gains: str = "fast", stopped: str = "") -> Demo:
+    def of(cls, replay: Replay, mode: Mode, mismatch: float, seed: int, gains: str = "fast", stopped: str = "") -> Demo:
         """Evaluate the recording of a demo."""
         yielding = Yielding.of(replay) if mode is Mode.IMPEDANCE else None
         followed = follow(replay.recording, mode)
         stiffness = tracking(replay.run.stamp_ns, *_stiffness(replay)) if mode.has_stiffness else None
         accounting = account(replay.recording, replay.rig.sample_period)
-        return cls(replay, mode, simulated, gains, followed, stiffness, yielding, accounting, stopped)
+        return cls(replay, mode, mismatch, seed, gains, followed, stiffness, yielding, accounting, stopped)
 
     @override
     def to_json(self) -> dict[str, Any]:
         about = {
             "mode": self.mode.name.lower(),
-            "simulated_joint": self.simulated,
+            "simulated_joint": {"mismatch": self.mismatch, "seed": self.seed},
             "gains": self.gains,
             "tracking": self.tracking.numbers(_UNIT[self.mode.quantity]),
             "stiffness": self.stiffness,
@@ -257,7 +251,7 @@ def _definitions(demo: Demo) -> str:
     what = demo.mode.quantity.name.lower()
     return (
         "The joint was this package's simulator. Its parameters differ from the rig's by "
-        f"{100.0 * demo.simulated.mismatch:.1f} % (standard deviation, seed {demo.simulated.seed}). Only a recording "
+        f"{100.0 * demo.mismatch:.1f} % (standard deviation, seed {demo.seed}). Only a recording "
         "of a real joint shows how well a real joint does. "
         f"The controller had the {_LAWS[demo.gains]}. Steady-state performance is defined as in the paper: 1 minus the "
         f"largest |reference − measured {what}| in steady state over the range of the references. The steady part is "

@@ -92,6 +92,13 @@ class Comparison:
         return Table(self._header, tuple(self._rows), caption, tuple(self._best))
 
 
+def sentence(text: str) -> str:
+    """A sentence; the name of a value, a file, an effect or a recording keeps its first letter."""
+    first = text.split(" ", 1)[0].rstrip(",")
+    named = first.endswith(":") or any(sign in first for sign in "/_.")
+    return f"{text[:1] if named else text[:1].upper()}{text[1:].rstrip('.')}."
+
+
 def markdown(table: Table) -> list[str]:
     """A table as lines of Markdown."""
 
@@ -222,10 +229,15 @@ def words(page: str) -> tuple[tuple[str, str], ...]:
     return tuple(yaml.safe_load(text)[page].items())
 
 
-def background(meaning: str | Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]) -> tuple[Section, ...]:
-    """The two folded sections at the end of every report; the words are those of a page, or given themselves."""
-    known = words(meaning) if isinstance(meaning, str) else tuple(meaning)
-    return (
-        Section("What the words mean", (Definitions(known),), folded=True),
-        Section("How this report was made", (Table(("What", "Which"), tuple(provenance), prose=True),), folded=True),
+def page(
+    kicker: str, title: str, blocks: Sequence[Block], words_of: str, provenance: Sequence[tuple[str, str]],
+    lede: str = "", verdict: str = "",
+) -> Document:  # fmt: skip
+    """A report: its first sentences, blocks, and two folded sections. `words_of`: page of ``templates/words.yaml``."""
+    first = (Text(lede, "lede"), Text(verdict, "verdict"))
+    made = Table(("What", "Which"), tuple(provenance), prose=True)
+    last = (
+        Section("What the words mean", (Definitions(words(words_of)),), folded=True),
+        Section("How this report was made", (made,), folded=True),
     )
+    return Document(kicker, title, (*(text for text in first if text.text), *blocks, *last))

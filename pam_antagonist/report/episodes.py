@@ -1,64 +1,66 @@
-"""The report of ``close_loop`` on a regulator-driven joint: its sentences and the result."""
+"""The report of ``close_loop`` on a regulator-driven joint: sentences, tables and figures, and the result."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
+import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.episodes import WINDOWS, EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.episodes import PARTS, WINDOWS, EpisodeDiagnosis, Row
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
-from pam_antagonist.report.document import (
-    MISSING,
-    Block,
-    Document,
-    Finding,
-    Findings,
-    Section,
-    Table,
-    Text,
-    Tile,
-    Tiles,
-    background,
-    note,
-    number,
-    percent,
-    warn,
-)
-from pam_antagonist.report.episodes_tables import (
-    drift_table,
-    errors_table,
-    figure,
-    in_words,
+from pam_antagonist.replays.result import joined
+from pam_antagonist.report.document import Document, Finding, Findings, Section, Table, Tile, Tiles, note, page, warn
+from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, FloatArray, Line, Panel
+from pam_antagonist.report.identify_episodes import (
+    ABOUT,
+    BY_SIGNAL,
+    about_episodes,
     interval,
     intervals_frame,
-    law_figures,
     removes,
     shown,
-    tried_table,
-    values_table,
-    without_laws,
+    unit,
+    units_findings,
+    value_name,
 )
-from pam_antagonist.report.result import Result
+from pam_antagonist.report.result import DataFrame, Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
-from pam_antagonist.rig.learned import laws_of
+from pam_antagonist.rig.learned import Law, laws_of, value_path
+from pam_antagonist.rig.units import readable
+from pam_antagonist.shown import MISSING, number, percent
 from pam_antagonist.strict_json import picked
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
+T = TypeVar("T")
 
 LEARNED = "learned: "
+_WORDS = {
+    "friction": "constant (Coulomb) friction",
+    "friction_by_pressure": "friction that grows with the joint's own pressures",
+    "hysteresis": "hysteresis of the contraction force",
+    "creep": "creep of the muscles",
+}
 _ARGUMENT = re.compile(r"effects\.learned\.law\d+_argument")
 """Path of the code of what a law depends on."""
 _DRIFT = 0.8
 """The rig drifts if the error of a model of the last episodes is less than this times that of all episodes."""
+
+
+def in_words(effect: str) -> str:
+    """An effect in words."""
+    name, _, signal = effect.partition(": ")
+    if name == "learned":
+        place, _, argument = signal.partition(" by ")
+        return f"{place}, which depends on {argument} (a learned law)"
+    return f"{BY_SIGNAL[name]} {signal}" if signal else _WORDS.get(name, name)
 
 
 def verdict(diagnosis: EpisodeDiagnosis) -> str:
@@ -72,10 +74,9 @@ def verdict(diagnosis: EpisodeDiagnosis) -> str:
     words = [in_words(effect) for effect in diagnosis.effects if not effect.startswith(LEARNED)]
     if count := len(diagnosis.effects) - len(words):
         words.append(in_words(diagnosis.effects[-1]) if count == 1 else f"what {count} learned laws add")
-    listed = words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
     change = "falls" if diagnosis.rows[-1].forecast.value < diagnosis.rows[0].forecast.value else "changes"
     return (
-        f"What the model lacks is {listed}. The error on later episodes {change} from {given}° as configured to "
+        f"What the model lacks is {joined(words)}. The error on later episodes {change} from {given}° as configured to "
         f"{after}°; of a model without that, fitted to the same episodes, it is {before}°."
     )
 
@@ -153,23 +154,6 @@ def _about_laws(diagnosis: EpisodeDiagnosis) -> list[Finding]:
     return out
 
 
-def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
-    """Findings about unknown units, and about episodes that were left out."""
-    out, units = [], joint.rig.units
-    if units.force == "per_inertia":
-        out.append(note(
-            "Forces are known per inertia only: torque, areas and stiffness are not known in their own units."
-        ))  # fmt: skip
-    if units.pressure == "unknown":
-        out.append(note("The unit of the recorded pressures is not known: gain and offset in the rig file are assumed, "
-                        "and so is every bar in this report."))  # fmt: skip
-    if joint.left_out:
-        out.append(warn(
-            f"{joint.left_out} episodes are too short, or lack pressures, signals or the first angle: left out."
-        ))  # fmt: skip
-    return tuple(out)
-
-
 def _not_told_apart(diagnosis: EpisodeDiagnosis, name: str, instead_of: str, row: Row) -> Finding:
     taken = next(item for item in diagnosis.tried if item.taken and item.name == instead_of)
     other = next(item for item in diagnosis.tried if item.round == taken.round and item.name == name)
@@ -194,31 +178,112 @@ def _drifting(diagnosis: EpisodeDiagnosis, rig: Rig) -> list[str]:
     return out
 
 
-def document(
-    diagnosis: EpisodeDiagnosis, joint: PressureDriven, extended: Rig, hashes: tuple[str, ...], with_figures: bool
-) -> Document:
-    """The page; with the SHA-256 of the recordings."""
-    given, after = diagnosis.rows[0], diagnosis.rows[-1]
-    tiles = Tiles((
-        Tile("Later episodes", f"{number(after.forecast.value)}°", f"as configured {number(given.forecast.value)}°"),
-        Tile("Interleaved episodes", MISSING if after.interleaved is None else f"{number(after.interleaved.value)}°"),
-        Tile("Effects", str(len(diagnosis.effects)), ", ".join(diagnosis.effects)),
-    ))  # fmt: skip
-    forecasts = Table(
-        ("Share of the fitted episodes, the last ones", "Error [°] on those that follow"),
-        tuple((percent(w), number(e)) for w, e in zip(WINDOWS, diagnosis.forecasts, strict=True)),
-        "Forecasts within the fitted episodes, by which the share was chosen",
+def errors_table(diagnosis: EpisodeDiagnosis) -> Table:
+    """Errors of all models on episodes that were used for no fit and no choice."""
+    rows = tuple(
+        (row.model, interval(row.later), interval(row.recent), interval(row.interleaved))
+        for row in (*diagnosis.rows, diagnosis.lines, *(other for *_, other in diagnosis.others))
     )
-    drawn = (*law_figures(diagnosis, extended), figure(diagnosis, joint.rig)) if with_figures else ()
-    recordings = [(f"Recording {k}", value) for k, value in enumerate(hashes, 1)]
-    blocks: tuple[Block, ...] = (
-        Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
-        Text(verdict(diagnosis), "verdict"), tiles, Findings(findings(diagnosis, joint)), errors_table(diagnosis),
-        values_table(diagnosis, joint.rig), Section("All candidates", (tried_table(diagnosis),), 2, "candidates"),
-        Section("Over the recording", (drift_table(diagnosis, joint.rig), *drawn, forecasts), 2, "drift"),
-        *background("close_loop of episodes", [("Rig", joint.rig.name), *recordings]),
+    head = (
+        "RMSE of the angle [°], 95 % interval by episode", "later, all before fitted",
+        f"later, last {percent(diagnosis.window)} before", "interleaved",
     )  # fmt: skip
-    return Document("What the model of a joint lacks", joint.name, blocks)
+    return Table(head, rows, about_episodes(*diagnosis.counts))
+
+
+def values_table(diagnosis: EpisodeDiagnosis, rig: Rig) -> Table:
+    """Numbers of the extended model, and their changes over the recording."""
+    rows = []
+    for name, value in without_laws(diagnosis.values).items():
+        rows.append((*shown(rig, name, value), shown(rig, name, diagnosis.drift.changes[name], 2)[1]))
+    return Table(
+        ("Value", "95 % interval by episode", "Unit", "Change over the recording, corrected 95 % interval"),
+        tuple(rows),
+        f"The extended model, fitted to the last {percent(diagnosis.window)} of the fitted episodes. The change is "
+        f"that of a straight line from the first to the last of {PARTS} parts",
+    )  # fmt: skip
+
+
+def drift_table(diagnosis: EpisodeDiagnosis, rig: Rig) -> Table:
+    """Numbers of the extended model in each part of the recording, and its errors there."""
+    rows = []
+    for name, parts in without_laws(diagnosis.drift.values).items():
+        texts = [shown(rig, name, part, 2) for part in parts]
+        title, _, written = texts[0]
+        rows.append((f"{title} [{written}]", *(text for _, text, _ in texts)))
+    for k, fit in enumerate(("fitted to all that may be fitted", "fitted to the part")):
+        rows.append((f"RMSE [°], {fit}", *(number(pair[k]) for pair in diagnosis.drift.errors)))
+    return Table(
+        ("Part of the recording", *(str(k) for k in range(1, PARTS + 1))), tuple(rows),
+        "Fitted to each part by itself, with 95 % intervals by episode",
+    )  # fmt: skip
+
+
+def tried_table(diagnosis: EpisodeDiagnosis) -> Table:
+    """All candidates, by rounds."""
+    rows = []
+    for item in diagnosis.tried:
+        removed = MISSING if item.removed is None else " to ".join(map(percent, item.removed[1:]))
+        removed = removed if item.removed is None else f"{percent(item.removed.value)} ({removed})"
+        rows.append((f"{item.round}. {item.name}", percent(item.score), removed, "taken" if item.taken else ""))
+    return Table(
+        ("Candidate", "Score", "Squared error removed, corrected interval", ""), tuple(rows),
+        "Score: to first order, of fitted episodes; removed: of episodes that the fit has not seen. Intervals are "
+        "wider by as many candidates as were offered",
+    )  # fmt: skip
+
+
+def figure(diagnosis: EpisodeDiagnosis, rig: Rig) -> Figure:
+    """The drift: errors and numbers over the recording."""
+    parts = np.arange(1.0, PARTS + 1.0)
+    one, own = (np.array([pair[k] for pair in diagnosis.drift.errors]) for k in (0, 1))
+    series = (
+        Line("fitted to all that may be fitted", parts, one, MODEL),
+        Line("fitted to each part", parts, own, SECOND),
+    )
+    panels = [Panel(Axis(), Axis("RMSE [°]", from_zero=True), series)]
+    for name, values in without_laws(diagnosis.drift.values).items():
+        shown, factor = unit(rig, name)
+        drawn = _with_interval("the number", parts, factor * np.array(values), quiet=len(panels) > 1)
+        panels.append(Panel(Axis(), Axis(f"{value_name(rig, name)} [{shown}]", from_zero=True), drawn))
+    panels[-1] = replace(panels[-1], x=Axis("Eighth of the recording"))
+    about = "Errors and numbers of the extended model over the recording. What lies between the errors is drift."
+    return Figure("Drift", about, tuple(panels))
+
+
+def _with_interval(name: str, x: FloatArray, rows: FloatArray, quiet: bool) -> tuple[Band, Line]:
+    """A curve (N,) over its interval: `rows` are values with their lower and upper ends (N, 3)."""
+    value, low, high = rows.T
+    return Band("95 % interval by episode", x, low, high, BAND, quiet), Line(name, x, value, ESTIMATE, quiet=quiet)
+
+
+def without_laws(values: Mapping[str, T]) -> dict[str, T]:
+    """Values without those of learned laws, which a figure shows."""
+    return {name: value for name, value in values.items() if ".learned." not in name}
+
+
+def law_figures(diagnosis: EpisodeDiagnosis, extended: Rig) -> tuple[Figure, ...]:
+    """The learned laws, each over what it depends on, in one figure; none without them."""
+    panels: list[Panel] = []
+    for k, law in laws_of(extended).items():
+        rows = [diagnosis.values[value_path(k, node)] for node in range(1, len(law.nodes) + 1)]
+        (shown, factor), across = _unit_of_law(extended, law), readable(law.argument_unit)
+        x = np.array(law.nodes) * across.scale
+        drawn = _with_interval("the law", x, factor * np.array(rows), quiet=bool(panels))
+        panels.append(Panel(Axis(f"{law.on} [{across.name}]"), Axis(f"{law.at} [{shown}]"), drawn))
+    about = (
+        "Laws that were learned from the episodes: changes of the muscles' strength, of friction, damping or torque by "
+        "what each depends on. They are constant outside of the range that is shown."
+    )
+    return (Figure("Learned laws", about, tuple(panels)),) if panels else ()
+
+
+def _unit_of_law(rig: Rig, law: Law) -> tuple[str, float]:
+    """Unit in which the values of a law are shown, and the factor to it."""
+    if law.unit == "-":
+        return "%", 100.0
+    per_inertia = {"N m": "rad/s²", "N m s/rad": "1/s"}[law.unit]
+    return (per_inertia, 1.0 / rig.joint.inertia) if rig.units.force == "per_inertia" else (law.unit, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -290,7 +355,27 @@ class EpisodesDiagnoseResult(Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return document(self.found, self.joint, self.rig_extended, self.hashes, figures)
+        found, joint = self.found, self.joint
+        given, after, between = found.rows[0].forecast, found.rows[-1].forecast, found.rows[-1].interleaved
+        tiles = Tiles((
+            Tile("Later episodes", f"{number(after.value)}°", f"as configured {number(given.value)}°"),
+            Tile("Interleaved episodes", MISSING if between is None else f"{number(between.value)}°"),
+            Tile("Effects", str(len(found.effects)), ", ".join(found.effects)),
+        ))  # fmt: skip
+        forecasts = Table(
+            ("Share of the fitted episodes, the last ones", "Error [°] on those that follow"),
+            tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
+            "Forecasts within the fitted episodes, by which the share was chosen",
+        )
+        drawn = (*law_figures(found, self.rig_extended), figure(found, joint.rig)) if figures else ()
+        made = [("Rig", joint.rig.name), *((f"Recording {k}", value) for k, value in enumerate(self.hashes, 1))]
+        blocks = (
+            tiles, Findings(findings(found, joint)), errors_table(found), values_table(found, joint.rig),
+            Section("All candidates", (tried_table(found),), 2, "candidates"),
+            Section("Over the recording", (drift_table(found, joint.rig), *drawn, forecasts), 2, "drift"),
+        )  # fmt: skip
+        kicker, words_of = "What the model of a joint lacks", "close_loop of episodes"
+        return page(kicker, joint.name, blocks, words_of, made, ABOUT, verdict(found))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each number of the extended model: its value and 95 % interval by episode (needs pandas)."""

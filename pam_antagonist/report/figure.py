@@ -2,7 +2,7 @@
 
 A figure holds panels. A panel holds two axes and the series on them, from back to front. Arrays of a series are (N,),
 NaN where a value is missing; series of one name have one entry in the legend, and are switched together.
-:mod:`pam_antagonist.report.plotly_renderer` draws it on the page.
+:mod:`pam_antagonist.report.html` draws it on the page.
 Colours are CSS colours of the light theme; the page maps them to the dark one.
 """
 
@@ -74,7 +74,7 @@ class Axis:
     title: str = ""
     log: bool = False
     bounds: tuple[float, float] | None = None  # values at the two ends, left or lower one first; None: from the series
-    labels: tuple[str, ...] = ()  # names at 0, 1, 2, ... instead of numbers
+    labels: tuple[str, ...] = ()  # of a vertical axis: names at 0, 1, 2, ... instead of numbers
     # Seconds of a recording: figures of one link zoom together, and a pause is a gap in a line.
     is_time: bool = False
     from_zero: bool = False  # whether the axis includes 0
@@ -86,7 +86,7 @@ TIME = Axis("Time [s]", is_time=True)
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.decimate`)."""
+    """A curve. Long curves are decimated when drawn (:mod:`pam_antagonist.report.html`)."""
 
     name: str
     x: FloatArray
@@ -119,7 +119,6 @@ class Points:
     y: FloatArray
     color: str
     size: float = 6.0
-    opacity: float = 1.0  # 0 to 1
     hollow: bool = False
     half_width: FloatArray | None = None  # half width of an interval around `x` (N,), drawn as a bar; None: no bars
     bar_width: float = 2.0
@@ -139,15 +138,11 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Heatmap:
-    """Cells that are coloured by their value."""
+    """Cells that are darker where more of the time was spent."""
 
-    x: FloatArray  # (C,) centres of the columns
-    values: FloatArray  # (R, C), rows at 0, 1, ...; NaN leaves a cell empty
+    x: FloatArray  # (C,) centres of the columns [s]
+    values: FloatArray  # (R, C) shares of the time, rows at 0, 1, ...; NaN leaves a cell empty
     rows: tuple[str, ...]  # (R,) names of the rows for the hover text
-    colors: tuple[str, ...]  # colours at equal steps from the least to the largest value
-    bounds: tuple[float, float]
-    hover: str  # hover text, a format of ``row``, ``column`` and ``value``
-    cell: str = ""  # text in each cell, a format of ``value``; empty: none
 
 
 @dataclass(frozen=True)
@@ -173,6 +168,8 @@ Series = Line | Band | Points | Bars | Heatmap | Reference | Region
 """Content of a panel."""
 _BESIDE = 0.1
 """Distance of panels that are side by side, relative to the width."""
+_GAP = 22
+"""[px] Distance of panels that are one above the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +180,6 @@ class Panel:
     y: Axis
     series: tuple[Series, ...]
     height: int = 230
-    title: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,16 +194,15 @@ class Figure:
 
     @property
     def margins(self) -> tuple[int, int, int, int]:
-        """Left, right, upper and lower margin in pixels; the upper one holds a legend or a panel's title."""
+        """Left, right, upper and lower margin in pixels; the upper one holds a legend."""
         named = any(not getattr(part, "quiet", True) for panel in self.panels for part in panel.series)
-        above = named or any(panel.title for panel in self.panels) or any(not panel.y.labels for panel in self.panels)
-        return 66, 14, 34 if above else 10, 44
+        return 66, 14, 34 if named or any(not panel.y.labels for panel in self.panels) else 10, 44
 
     @property
     def height(self) -> int:
         """Height of the whole figure in pixels."""
         heights = [panel.height for panel in self.panels]
-        inner = max(heights) if self.side_by_side else sum(heights) + self._gap * (len(heights) - 1)
+        inner = max(heights) if self.side_by_side else sum(heights) + _GAP * (len(heights) - 1)
         return inner + self.margins[2] + self.margins[3]
 
     def areas(self) -> list[tuple[float, float, float, float]]:
@@ -220,9 +215,5 @@ class Figure:
         out, upper = [], inner
         for panel in self.panels:
             out.append((0.0, 1.0, (upper - panel.height) / inner, upper / inner))
-            upper -= panel.height + self._gap
+            upper -= panel.height + _GAP
         return out
-
-    @property
-    def _gap(self) -> int:
-        return 34 if any(panel.title for panel in self.panels) else 22

@@ -15,25 +15,12 @@ from typing_extensions import override
 
 from pam_antagonist.inference.trend import FEWEST, Trend, significant, trend
 from pam_antagonist.program import versions
-from pam_antagonist.report.document import (
-    MISSING,
-    Block,
-    Document,
-    Finding,
-    Findings,
-    Section,
-    Table,
-    Text,
-    background,
-    good,
-    note,
-    number,
-    warn,
-)
+from pam_antagonist.report.document import Block, Document, Finding, Findings, Section, Table, good, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel, Points, Reference
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.logbook import Entry, Logbook
+from pam_antagonist.shown import MISSING, number
 
 _LOSS = 0.8
 """Share of a muscle's first force that is its limit, if none is given."""
@@ -92,13 +79,8 @@ class Course:
         """What has changed, in a sentence without its end."""
         change, std = self.change
         level = self.line.at(self.days[:1])[0][0] if self.line else math.nan
-        verb = (
-            "has grown by"
-            if (change > 0.0) is (level >= 0.0)
-            else "has lost"
-            if FORCE in self.name
-            else "has fallen by"
-        )
+        grown = (change > 0.0) is (level >= 0.0)
+        verb = "has grown by" if grown else "has lost" if FORCE in self.name else "has fallen by"
         name = self.name.replace(FORCE, "muscle") if verb == "has lost" else self.name
         if level and abs(change / level) < 2.0:
             size = f"{100.0 * abs(change / level):.2g} ± {100.0 * std / abs(level):.1g} %"
@@ -248,7 +230,7 @@ class HistoryResult(Result):
         lede = f"{len(self.book.entries)} entries from {span}. " + (
             f"{len(changed)} of {len(self.courses)} values change over time." if changed else "Nothing has changed."
         )
-        blocks: list[Block] = [Text(lede, "lede"), Findings(self.findings())]
+        blocks: list[Block] = [Findings(self.findings())]
         if self.courses:
             blocks.append(self.values_table())
         if figures and self.courses:
@@ -257,11 +239,8 @@ class HistoryResult(Result):
             blocks.append(Section("Over time", drawn[:count], level=2, anchor="time"))
             if drawn[count:]:
                 blocks.append(Section("Other values", drawn[count:], folded=True))
-        blocks += [
-            Section("Log book", (self._log(),), level=2, anchor="log", brief=True),
-            *background(_WORDS, [("Rig", self.rig.name)]),
-        ]
-        return Document("Log book", self.rig.name, tuple(blocks))
+        blocks.append(Section("Log book", (self._log(),), level=2, anchor="log", brief=True))
+        return page("Log book", self.rig.name, blocks, "history", [("Rig", self.rig.name)], lede)
 
     def _figure(self, course: Course) -> Figure:
         x, y, half = course.days, course.value, 1.96 * course.std
@@ -284,18 +263,6 @@ class HistoryResult(Result):
         unit = f"[{course.unit}]" if course.unit else ""
         panel = Panel(Axis(f"Days since {self.date(0.0)}"), Axis(unit), tuple(series), 240)
         return Figure(course.name, course.words + "." if course.changed else "", (panel,))
-
-
-_WORDS = (
-    ("force of muscle", "What half of the supply's pressure adds to its contraction force at angle 0, against the "
-     "atmosphere's."),
-    ("spread", "Recordings of one joint differ by more than the standard errors of their values: temperature, muscles "
-     "that settle. This is the standard deviation of that difference."),
-    ("a trend", "A line through the values whose slope is not 0, with the spread and the errors counted, and with all "
-     "values that were tested: at most one joint in twenty without any change gets one."),
-    ("limit", "80 % of a muscle's first force, or what --limit says."),
-    ("date", "The middle of the recordings. Without a calendar in their stamps, the time at which the command ran."),
-)  # fmt: skip
 
 
 def values_of(entries: Sequence[Entry]) -> set[str]:

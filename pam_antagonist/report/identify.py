@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -17,7 +17,6 @@ from pam_antagonist.identification.result import FromPressures, Held, Step
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
 from pam_antagonist.replays.result import CHANNELS
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Comparison,
     Document,
@@ -27,20 +26,17 @@ from pam_antagonist.report.document import (
     Text,
     Tile,
     Tiles,
-    background,
     in_first_lines,
-    number,
-    percent,
+    page,
+    sentence,
 )
 from pam_antagonist.report.figure import FAINT, MODEL, Axis, Figure, Panel, Points
 from pam_antagonist.report.identify_findings import findings, verdict
 from pam_antagonist.report.replay_figures import replay_figures
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.units import assumption, readable, unit_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from pam_antagonist.shown import MISSING, number, percent
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,39 +54,32 @@ class IdentifyResult(Identified, Result):
 
     @override
     def document(self, figures: bool = True) -> Document:
-        return document(self, figures)
+        what = f"{len(self.held)} recordings" if len(self.held) > 1 else "one recording"
+        lede = (
+            f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
+            "whole ones, which no step used."
+        )
+        title = "Identification of a pneumatic muscle joint"
+        if isinstance(self.found, SealedIdentified):
+            title = "Identification of a sealed muscle joint"
+            lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
+        drawn = (parameters_figure(self.parameters),) if figures else ()
+        parts: list[Block] = [
+            Tiles(_tiles(self)),
+            Findings(findings(self)),
+            *in_first_lines(assumption(self.found.start, identified=True)),
+            *_angles(self),
+            _held_out(self, figures),
+            Section("Parameters", (*drawn, parameters_table(self)), 2, "parameters", brief=True),
+            *_between(self),
+            *(_of_sealed(self.found) if isinstance(self.found, SealedIdentified) else _steps(self.found)),
+        ]
+        return page(title, f"Rig {self.found.start.name}", parts, "identify", _provenance(self), lede, verdict(self))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each identified parameter: start value, identified value, standard error (needs pandas)."""
         rows = [(item.name, item.start, item.value, item.std) for item in self.parameters]
         return frame_of(rows, ("parameter", "start", "value", "std"), "parameter")
-
-
-def document(result: Identified, with_figures: bool) -> Document:
-    """The page."""
-    what = f"{len(result.held)} recordings" if len(result.held) > 1 else "one recording"
-    lede = (
-        f"Parameters with error bars, sensor noise and filter tuning, judged on {what}: on the end of each, or on "
-        "whole ones, which no step used."
-    )
-    title = "Identification of a pneumatic muscle joint"
-    if isinstance(result.found, SealedIdentified):
-        title = "Identification of a sealed muscle joint"
-        lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"
-    parts: list[Block] = [
-        Text(lede, "lede"),
-        Text(verdict(result), "verdict"),
-        Tiles(_tiles(result)),
-        Findings(findings(result)),
-        *in_first_lines(assumption(result.found.start, identified=True)),
-        *_angles(result),
-        _held_out(result, with_figures),
-        _parameters(result, with_figures),
-        *_between(result),
-        *(_of_sealed(result.found) if isinstance(result.found, SealedIdentified) else _steps(result.found)),
-        *background("identify", _provenance(result)),
-    ]
-    return Document(title, f"Rig {result.found.start.name}", tuple(parts))
 
 
 def _angles(result: Identified) -> tuple[Block, ...]:
@@ -163,11 +152,6 @@ def _rows(out: Comparison, name: str, unit: str, errors: Sequence[ChannelErrors]
         out.values(f"  {name} 𝕄 over range, ℚ", [item.ratio for item in errors], percent)
 
 
-def _parameters(result: Identified, with_figures: bool) -> Section:
-    drawn = (parameters_figure(result.parameters),) if with_figures else ()
-    return Section("Parameters", (*drawn, parameters_table(result, "All free parameters")), 2, "parameters", brief=True)
-
-
 def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
     """Change of each parameter with its 95 % interval, and the prior's interval."""
     items = [item for item in parameters if item.start]
@@ -189,7 +173,7 @@ def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:
     return Figure("Parameters with 95 % intervals", about, (panel,), "parameters")
 
 
-def parameters_table(result: Identified, caption: str = "") -> Table:
+def parameters_table(result: Identified) -> Table:
     """Configured and identified value of each parameter."""
     rows = tuple(
         (
@@ -205,7 +189,7 @@ def parameters_table(result: Identified, caption: str = "") -> Table:
         for unit in [readable(item.unit)]
     )
     header = ("Parameter", "configured", "identified", "std error", "change", "± 95 %", "determined")
-    return Table(header, rows, caption)
+    return Table(header, rows, "All free parameters")
 
 
 def change(value: float) -> str:
@@ -240,7 +224,7 @@ def _steps(fit: FromPressures) -> list[Section]:
         )
     ]
     for step in fit.steps:
-        note = f" {step.note[:1].upper()}{step.note[1:]}." if step.note else ""
+        note = f" {sentence(step.note)}" if step.note else ""
         table = (_step_table(step, fit.start),) if step.values else ()
         content.append(Section(step.name, (Text(f"From {step.source}.{note}"), *table)))
     text = (

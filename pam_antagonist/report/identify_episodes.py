@@ -1,41 +1,125 @@
-"""The report of ``identify`` on a regulator-driven joint of many short episodes."""
+"""The report of ``identify`` on a regulator-driven joint of many short episodes.
+
+With it, what the report of ``close_loop`` on such a joint says as well: values in words, and remarks on units.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typing_extensions import override
 
 from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
+from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import Document, Finding, Findings, Table, Text, background, note, number, warn
-from pam_antagonist.report.episodes import units_findings
-from pam_antagonist.report.episodes_tables import about_episodes, interval, intervals_frame, removes, shown, times
-from pam_antagonist.report.result import Result
+from pam_antagonist.report.document import Document, Finding, Findings, Table, note, page, warn
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig, write_unread
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from pam_antagonist.rig.units import readable, unit_of
+from pam_antagonist.shown import MISSING, number, percent
 
 _OTHER_SCALE = 0.03
 """Largest difference of a gain from 1; with more, commands and measured pressures are not on one scale."""
+ABOUT = "A joint driven by pressure regulators, in many short recordings."
+BY_SIGNAL = {
+    "friction_by_signal": "friction that grows with",
+    "load_by_signal": "a torque that depends on",
+    "strength_by_signal": "strength of the muscles that depends on",
+}
+
+
+def interval(value: Interval | None, digits: int = 3) -> str:
+    """A value with its interval, as text."""
+    if value is None:
+        return MISSING
+    return f"{number(value.value, digits)} ({number(value.low, digits)} to {number(value.high, digits)})"
+
+
+def times(factor: float, value: Interval) -> Interval:
+    """An interval times a factor."""
+    return Interval(*(factor * part for part in value))
+
+
+def unit(rig: Rig, name: str) -> tuple[str, float]:
+    """Unit in which a value is shown, and factor from the rig file's unit; torques may be per inertia."""
+    per_inertia = rig.units.force == "per_inertia"
+    lever, inertia = rig.geometry.radius, rig.joint.inertia
+    if name.endswith("at the middle length"):
+        return ("rad/s² a bar", 1e5 * lever / inertia) if per_inertia else ("cm²", 1e4)
+    known = unit_of(rig, name)
+    if known == "1/SI":
+        return "% a bar", 1e7
+    if not per_inertia:
+        return readable(known).name, readable(known).scale
+    by_inertia = {
+        "N m/rad": ("1/s²", 1.0), "N m s/rad": ("1/s", 1.0), "N m": ("rad/s²", 1.0), "N m/Pa": ("rad/s² a bar", 1e5),
+        "N m/SI": ("rad/s² a bar", 1e5), "N": ("rad/s²", lever),
+    }  # fmt: skip
+    shown, factor = by_inertia.get(known, (known, inertia))
+    return shown, factor / inertia
+
+
+def value_name(rig: Rig, name: str) -> str:
+    """Name of a value in a report."""
+    title = name.removeprefix("effects.")
+    effect = title.partition(".")[0]
+    return f"{effect}, {list(rig.signals)[int(title[-1]) - 1]}" if effect in BY_SIGNAL else title
+
+
+def shown(rig: Rig, name: str, value: Interval, digits: int = 3) -> tuple[str, str, str]:
+    """A number of the model as a report has it: its name, the value with its interval, and the unit."""
+    written, factor = unit(rig, name)
+    return value_name(rig, name), interval(times(factor, value), digits), written
+
+
+def removes(value: Interval) -> str:
+    """How much of the error an effect removes, in words."""
+    low, high = percent(value.low), percent(value.high)
+    return f"removes {percent(value.value)} of the squared error of unseen episodes ({low} to {high})"
+
+
+def about_episodes(fitted: int, later: int, between: int) -> str:
+    """How errors of episodes were computed, by the numbers of episodes."""
+    return (
+        f"Free runs of whole episodes from their first row; {fitted} episodes may be fitted, {later} later and "
+        f"{between} interleaved ones are held out"
+    )
+
+
+def intervals_frame(values: Mapping[str, Interval]) -> DataFrame:
+    """A row for each value: it, and its interval."""
+    rows = [(name, *value) for name, value in values.items()]
+    return frame_of(rows, ("value_of", "value", "low", "high"), "value_of")
+
+
+def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
+    """Findings about unknown units, and about episodes that were left out."""
+    out, units = [], joint.rig.units
+    if units.force == "per_inertia":
+        out.append(note(
+            "Forces are known per inertia only: torque, areas and stiffness are not known in their own units."
+        ))  # fmt: skip
+    if units.pressure == "unknown":
+        out.append(note("The unit of the recorded pressures is not known: gain and offset in the rig file are assumed, "
+                        "and so is every bar in this report."))  # fmt: skip
+    if joint.left_out:
+        out.append(warn(
+            f"{joint.left_out} episodes are too short, or lack pressures, signals or the first angle: left out."
+        ))  # fmt: skip
+    return tuple(out)
 
 
 def _errors(identified: EpisodesIdentified) -> Table:
     rows = tuple((name, interval(later), interval(between)) for name, (later, between) in identified.errors.items())
     header = ("RMSE of the angle [°], 95 % interval by episode", "later", "interleaved")
     return Table(header, rows, about_episodes(*identified.counts))
-
-
-def _values(identified: EpisodesIdentified) -> Table:
-    rows = tuple(shown(identified.rig, name, value) for name, value in identified.values.items())
-    return Table(("Value", "95 % interval by episode", "Unit"), rows, "Identified values")
 
 
 def regulators_table(regulators: RegulatorsFound, rig: Rig) -> Table:
@@ -116,14 +200,15 @@ class EpisodesIdentifyResult(Result):
             remarks.append(note("No commands were recorded: the regulators stay as configured."))
         else:
             remarks += map(note, regulators_sentences(found.regulators))
+        rows = tuple(shown(found.rig, name, value) for name, value in found.values.items())
+        values = Table(("Value", "95 % interval by episode", "Unit"), rows, "Identified values")
         tables = () if found.regulators is None else (regulators_table(found.regulators, found.rig),)
-        blocks = (
-            Text("A joint driven by pressure regulators, in many short recordings.", "lede"),
-            Text(do_not_use(self.rejected) if self.rejected else said, "verdict"),
-            Findings((*remarks, *units_findings(self.joint))), _errors(found), _values(found), *tables,
-            *background("identify of episodes", [("Rig", found.start.name), ("Recording", self.hashes[0])]),
+        return page(
+            "Identified joint", self.joint.name,
+            (Findings((*remarks, *units_findings(self.joint))), _errors(found), values, *tables),
+            "identify of episodes", [("Rig", found.start.name), ("Recording", self.hashes[0])], ABOUT,
+            do_not_use(self.rejected) if self.rejected else said,
         )  # fmt: skip
-        return Document("Identified joint", self.joint.name, blocks)
 
     def to_dataframe(self) -> DataFrame:
         """A row for each identified value: the value and its 95 % interval by episode (needs pandas)."""

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from pam_antagonist.identification.held_out import WORSE, at_bounds, bounds_met, do_not_use, known
 from pam_antagonist.identification.result import Held
 from pam_antagonist.replays.result import ANGLE, CHANNELS, HIGH_COVERAGE
-from pam_antagonist.report.document import Finding, good, note, percent, warn
+from pam_antagonist.report.document import Finding, good, note, warn
+from pam_antagonist.shown import percent
 
 if TYPE_CHECKING:
     from pam_antagonist.identification.identified import Identified

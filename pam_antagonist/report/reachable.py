@@ -13,10 +13,11 @@ from typing_extensions import override
 from pam_antagonist.control.laws import Reachable
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.control.tracking import largest_torque
-from pam_antagonist.report.document import Block, Document, Table, Text, background, number
+from pam_antagonist.report.document import Document, Table, page
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import number
 
 _POINTS = 121
 _TABLE_STEP = 5.0  # between two rows of the table [°]
@@ -62,11 +63,10 @@ class ReachableResult(Result):
     @override
     def document(self, figures: bool = True) -> Document:
         drawn = _figures(self) if figures else ()
-        blocks: tuple[Block, ...] = (
-            Text(_lede(self), "verdict"), *drawn, table(self), *_yielding(self),
-            *background("reachable", [("Rig", self.rig.name)]),
+        return page(
+            "What a joint can reach", self.rig.name, (*drawn, table(self), *_yielding(self)), "reachable",
+            [("Rig", self.rig.name)], verdict=_lede(self),
         )  # fmt: skip
-        return Document("What a joint can reach", self.rig.name, blocks)
 
 
 def table(result: ReachableResult) -> Table:

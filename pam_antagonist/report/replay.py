@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typing_extensions import override
 
@@ -24,7 +24,6 @@ from pam_antagonist.replays.result import (
     write_estimate,
 )
 from pam_antagonist.report.document import (
-    MISSING,
     Block,
     Columns,
     Comparison,
@@ -36,21 +35,18 @@ from pam_antagonist.report.document import (
     Text,
     Tile,
     Tiles,
-    background,
     good,
     in_first_lines,
     note,
-    number,
-    percent,
+    page,
+    sentence,
     warn,
 )
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.units import assumption
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from pam_antagonist.shown import MISSING, number, percent
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,8 +114,6 @@ def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
     # The first figure comes before all tables, so that it is on the first screen.
     first, shown[0] = shown[0][:1], shown[0][1:]
     parts: list[Block] = [
-        Text(lede, "lede"),
-        Text(verdict(reports), "verdict"),
         *(replace(one, title=f"{replays[0].name}: {one.title}") if several else one for one in first),
         *in_first_lines(assumption(replays[0].rig, replays[0].tuning)),
         *((overview(reports),) if several else ()),
@@ -130,9 +124,8 @@ def document(replays: Sequence[Replay], with_figures: bool = True) -> Document:
             above = " Its first figure is at the top of the page." if first and place == 1 else ""
             own = (Section(replay.name, (Text(verdict([replay.report]) + above), *own), 2, f"r{place}"),)
         parts += own
-    parts += background("replay", _provenance(replays))
-    title = f"{len(reports)} recordings" if several else replays[0].name
-    return Document("Replay of a pneumatic muscle joint", title, tuple(parts))
+    kicker, title = "Replay of a pneumatic muscle joint", f"{len(reports)} recordings" if several else replays[0].name
+    return page(kicker, title, parts, "replay", _provenance(replays), lede, verdict(reports))
 
 
 def _recording(replay: Replay, figures: Sequence[Figure], with_figures: bool) -> tuple[Block, ...]:
@@ -384,7 +377,7 @@ def _equality(live: LiveComparison, rig: str = "") -> Finding:
 
 def _quality(report: ReplayReport) -> list[Finding]:
     counts, issues = report.estimator.counts, report.recording.issues
-    out = [warn(f"{issue[:1].upper()}{issue[1:].rstrip('.')}.") for issue in issues[:_ISSUES]]
+    out = [warn(sentence(issue)) for issue in issues[:_ISSUES]]
     if len(issues) > _ISSUES:
         out.append(warn(f"{len(issues) - _ISSUES} more such remarks are in report.json."))
     events = (

@@ -10,16 +10,13 @@ from numpy.typing import NDArray
 
 from pam_antagonist.estimation import metrics
 from pam_antagonist.replays import Replay
-from pam_antagonist.report import decimate
 from pam_antagonist.report.figure import (
     BAND,
-    DEEP,
     EDGE,
     ESTIMATE,
     FAINT,
     MEASURED,
     MODEL,
-    PALE,
     QUIET,
     SECOND,
     TIME,
@@ -71,21 +68,33 @@ def with_mean(name: str, x: FloatArray, values: FloatArray, color: str, window: 
     return faint, Line(name, x, moving_mean(values, window), color, width=1.8, quiet=True)
 
 
+def shares(category: NDArray[np.int64], categories: int, columns: int) -> tuple[NDArray[np.int64], FloatArray]:
+    """Share of each stretch of time that is spent in each category.
+
+    `category`: (N,) values 0..categories - 1. Returns index of each stretch's middle sample (C,), and the shares
+    (categories, C), each column adding up to 1.
+    """
+    width = max(1, -(-len(category) // columns))
+    stretch = np.arange(len(category)) // width
+    table = np.zeros((categories, -(-len(category) // width)))
+    np.add.at(table, (category, stretch), 1.0)
+    middle = np.minimum(np.arange(table.shape[1]) * width + width // 2, max(len(category) - 1, 0))
+    return middle, table / np.maximum(table.sum(axis=0), 1.0)
+
+
 def strip(names: Sequence[str], category: NDArray[np.int64], x: FloatArray, columns: int = 400) -> Panel:
     """Active category over time: one row for each category, darker where it is active for more of the time.
 
     `names`: of the categories, with a short name before a colon; a category that never occurs has no row. `category`:
     (N,) indices into `names`.
     """
-    middle, share = decimate.shares(category, len(names), columns)
+    middle, share = shares(category, len(names), columns)
     seen = [int(number) for number in np.flatnonzero(share.sum(axis=1) > 0.0)]
     cells = np.where(share[seen] > 0.0, share[seen], np.nan)
     rows = tuple(names[number] for number in seen)
-    hover = "{row}\n{column} s: {value:.0%} of the time"
     short = tuple(name.split(":")[0] for name in rows)
     y = Axis("Subsystem σ [-]", labels=short, bounds=(-0.5, len(seen) - 0.5))
-    part = Heatmap(x[middle], cells, rows, (PALE, DEEP), (0.0, 1.0), hover)
-    return Panel(TIME, y, (part,), max(66, 26 * len(seen) + 36))
+    return Panel(TIME, y, (Heatmap(x[middle], cells, rows),), max(66, 26 * len(seen) + 36))
 
 
 def time(replay: Replay) -> FloatArray:

@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs
 from pam_antagonist.paths import output_folder
-from pam_antagonist.report import html, plotly_renderer, terminal
+from pam_antagonist.report import html, terminal
 from pam_antagonist.report.document import Document, figures_of
 from pam_antagonist.shown import Shown
 from pam_antagonist.strict_json import plain
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    import pandas
+
+DataFrame: TypeAlias = "pandas.DataFrame"
+"""Of pandas, which is loaded where somebody asks for a table."""
 
 
 class Result(Shown):
@@ -80,7 +83,7 @@ class Result(Shown):
             raise BadInput(f"number {number!r}: this result has {has}")
         with needs("reports", "plot()"):
             from plotly.graph_objects import Figure as Plot
-        plot = plotly_renderer.plot(figures[number])
+        plot = html.plot(figures[number])
         plot["layout"]["title"] = {"text": figures[number].title}
         return Plot(plot, skip_invalid=True)
 

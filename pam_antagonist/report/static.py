@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from typing_extensions import override
@@ -13,38 +12,12 @@ from pam_antagonist.identification.static import Forms, StaticFits, reach
 from pam_antagonist.identification.static_fit import UNITS, StaticFit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
-from pam_antagonist.report.document import (
-    MISSING,
-    Block,
-    Document,
-    Finding,
-    Findings,
-    Table,
-    Text,
-    background,
-    note,
-    number,
-    warn,
-)
-from pam_antagonist.report.figure import (
-    BAND,
-    ESTIMATE,
-    MEASURED,
-    Axis,
-    Band,
-    Figure,
-    Line,
-    Panel,
-    Points,
-    Reference,
-    Series,
-)
-from pam_antagonist.report.result import Result, frame_of
+from pam_antagonist.report.document import Block, Document, Findings, Table, Text, note, page, sentence, warn
+from pam_antagonist.report.figure import BAND, ESTIMATE, MEASURED, Axis, Band, Figure, Line, Panel, Points, Reference
+from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.units import readable
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from pam_antagonist.shown import MISSING, number
 
 _LENGTH_COLORS = ("#6a3aa0", "#4a62b8", "#2a7f9e", "#22a884", "#7ad151", "#c9a400")
 """Colours from the shortest to the longest length; lighter is longer, also without colour vision."""
@@ -77,9 +50,7 @@ class StaticResult(StaticFits, Result):
         whose = "both muscles" if len(self.muscles) == 2 else f"muscle {self.muscles[0]}"
         rig = f"for {whose} of rig {self.fitted.name}" if self.fitted else "without a rig to put them into"
         lede = f"Static measurements of a muscle, fitted {rig}."
-        starts = tuple(table.name for table in self.tables)
-        begun = (text if text.startswith(starts) else f"{text[:1].upper()}{text[1:]}" for text in self.warnings)
-        findings = [_warning(text) for text in begun]
+        findings = [warn(sentence(text)) for text in self.warnings]
         if len(self.muscles) == 2 and self.fitted is not None:
             text = (
                 "Both muscles get the same coefficients. If you have a table of each, run once with --muscle 1, then "
@@ -87,10 +58,7 @@ class StaticResult(StaticFits, Result):
             )
             findings.append(note(text))
         drawn = static_figures(self) if figures else ()
-        parts: list[Block] = [
-            Text(lede, "lede"), Text(verdict(self), "verdict"), *drawn[:1],
-            Findings(tuple(findings)), coefficients_table(self),
-        ]  # fmt: skip
+        parts: list[Block] = [*drawn[:1], Findings(tuple(findings)), coefficients_table(self)]
         if self.force_map is not None:
             parts += [forms_table(self), lengths_table(self.forms)]
             parts += [Text(f"Form {name} is not determined by this map: {fit}.") for name, fit in self.forms.items()
@@ -99,8 +67,8 @@ class StaticResult(StaticFits, Result):
                 if isinstance(fit, StaticFit) and name != self.form:
                     parts += [Text(f"Form {name}: {note}.") for note in fit.notes]
         parts += drawn[1:]
-        parts += background("static", _provenance(self))
-        return Document("Static data of a pneumatic muscle", names, tuple(parts))
+        kicker = "Static data of a pneumatic muscle"
+        return page(kicker, names, parts, "static", _provenance(self), lede, verdict(self))
 
     def to_dataframe(self) -> DataFrame:
         """A row for each coefficient: value, standard deviation and unit (needs pandas)."""
@@ -119,10 +87,6 @@ class StaticResult(StaticFits, Result):
         tables, whose = (" and ".join(map(str, names)) for names in ([t.name for t in self.tables], self.muscles))
         about = f"Rig {self.fitted.name} with static fits of muscle {whose} from {tables}; their errors: priors."
         write_rig(self.fitted, folder / "rig.yaml", [about, *(f"! {text}" for text in self.warnings)])
-
-
-def _warning(text: str) -> Finding:
-    return warn(f"{text}.")
 
 
 def forms_table(result: StaticResult) -> Table:
@@ -210,7 +174,7 @@ def static_figures(result: StaticResult) -> list[Figure]:
 
 def force_figure(table: StaticTable, fit: StaticFit) -> Figure:
     """Force over pressure, a line for each length."""
-    parts: list[Series] = []
+    parts: list[Line | Points] = []
     grid = np.linspace(table.pressure.min(), table.pressure.max(), _POINTS)
     for group in range(table.lengths):
         inside, color = table.group == group, _color(group, table.lengths)
@@ -235,19 +199,18 @@ def force_figure(table: StaticTable, fit: StaticFit) -> Figure:
 def volume_figure(table: StaticTable, fit: StaticFit, result: StaticResult) -> Figure:
     """Volume over length with the fitted parabola and its 95 % interval; marks the range of a fitted rig's lengths."""
     low, high = float(table.length.min()), float(table.length.max())
-    edges: list[Reference] = []
+    edges: tuple[Reference, ...] = ()
     if result.fitted is not None:
         span = reach(result.fitted)
         low, high = min(low, span.shortest), max(high, span.longest)
-        edges = [Reference(edge * 1e3, vertical=True) for edge in (span.shortest, span.longest)]
+        edges = Reference(span.shortest * 1e3, vertical=True), Reference(span.longest * 1e3, vertical=True)
     grid = np.linspace(low, high, _POINTS)
     volume, half = fit.value(grid), fit.value_std(grid) * fit.reach95
-    parts: list[Series] = [*edges]
-    if np.all(np.isfinite(half)):
-        parts.append(Band("95 % interval", grid * 1e3, (volume - half) * 1e6, (volume + half) * 1e6, BAND))
-    parts.append(Line("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, width=1.8))
-    parts.append(Points("measured", table.length * 1e3, table.value * 1e6, MEASURED, 7.0))
-    panel = Panel(Axis("Length [mm]"), Axis("Volume [cm³]"), tuple(parts), 262)
+    band = Band("95 % interval", grid * 1e3, (volume - half) * 1e6, (volume + half) * 1e6, BAND)
+    fitted = Line("fitted parabola", grid * 1e3, volume * 1e6, ESTIMATE, width=1.8)
+    measured = Points("measured", table.length * 1e3, table.value * 1e6, MEASURED, 7.0)
+    series = (*edges, *((band,) if np.all(np.isfinite(half)) else ()), fitted, measured)
+    panel = Panel(Axis("Length [mm]"), Axis("Volume [cm³]"), series, 262)
     about = "Equation (3)." + (" Dashed: the lengths between which the rig's joint takes its muscles." if edges else "")
     return Figure("Volume over length", about, (panel,), "volume")
 

@@ -6,18 +6,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from pam_antagonist.report.document import (
-    Block,
-    Columns,
-    Document,
-    Finding,
-    Findings,
-    Section,
-    Table,
-    Text,
-    warn,
-    with_unit,
-)
+from pam_antagonist.report.document import Block, Columns, Document, Findings, Section, Table, Text, with_unit
 
 WIDTH = 100
 _MARKS = {"good": "✓", "warn": "!", "note": " "}
@@ -53,17 +42,12 @@ def _block(block: Block) -> str:
         case Text():
             return _wrapped(block.text)
         case Findings():
-            return "\n".join(finding(item) for item in block.items)
+            return "\n".join(marked(item.text, _MARKS[item.status]) for item in block.items)
         case Table():
             return table(block)
         case Section():
             return f"{block.title}\n{inner}" if (inner := render(block.blocks)) else ""
     return ""
-
-
-def finding(item: Finding) -> str:
-    """One finding with its mark, wrapped."""
-    return marked(item.text, _MARKS[item.status])
 
 
 def marked(text: str, mark: str) -> str:
@@ -77,11 +61,6 @@ def _wrapped(text: str, first: str = "", others: str = "") -> str:
         with_unit(text), WIDTH, initial_indent=first, subsequent_indent=others, break_on_hyphens=False
     )
     return "\n".join(lines).replace("\u00a0", " ")
-
-
-def warnings(texts: Sequence[str]) -> str:
-    """Warnings, each with its mark and wrapped."""
-    return "\n".join(finding(warn(text)) for text in texts)
 
 
 def table(content: Table, indent: str = "  ") -> str:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from pam_antagonist.cli import commission, new_rig
-from pam_antagonist.cli.demo_steps import found_gains
+from pam_antagonist.cli.commission_guessed import held_angles, tried_gains
+from pam_antagonist.cli.demo import found_gains
 from pam_antagonist.cli.driving import rehearse
-from pam_antagonist.cli.tried_gains import held_angles, tried_gains
 from pam_antagonist.control.model_law import ModelGains
 from pam_antagonist.design import Limits, Plan
 from pam_antagonist.design.exploration import FirstAir

@@ -26,6 +26,11 @@ RIG = load_rig("shin2022")
 LEAKING = moved(RIG, {"effects.leak.area_1": 1e-9})
 
 
+def commissioned(out: Path) -> int:
+    """Status of a commissioning of a simulated joint, with nobody at it."""
+    return commission.main(["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"])
+
+
 def short(joint: str = "free") -> Plan:
     """A second at rest, in the place of a design that takes long."""
     plan = first_fill(RIG)
@@ -75,7 +80,7 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
         commission_steps, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97})
     )
     monkeypatch.setattr(
-        "pam_antagonist.api.identify.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=(), rejected="")
+        "pam_antagonist.api.diagnose.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=(), rejected="")
     )
     monkeypatch.setattr("pam_antagonist.api.diagnose.diagnose", diagnose)
     return out
@@ -83,14 +88,13 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
 
 def test_each_step_goes_on_after_ctrl_c(stopped, tmp_path, capsys):
     out = tmp_path / "commissioned"
-    words = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
     kinds = ("wiring", "free", "locked", "identified", "found", "apart", "found_again")
     for kind in kinds:
-        assert commission.main(words) == 130
+        assert commissioned(out) == 130
         assert stopped.calls[kind] == 1, "stopped in this step"
         assert "type the same command again" in capsys.readouterr().err
         assert json.loads((out / "report.json").read_text())["rig"] == "shin2022"
-    assert commission.main(words) == 0
+    assert commissioned(out) == 0
     said = capsys.readouterr().out
     assert "locked: done before. recorded 1 s" in said and "apart: a leak, by 3 recordings" in said
     # The last step is stopped twice: in its recording, and in its diagnosis, which needs the recording anew.
@@ -115,11 +119,10 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(stopped, monkeypat
         return found
 
     explained = diagnose.diagnose
-    monkeypatch.setattr("pam_antagonist.api.identify.identify", refuse)
+    monkeypatch.setattr("pam_antagonist.api.diagnose.identify", refuse)
     monkeypatch.setattr(diagnose, "diagnose", judged)
     stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "found"), 1))
-    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
-    assert commission.main(words) == 1
+    assert commissioned(tmp_path / "new") == 1
     said = capsys.readouterr()
     assert "identify: not identified, since the model does not fit" in said.out
     assert "are not recordings of one rig" in said.out
@@ -134,9 +137,8 @@ def test_recordings_that_no_model_fits_are_left_to_close_loop(stopped, monkeypat
     ],
 )
 def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named(
-    instead, words, stopped, monkeypatch, tmp_path,
-    capsys,
-):  # fmt: skip
+    instead, words, stopped, monkeypatch, tmp_path, capsys
+):
     asked: list[Any] = []
 
     def told_apart(*given: Any, channels: Any, **more: Any) -> Verdict:
@@ -147,8 +149,7 @@ def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named
     monkeypatch.setattr(commission_steps, "told_apart", told_apart)
     monkeypatch.setattr(commission_steps, "instead_of", lambda *given: instead)
     out = tmp_path / "new"
-    commands = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
-    assert commission.main(commands) == 0
+    assert commissioned(out) == 0
     (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("apart: ")]
     assert "leak or valve_offset: the probability of a decision is 12%. No motion within the limits" in said
     assert words in said and said.endswith("The joint was not driven")
@@ -165,8 +166,7 @@ def test_a_joint_that_goes_farther_than_its_model_gets_advice_that_helps(stopped
 
     stopped.calls.update(dict.fromkeys(("wiring", "free"), 1))
     monkeypatch.setattr(commission_steps, "designed", narrow)
-    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
-    assert commission.main(words) == 1
+    assert commissioned(tmp_path / "new") == 1
     said = " ".join(capsys.readouterr().err.split())
     assert "free: the experiment ended early, after" in said and "beyond the limit of 0.0 deg" in said
     assert "a larger uncertainty in the rig file" in said and "a wider limit, if the rig allows it" in said
@@ -183,20 +183,18 @@ def test_a_sensor_that_always_shows_the_same_is_named(monkeypatch, tmp_path, cap
             return sample
 
     monkeypatch.setattr(plant, "Plant", Frozen)
-    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--unattended", "--source", "rehearsal"]
-    assert commission.main(words) == 1
+    assert commissioned(tmp_path / "new") == 1
     assert "pressure sensor 1 shows 450.3 kPa all the time" in capsys.readouterr().err
 
 
 def test_a_folder_of_something_else_stays_as_it_is(tmp_path, capsys):
-    assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
-    assert "but commission did not write it" in capsys.readouterr().err
-    (tmp_path / "state.json").write_text(json.dumps({"rig": "another", "steps": {}}))
-    assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
-    assert "was begun with --rig another" in capsys.readouterr().err
-    (tmp_path / "state.json").write_text("no json")
-    assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 2
-    assert "state.json" in capsys.readouterr().err
+    another = json.dumps({"rig": "another", "steps": {}})
+    wrong = ("but commission did not write it", None), ("begun with --rig another", another), ("state.json", "no json")
+    for said, state in wrong:
+        if state is not None:
+            (tmp_path / "state.json").write_text(state)
+        assert commissioned(tmp_path) == 2
+        assert said in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
 
 
@@ -206,8 +204,7 @@ def test_the_report_of_a_run_that_failed_says_so_first(tmp_path, capsys, monkeyp
 
     monkeypatch.setattr(commission_steps, "drive", drive)
     out = tmp_path / "new"
-    arguments = ["--rig", "shin2022", "--out", str(out), "--unattended", "--source", "rehearsal"]
-    assert commission.main(arguments) == 1
+    assert commissioned(out) == 1
     assert "the supply is off" in capsys.readouterr().err
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "All is done" not in page

@@ -12,7 +12,7 @@ import pytest
 from joblib import Parallel, delayed
 
 from pam_antagonist.cli import close_loop, identify, simulate
-from pam_antagonist.cli.cluster import connected
+from pam_antagonist.cli.recordings import connected
 
 pytestmark = pytest.mark.slow
 

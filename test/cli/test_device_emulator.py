@@ -84,9 +84,7 @@ def emulated(
 
 
 @pytest.mark.realtime
-def test_a_host_finds_a_device_with_a_joint_behind_the_link(
-    emulated,
-):
+def test_a_host_finds_a_device_with_a_joint_behind_the_link(emulated):
     # its counter wraps half a second after the start
     emulator, link, log = emulated("--first-us", str(2**32 - 500_000), "--fault", "stop@0.5-0.6")
     assert os.path.exists(link)
@@ -124,9 +122,7 @@ def test_a_host_finds_a_device_with_a_joint_behind_the_link(
 
 
 @pytest.mark.realtime
-def test_faults_that_begin_or_end_during_a_stall_are_not_lost(
-    emulated,
-):
+def test_faults_that_begin_or_end_during_a_stall_are_not_lost(emulated):
     faults = ("unplug@0.1-0.5", "stall@0.3-1.2", "stop@0.7-0.9", "restart@1")
     options = [word for fault in faults for word in ("--fault", fault)]
     emulator, link, log = emulated("--first-us", str(2**31), *options)

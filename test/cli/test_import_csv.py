@@ -98,25 +98,12 @@ def test_nothing_is_left_of_an_output_that_failed(as_csv, tmp_path, monkeypatch,
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize(
-    ("edit", "says"),
-    [
-        (lambda text: text.replace("p1 [bar]", "P1 [bar]", 1), "there is no column 'p1 [bar]'"),
-        (lambda text: "", "is empty"),
-        (lambda text: text.replace(",", ";"), "is the delimiter ';'?"),
-        (lambda text: text.replace("\n1000,", "\n1000,x"), "line 1002, pressure_1 (column 'p1 [bar]')"),
-    ],
-)
-def test_a_bad_file_is_one_line_and_no_output(as_csv, tmp_path, refused, edit, says):
-    as_csv.write_text(edit(as_csv.read_text()))
-    refused(main, arguments(as_csv, tmp_path / "out"), f"error: {as_csv}: ", says)
+def test_a_bad_file_is_one_line_and_no_output(as_csv, tmp_path, refused):
+    as_csv.write_text(as_csv.read_text().replace("\n1000,", "\n1000,x"))
+    refused(
+        main, arguments(as_csv, tmp_path / "out"), f"error: {as_csv}: ", "line 1002, pressure_1 (column 'p1 [bar]')"
+    )
     assert not (tmp_path / "out").exists()
-
-
-def test_a_wrong_unit_is_caught_with_a_hint(as_csv, tmp_path, refused):
-    for right, wrong, hint in (("bar", "kPa", "looks like bar"), ("ms", "s", "steps of 1 look like ms")):
-        (tmp_path / "map.yaml").write_text(MAP.replace(f"unit: {right}", f"unit: {wrong}"))
-        refused(main, arguments(as_csv, tmp_path / "out"), hint)
 
 
 def test_the_example_is_printed_and_nothing_else_is_needed(capsys):

@@ -157,13 +157,7 @@ def test_they_start_from_a_checkout():
     ids=lambda words: words[0],
 )
 @pytest.mark.parametrize("absent", ["rclpy", "pam_antagonist_msgs"])
-def test_without_ros_what_needs_it_says_so(
-    arguments,
-    absent,
-    tmp_path,
-    monkeypatch,
-    capsys,
-):
+def test_without_ros_what_needs_it_says_so(arguments, absent, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, absent, None)
     assert main(arguments, {**COMMANDS, **MEASUREMENTS}) == 2

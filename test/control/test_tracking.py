@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.cli.tried_gains import seen
+from pam_antagonist.cli.commission_guessed import seen
 from pam_antagonist.control.command import Mode, VoltageLimits
 from pam_antagonist.control.laws import Laws, Reachable
 from pam_antagonist.control.model_law import ModelController

@@ -19,7 +19,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.replays.result import TORQUE
-from pam_antagonist.report.close_loop import document
 from pam_antagonist.report.close_loop_findings import calibration_findings
 from pam_antagonist.report.document import Tiles
 from pam_antagonist.rig import load_rig
@@ -163,7 +162,7 @@ def test_headline_and_tiles_start_from_what_the_user_had(result) -> None:
     """A rig that was good before recalibration: what the effect regains is no gain for its user."""
     start, _, end = result.errors.all
     assert f"{start.torque.rmse:.2g} N m" in result.sentence and f"{end.torque.rmse:.2g} N m" in result.sentence
-    shown = next(item for item in document(result, False).blocks if isinstance(item, Tiles)).items
+    shown = next(item for item in result.document(False).blocks if isinstance(item, Tiles)).items
     (torque,) = (tile for tile in shown if tile.label.startswith("Torque"))
     assert torque.note == f"as configured {TORQUE.write(start.torque.rmse)}"
 

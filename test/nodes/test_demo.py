@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist import replay
-from pam_antagonist.cli.demo_steps import task
+from pam_antagonist.cli.demo import task
 from pam_antagonist.control.command import PI_MODES, Mode
 from pam_antagonist.control.laws import Reachable
 from pam_antagonist.control.stiffness import Box

@@ -16,8 +16,7 @@ from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict,
 from pam_antagonist.diagnosis.rig_choice import RigChoice
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.report.close_loop import DiagnoseResult, errors_table
-from pam_antagonist.report.close_loop_figures import left
-from pam_antagonist.report.close_loop_findings import findings
+from pam_antagonist.report.close_loop_findings import findings, left
 from pam_antagonist.report.document import Findings, Table
 from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import plain

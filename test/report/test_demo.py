@@ -16,7 +16,7 @@ from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import RecordedReference, Recording
 from pam_antagonist.replays import replay
-from pam_antagonist.report.demo import Demo, Simulated
+from pam_antagonist.report.demo import Demo
 from pam_antagonist.rig import Rig, load_rig
 
 Changed = Callable[..., Recording]
@@ -35,7 +35,7 @@ def recording(free: Recording, changed: Changed) -> Recording:
 def test_the_report_holds_replay_and_control(
     rig: Rig, recording: Recording, tmp_path: Path, golden: Callable[[str, Any], None]
 ) -> None:
-    demo = Demo.of(replay(recording, rig), Mode.ANGLE, Simulated(0.02, 7))
+    demo = Demo.of(replay(recording, rig), Mode.ANGLE, 0.02, 7)
     demo.write(tmp_path, figures=False)
     written = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     golden("demo", written)
@@ -62,7 +62,7 @@ def test_a_stiffness_that_was_asked_for_is_judged_by_the_estimate(
     asked = RecordedReference(
         recording.reference.stamp_ns, mode, recording.reference.value, stiffness, np.full(2, np.nan)
     )
-    demo = Demo.of(replay(changed(recording, reference=asked), rig), Mode.ANGLE_STIFFNESS, Simulated(0.02, 7), "model")
+    demo = Demo.of(replay(changed(recording, reference=asked), rig), Mode.ANGLE_STIFFNESS, 0.02, 7, "model")
     demo.write(tmp_path)
     written = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demo"]["stiffness"]
     assert [step["reference"] for step in written["steps"]] == [6.0, 7.0]
@@ -81,7 +81,7 @@ def test_a_joint_that_yields_is_judged_by_the_spring_and_damper_asked_for(tmp_pa
         made.stamp_ns[[0]], np.array([Mode.IMPEDANCE], np.uint8), *np.array([[0.0], [stiffness], [damping]])
     )
     recording = dataclasses.replace(made, angle=angle, external_torque=push, reference=asked)
-    demo = Demo.of(replay(recording, rig), Mode.IMPEDANCE, Simulated(0.0, 1), "model")
+    demo = Demo.of(replay(recording, rig), Mode.IMPEDANCE, 0.0, 1, "model")
     demo.write(tmp_path)
     found = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demo"]
     assert found["yielding"]["rmse_deg"] == pytest.approx(np.degrees(1e-3 / np.sqrt(2.0)), rel=0.05)
@@ -89,12 +89,12 @@ def test_a_joint_that_yields_is_judged_by_the_spring_and_damper_asked_for(tmp_pa
     assert [step["reference_deg"] for step in found["tracking"]["steps"]] == pytest.approx([0.0, np.degrees(0.15)])
     assert "that of spring and damper" in demo.summary()
     with pytest.raises(BadInput, match="external_torque"):
-        Demo.of(replay(dataclasses.replace(recording, external_torque=None), rig), Mode.IMPEDANCE, Simulated(0.0, 1))
+        Demo.of(replay(dataclasses.replace(recording, external_torque=None), rig), Mode.IMPEDANCE, 0.0, 1)
 
 
 def test_a_stop_for_safety_is_the_first_line(rig: Rig, recording: Recording, tmp_path: Path) -> None:
     reason = "controller: the estimated angle is +0.574 rad, beyond 0.4538 rad (+32.9 deg; the limit is 26.0 deg)"
-    demo = Demo.of(replay(recording, rig), Mode.ANGLE, Simulated(0.02, 7), stopped=reason)
+    demo = Demo.of(replay(recording, rig), Mode.ANGLE, 0.02, 7, stopped=reason)
     said = f"Stopped for safety by the {reason}"
     assert " ".join(demo.summary().split()).startswith(said)
     demo.write(tmp_path, figures=False)
@@ -107,10 +107,10 @@ def test_a_stop_for_safety_is_the_first_line(rig: Rig, recording: Recording, tmp
 
 def test_a_joint_without_commands_is_no_bad_controller(rig: Rig, recording: Recording) -> None:
     held = dataclasses.replace(recording, voltage=np.full_like(recording.voltage, 5.5))
-    shown = Demo.of(replay(held, rig), Mode.ANGLE, Simulated(0.02, 7)).summary()
+    shown = Demo.of(replay(held, rig), Mode.ANGLE, 0.02, 7).summary()
     assert shown.startswith("The joint had no commands: in 100.0 % of the samples the valves had the safe commands.")
 
 
 def test_without_a_reference_there_is_nothing_to_judge(rig: Rig, free: Recording) -> None:
     with pytest.raises(BadInput, match="no reference"):
-        Demo.of(replay(free, rig), Mode.ANGLE, Simulated(0.0, 0))
+        Demo.of(replay(free, rig), Mode.ANGLE, 0.0, 0)

@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from pam_antagonist.report import decimate, figure, plotly_renderer, replay_figures
+from pam_antagonist.report import figure, html, replay_figures
 from pam_antagonist.report.document import (
     Columns,
     Definitions,
@@ -118,8 +118,8 @@ def test_text_is_escaped_everywhere() -> None:
 def test_a_trace_has_few_points_and_keeps_its_spike() -> None:
     values = np.sin(np.arange(60_000) / 1000.0)
     values[12_345] = 7.0
-    trace = plotly_renderer.plot(_figure(values))["data"][0]
-    assert len(trace["x"]) == len(trace["y"]) <= decimate.LIMIT
+    trace = html.plot(_figure(values))["data"][0]
+    assert len(trace["x"]) == len(trace["y"]) <= html.LIMIT
     assert max(trace["y"]) == 7.0
     assert trace["x"][int(np.argmax(trace["y"]))] == pytest.approx(12.345)
 
@@ -128,7 +128,7 @@ def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None
     stamps = np.concatenate((np.arange(50), np.arange(200, 250))) * 1_000_000
     x, ones = replay_figures.seconds(stamps, 0), np.ones(100)
     parts = (Line("a", x, ones, "#000"), Band("b", x, -ones, ones, "#111"))
-    line, band = plotly_renderer.plot(Figure("t", "", (Panel(TIME, Axis("x [V]"), parts),)))["data"]
+    line, band = html.plot(Figure("t", "", (Panel(TIME, Axis("x [V]"), parts),)))["data"]
     assert line["y"].count(None) == 1
     assert band["y"].count(None) == 2  # one closed outline for each stretch
     assert max(band["x"][: band["x"].index(None)]) == pytest.approx(0.049)
@@ -136,7 +136,7 @@ def test_a_pause_in_the_recording_is_a_gap_in_the_line_and_in_the_band() -> None
 
 def test_a_strip_shows_the_categories_that_occur() -> None:
     panel = replay_figures.strip(("1: a", "2: b", "3: c"), np.array([0, 0, 2, 2]), _time(4), columns=2)
-    plot = plotly_renderer.plot(Figure("t", "", (panel,)))
+    plot = html.plot(Figure("t", "", (panel,)))
     assert plot["layout"]["yaxis"]["ticktext"] == ["1", "3"]
     assert plot["data"][0]["z"] == [[1.0, None], [None, 1.0]]
     assert [row[0] for row in plot["data"][0]["text"]] == ["1: a", "3: c"]
@@ -150,10 +150,10 @@ def test_every_kind_of_series_has_its_trace_or_shape() -> None:
         Points("points", x, x, "#000000", hollow=True, half_width=0.1 * x),
         Bars("bars", x, x, "#000000"),
         Reference(1.5, "level"),
-        Reference(1.0, vertical=True),
+        Reference(1.0, "begin", vertical=True),
         Region(1.0, 2.0),
     )
-    plot = plotly_renderer.plot(Figure("t", "", (Panel(Axis("x [m]"), Axis("y [m]", log=True), parts),)))
+    plot = html.plot(Figure("t", "", (Panel(Axis("x [m]"), Axis("y [m]", log=True), parts),)))
     line, points, bars = plot["data"]
     assert line["line"]["dash"] == "dash" and line["mode"] == "lines"
     assert points["marker"]["symbol"] == "circle-open" and points["error_x"]["array"] == [0.1, 0.2]
@@ -163,7 +163,8 @@ def test_every_kind_of_series_has_its_trace_or_shape() -> None:
     assert (vertical["yref"], vertical["x0"], vertical["x1"]) == ("y domain", 1.0, 1.0)
     assert (region["type"], region["x0"], region["x1"], region["layer"]) == ("rect", 1.0, 2.0, "below")
     # plotly gives logarithms for texts on such an axis, but not for lines.
-    assert plot["layout"]["annotations"][0]["y"] == pytest.approx(np.log10(1.5))
+    above, beside = plot["layout"]["annotations"]
+    assert above["y"] == pytest.approx(np.log10(1.5)) and (beside["x"], beside["yref"]) == (1.0, "y domain")
 
 
 def test_every_colour_of_the_light_theme_that_a_dark_page_would_hide_has_a_dark_one() -> None:

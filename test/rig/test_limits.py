@@ -7,7 +7,7 @@ import math
 import pytest
 
 from pam_antagonist import new_rig
-from pam_antagonist.cli.demo_steps import MODEL, law_of, task
+from pam_antagonist.cli.demo import MODEL, law_of, task
 from pam_antagonist.control.command import Mode
 from pam_antagonist.control.laws import Reachable
 from pam_antagonist.control.stiffness import Box

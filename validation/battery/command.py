@@ -10,9 +10,10 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
-from pam_antagonist.cli import cluster, common
+from pam_antagonist.cli import common
 from pam_antagonist.cli.common import JOBS, SEED, whole
 from pam_antagonist.cli.progress import counted
+from pam_antagonist.cli.recordings import connected
 from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import versions
@@ -113,7 +114,7 @@ def _judged(waiting: Sequence[tuple[int, Case]], arguments: argparse.Namespace) 
     if arguments.dask is None:
         yield from (_numbered(number, case, arguments.duration, arguments.jobs) for number, case in waiting)
         return
-    with cluster.connected(arguments.dask):
+    with connected(arguments.dask):
         work = (delayed(_numbered)(number, case, arguments.duration, 1) for number, case in waiting)
         yield from Parallel(return_as="generator_unordered")(work)
 

@@ -12,10 +12,9 @@ from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import install
 from pam_antagonist.report import episodes as report
-from pam_antagonist.report import episodes_tables as tables
 from pam_antagonist.report.document import Table, number, percent
 from pam_antagonist.report.history import HistoryResult
-from pam_antagonist.report.identify_episodes import regulators_sentences, regulators_table
+from pam_antagonist.report.identify_episodes import interval, regulators_sentences, regulators_table
 from validation.pamy import network
 
 _ADDRESS = "https://github.com/ALRhub/action-conditional-rkn"
@@ -95,13 +94,13 @@ def markdown(result: ArmResult) -> str:
     notes = _list(item.text for item in report.findings(found, result.joint))
     beside = () if result.network is None else (result.network,)
     all_rows = [found.rows[0], *result.baselines, *beside, *found.rows[1:]]
-    errors = tables.errors_table(_with_rows(found, all_rows))
+    errors = report.errors_table(_with_rows(found, all_rows))
     trees = (
         ""
         if result.trees
         else f"Boosted trees are left out: scikit-learn is not installed; to get it: {install('compare')}.\n"
     )
-    values = tables.values_table(found, result.joint.rig)
+    values = report.values_table(found, result.joint.rig)
     parts = [
         _HEAD.format(address=_ADDRESS), "## What the model lacks", report.verdict(found), notes, "## Errors",
         f"{errors.caption}. Every fit and every choice of the extended model saw the other episodes only. {trees}",
@@ -169,8 +168,8 @@ def _regulators(result: ArmResult) -> str:
         f"{table.caption} ([`regulators.py`](../pam_antagonist/identification/regulators.py)). The command is `p_set`. "
         f"`identify` finds the same.\n\n{_table(table)}\n\n{said}\n\n"
         f"With these regulators' pressures in the place of the measured ones, the extended model errs by "
-        f"{tables.interval(result.commanded)}° on later episodes, with the measured ones by "
-        f"{tables.interval(recent)}°. So a filter gains {number(result.commanded.value - recent.value, 2)}° from "
+        f"{interval(result.commanded)}° on later episodes, with the measured ones by "
+        f"{interval(recent)}°. So a filter gains {number(result.commanded.value - recent.value, 2)}° from "
         "measured pressures over commanded ones as its input, which is little."
     )
 

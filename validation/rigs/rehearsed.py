@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.cli import commission, common, new_rig
-from pam_antagonist.cli.commission_guessed import drawn
-from pam_antagonist.cli.demo_steps import found_gains
-from pam_antagonist.cli.tried_gains import held_angles
+from pam_antagonist.cli.commission_guessed import drawn, held_angles
+from pam_antagonist.cli.demo import found_gains
 from pam_antagonist.control.model_law import ModelGains
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import read_bag
