@@ -26,7 +26,6 @@ _OUT_OF_REACH = 1e-5
 """[N m] An angle with a larger missing torque is out of reach; above the tolerance of the solution."""
 _GRID = 73
 _HALVINGS = 40
-_UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ class Reachable:
         possible = stiffness if math.isnan(stiffness) else min(max(stiffness, found.softest), found.stiffest)
         if followed == value and (possible == stiffness or math.isnan(stiffness)):
             return value, stiffness, ""
-        unit = _UNIT[mode.quantity]
+        unit = mode.unit
         words = (
             f"reference {_pair(value, unit, stiffness)} is out of reach: {_pair(followed, unit, possible)} is "
             f"followed; the stiffness can be {found.softest:.3g} to {found.stiffest:.3g} N m/rad there"
