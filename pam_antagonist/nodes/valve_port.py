@@ -32,8 +32,7 @@ from pam_antagonist.nodes.wire import number_of, take
 from pam_antagonist.recording.topics import COMMAND_TOPICS, TOPICS
 from pam_antagonist.rig import Rig
 from pam_antagonist.safety import PressureSupervision, SafeAction, ValveGuard
-from pam_antagonist.safety.authority import Verdict
-from pam_antagonist.safety.guard import Decision, safe_action
+from pam_antagonist.safety.guard import Decision, Verdict, safe_action
 from pam_antagonist.safety.supervision import frozen_time
 
 if TYPE_CHECKING:
