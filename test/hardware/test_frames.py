@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pam_antagonist.hardware import protocol
+from pam_antagonist.hardware.device import DeviceLost
 from pam_antagonist.hardware.firmware import Firmware, Readings
 from pam_antagonist.hardware.protocol import (
     LONGEST_PAYLOAD,
@@ -25,8 +26,7 @@ from pam_antagonist.hardware.protocol import (
     Welcome,
     frame,
 )
-from pam_antagonist.hardware.serial_device import SerialDevice
-from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
+from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.safety import SafeAction
 
 payloads = st.binary(min_size=1, max_size=LONGEST_PAYLOAD)
