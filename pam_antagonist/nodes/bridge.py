@@ -17,13 +17,11 @@ from pam_antagonist.hardware.calibration import Converter, ZeroPressureMeasureme
 from pam_antagonist.hardware.device import Device
 from pam_antagonist.hardware.link import Link, Sample, Wanted
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.serial_device import SerialDevice
-from pam_antagonist.hardware.transport import SerialTransport
+from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import ANGLE_SENSORS, FRAME, JOINT_NAME, RIG, VALVE_OWNER, Parameter
-from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import ValvePort
 
@@ -105,10 +103,12 @@ class BridgeNode(PamNode):
     `device`: makes the device; None: a device at the serial port of the parameters. `options`: as :class:`PamNode`.
     """
 
+    NAME, TABLE = "bridge", PARAMETERS
+
     def __init__(self, device: Callable[[], Device] | None = None, **options: Any) -> None:
         self._make_device = device or self._serial_device
         self._lock = threading.RLock()
-        super().__init__("bridge", PARAMETERS, **options)
+        super().__init__(**options)
 
     def _serial_device(self) -> Device:
         port, baud = self.values["port"], self.values["baud"]
@@ -147,7 +147,7 @@ class BridgeNode(PamNode):
             encoder=values["angle_sensor"] == "encoder",
         )
         self.serve(Trigger, "~/measure_rest", self._measure_rest)
-        announce(self, rig)
+        self.announce(rig)
 
     @override
     def activate(self) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import override
 
@@ -18,13 +19,13 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.laws import PARAMETERS, described, make_laws, retune
-from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.parameters import by_rig, check_pressure_sensors
+from pam_antagonist.nodes.node import RIG_TOPIC, PamNode
+from pam_antagonist.nodes.parameters import by_rig
 from pam_antagonist.nodes.references import ReferenceInput
-from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import drive_of
 from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
+from pam_antagonist.rig import RigIdentity, differences
 from pam_antagonist.rig.schema import ENCODER_ZERO
 from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist_msgs.msg import Health as HealthMessage
@@ -52,6 +53,70 @@ services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and t
 
 _CHECKS = 4  # checks of the estimates' time-out and of the valves, within ``max_age``
 
+_SOURCES = ("plant", "bridge")
+
+
+class RigWatch:
+    """Compares the rig files of other nodes, which publish them, with the node's own.
+
+    The filter often cannot detect a wrong rig file: the innovations may look right while the angle is wrong.
+
+    `disagree`: called with the problem in words when a node publishes the rig of another joint.
+    """
+
+    def __init__(self, node: PamNode, own: RigIdentity, disagree: Callable[[str], object]) -> None:
+        self._node = node
+        self._own = own
+        self._disagree = disagree
+        self._others: dict[str, RigIdentity] = {}
+        node.create_subscription(String, RIG_TOPIC, self._on_rig, qos.LATCHED)
+
+    def _on_rig(self, message: String) -> None:
+        try:
+            other = RigIdentity.read(message.data)
+        except BadInput as error:
+            self._node.get_logger().warning(str(error))
+            return
+        if other.node == self._own.node:
+            return
+        if other.node in _SOURCES:  # only one of them runs: the last one to publish
+            for source in _SOURCES:
+                self._others.pop(source, None)
+        self._others[other.node] = other
+        if problem := self._problem(other):
+            self._disagree(problem)
+
+    def _problem(self, other: RigIdentity) -> str:
+        found = differences(self._own, other)
+        if not found:
+            return ""
+        more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+        return f"the rig file of the {other.node} is another joint's: {found[0]}{more} ({other}; here {self._own})"
+
+    @property
+    def present(self) -> str:
+        """The present problem, in words; empty if there is none."""
+        return next(filter(None, map(self._problem, self._others.values())), "")
+
+    def forget_the_gone(self) -> None:
+        """Forget the rigs of nodes that are gone."""
+        topic = self._node.resolve_topic_name(RIG_TOPIC)
+        there = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
+        self._others = {name: other for name, other in self._others.items() if name in there}
+
+    def health(self) -> Health:
+        """Part ``rig`` for ``/diagnostics``."""
+        values: dict[str, Any] = {self._own.node: str(self._own)}
+        values |= {name: str(other) for name, other in sorted(self._others.items())}
+        unlike = sorted(other.node for other in self._others.values() if other.fingerprint != self._own.fingerprint)
+        return judged(
+            values,
+            "the same for all",
+            (self.present, Level.ERROR, self.present),
+            (unlike, Level.OK, f"the same joint; {' and '.join(unlike)} with other values than the controller"),
+            (not self._others, Level.OK, "no other node has published its rig yet"),
+        )
+
 
 class ControllerNode(PamNode):
     """Sends one command for each estimate; safe voltages without a valid estimate or reference.
@@ -60,10 +125,8 @@ class ControllerNode(PamNode):
     called with each command: stamp [ns], voltages (2,) [V].
     """
 
+    NAME, TABLE = "controller", PARAMETERS
     stopped = ""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__("controller", PARAMETERS, **options)
 
     @override
     def configure(self) -> None:
@@ -72,7 +135,6 @@ class ControllerNode(PamNode):
         drive = drive_of(rig, values)
         self._limits, self._action = drive.limits, drive.action
         self._laws = make_laws(values, rig, self._limits, self._action.hold)
-        check_pressure_sensors(values["pressure_sensors"], rig)
         self._supervision = EstimateSupervision(
             values["stop_angle"],
             values["stop_angle_time"],
@@ -103,7 +165,7 @@ class ControllerNode(PamNode):
         self._stops_on = stops_on(values["stop_on"])
         self.serve(SetBool, "~/enable", self._enable)
         self.serve(Trigger, "~/clear_stop", self._clear)
-        self._rigs = RigWatch(self, announce(self, rig), self.stop)
+        self._rigs = RigWatch(self, self.announce(rig), self.stop)
 
     @override
     def change(self, changed: Mapping[str, Any]) -> None:
