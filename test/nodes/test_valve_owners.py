@@ -12,10 +12,9 @@ import pytest
 import yaml
 from sent import MS, asked, command, stamp_of
 
-from pam_antagonist.hardware.device import DeviceInfo, RawSample
+from pam_antagonist.hardware.device import DeviceInfo, DeviceLost, RawSample
 from pam_antagonist.hardware.link import Sample
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.transport import DeviceLost
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import load_rig
 from pam_antagonist.safety import SafeAction
