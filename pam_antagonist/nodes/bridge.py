@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -75,24 +74,6 @@ _DEVICE_STOPS = (
 )
 
 
-class _SharedPort(ValvePort):
-    """A valve port that two threads use: the device's and the executor's. `others`: as :class:`ValvePort`."""
-
-    def __init__(self, lock: threading.RLock, *others: Any) -> None:
-        self._lock = lock
-        super().__init__(*others)
-
-    @override
-    def _clear(self, request: Any) -> str:
-        with self._lock:
-            return super()._clear(request)
-
-    @override
-    def stop(self, reason: str) -> None:
-        with self._lock:
-            super().stop(reason)
-
-
 class BridgeNode(PamNode):
     """Publishes a device's samples, and sends it the commands that pass the valve guard.
 
@@ -107,7 +88,6 @@ class BridgeNode(PamNode):
 
     def __init__(self, device: Callable[[], Device] | None = None, **options: Any) -> None:
         self._make_device = device or self._serial_device
-        self._lock = threading.RLock()
         super().__init__(**options)
 
     def _serial_device(self) -> Device:
@@ -126,7 +106,7 @@ class BridgeNode(PamNode):
         first, second = values["pressure_rest"]
         self._converter = Converter(load_calibration(values["hardware"]), (first, second))
         self._converter.adapt(rig.drive)
-        self.port = _SharedPort(self._lock, self, rig)
+        self.port = ValvePort(self, rig)
         # The device's outputs are voltages; for a rig with regulators all other commands are pressures.
         limits, action = self.port.drive.limits, self._converter.action(self.port.drive.action)
         low, high = (self._converter.output((limit, limit)) for limit in (limits.minimum, limits.maximum))
@@ -156,7 +136,7 @@ class BridgeNode(PamNode):
 
     @override
     def deactivate(self) -> None:
-        with self._lock:
+        with self.port.lock:
             self.port.rest()
         self._link.stop()
 
@@ -170,7 +150,7 @@ class BridgeNode(PamNode):
 
     def _attend(self) -> None:
         now = time.monotonic_ns()
-        with self._lock:
+        with self.port.lock:
             if self._session != self._link.counts.sessions:
                 self._session = self._link.counts.sessions
                 # Commands from the time without a device are not for the new one.
@@ -188,7 +168,7 @@ class BridgeNode(PamNode):
     def _deliver(self, sample: Sample) -> None:
         asked = self._converter.asked(sample.voltage)
         self._samples.send(sample.stamp_ns, sample.pressure, asked, sample.angle, sample.torque, sample.angle)
-        with self._lock:
+        with self.port.lock:
             if self._samples.pressures:
                 self.port.supervise(sample.stamp_ns, *sample.pressure)
             for flag, reason in _DEVICE_STOPS:
@@ -199,7 +179,7 @@ class BridgeNode(PamNode):
     # ---------------------------------------------------------------- thread of the executor
 
     def _measure_rest(self, _request: Any) -> str:
-        with self._lock:
+        with self.port.lock:
             first, second = self._rest.result()
             self._converter.rest = (first, second)
             self._rest.clear()
@@ -211,7 +191,7 @@ class BridgeNode(PamNode):
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         self._link.check()
         self._log_trouble(self._link.trouble)
-        with self._lock:
+        with self.port.lock:
             port = self.port.health(steady_ns)
         return {"device": self._device_health(steady_ns), "clock": self._clock_health(), **port}
 
