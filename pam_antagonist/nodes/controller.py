@@ -160,7 +160,7 @@ class ControllerNode(PamNode):
         self._statuses = dict.fromkeys(Status, 0)
         self._last = Status.NO_REFERENCE
         self._latency, self._rate, self._rises = Window(), Rate(), Rises()
-        self._output = wire.Outgoing(self, COMMAND_TOPICS[rig.drive], wire.FRAMES[rig.drive], wire.VALVES)
+        self._output = wire.Outgoing(self, COMMAND_TOPICS[rig.drive], f"{rig.drive}s", wire.VALVES)
         self._decode, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
         self._stops_on = stops_on(values["stop_on"])
         self.serve(SetBool, "~/enable", self._enable)
@@ -176,7 +176,7 @@ class ControllerNode(PamNode):
     @override
     def activate(self) -> None:
         self._heard_ns = None
-        self._laws.stop()
+        self._laws.active.stop()
         self._supervision.reset()
         if not self.linked:
             name = TOPICS["joint_estimate"].relative
@@ -191,7 +191,7 @@ class ControllerNode(PamNode):
     @override
     def deactivate(self) -> None:
         if self._enabled:
-            self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
+            self._send(self._laws.active.safe(Status.DISABLED), self._stamp + 1)
 
     @override
     def close(self) -> None:
@@ -254,7 +254,7 @@ class ControllerNode(PamNode):
         """Restart the laws at the voltages on the valves; where these are not known, at the last command."""
         self._look()
         self._voltage = self._following.on_valves(time.monotonic_ns()) or self._voltage
-        self._laws.stop(self._voltage)
+        self._laws.active.stop(self._voltage)
 
     # ---------------------------------------------------------------- samples
 
@@ -269,7 +269,7 @@ class ControllerNode(PamNode):
         now = self.now_ns()
         if stamp < self._estimate_ns - RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
             self._jumps += 1
-            self._laws.stop(self._voltage)
+            self._laws.active.stop(self._voltage)
         self._estimate_ns = stamp
         self._heard_ns = now
         self._silent = False
@@ -282,12 +282,12 @@ class ControllerNode(PamNode):
         if reason:
             self.stop(reason)
         if self.stopped:
-            self._send(self._laws.safe(Status.STOPPED), stamp)
+            self._send(self._laws.active.safe(Status.STOPPED), stamp)
             return
         late = now - stamp > self._max_age or bool(int(flags) & JointEstimate.LATE) or self._supervision.settling
         wanted = self._references.at(stamp, time.monotonic_ns(), angle, torque)
         if wanted.lost:
-            self._send(self._laws.safe(Status.LOST), stamp)
+            self._send(self._laws.active.safe(Status.LOST), stamp)
             return
         seen = Seen(
             angle, velocity, torque, first, second, external, of_external, of_angle, of_velocity, of_torque, of_first,
@@ -311,9 +311,9 @@ class ControllerNode(PamNode):
             self._heard_ns = now
         elif silent > self._max_age:
             if silent > self._resume:
-                self._laws.stop()
+                self._laws.active.stop()
             self._silent = True
-            self._send(self._laws.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
+            self._send(self._laws.active.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
         elif self._following.astray(self._voltage, time.monotonic_ns()):
             # The valves are stopped or obey another node. The command must not jump when they obey again.
             self._from_the_valves()
@@ -328,8 +328,8 @@ class ControllerNode(PamNode):
             if self._safe_since_ns is None:
                 self._safe_since_ns = now
             voltage = self._action.voltage(now - self._safe_since_ns)
-            if voltage != command.voltage and not self._laws.running:
-                self._laws.stop(voltage)
+            if voltage != command.voltage and not self._laws.active.running:
+                self._laws.active.stop(voltage)
         self._output.send(stamp_ns, *voltage)
         if self.deliver is not None:
             self.deliver(stamp_ns, voltage)

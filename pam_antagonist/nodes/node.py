@@ -5,8 +5,9 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
@@ -54,14 +55,9 @@ class _Gate:
         if self.open:
             self.callback(*message)
 
-
-class _Owned(NamedTuple):
-    """An entity that was made in a transition, and is destroyed in the opposite one."""
-
-    stage: str
-    destroy: Callable[[Any], object]
-    entity: Any
-    gate: _Gate | None
+    def close(self) -> None:
+        """Pass nothing on from now on."""
+        self.open = False
 
 
 class PamNode(LifecycleNode):  # type: ignore[misc]
@@ -103,7 +99,8 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self.linked = linked
         self._timers_shared = timers
         self._collected: dict[str, Subscription] = getattr(self, "_collected", {})
-        self._owned: list[_Owned] = []
+        # What was made in a transition is destroyed in the opposite one.
+        self._owned = {"configured": ExitStack(), "active": ExitStack()}
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
         self.about_rig: dict[str, str] = {}  # name and fingerprint of the rig for ``/diagnostics``
@@ -265,7 +262,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         if self.configured:
             self.cleanup()
             self.configured = False
-        self._dispose("configured")
+        self._owned["configured"].close()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -285,12 +282,12 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
             self._transition_error = error
             if not self.values["autostart"]:
                 self.get_logger().error(f"cannot become {stage}: {error}")
-            self._dispose(stage)
+            self._owned[stage].close()
             return TransitionCallbackReturn.FAILURE
         except Exception as error:
             self._transition_error = error
             self.get_logger().error(f"cannot become {stage}: {type(error).__name__}: {error}")  # rclpy swallows it
-            self._dispose(stage)
+            self._owned[stage].close()
             raise
         finally:
             self._reaching = None
@@ -300,19 +297,14 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         if self.active:
             self.deactivate()
             self.active = False
-        self._dispose("active")
-
-    def _dispose(self, stage: str) -> None:
-        gone = [owned for owned in self._owned if owned.stage == stage]
-        self._owned = [owned for owned in self._owned if owned.stage != stage]
-        for owned in reversed(gone):
-            if owned.gate is not None:
-                owned.gate.open = False
-            owned.destroy(owned.entity)
+        self._owned["active"].close()
 
     def _own(self, destroy: Callable[[Any], object], entity: Any, gate: _Gate | None = None) -> Any:
         if self._reaching is not None:
-            self._owned.append(_Owned(self._reaching, destroy, entity, gate))
+            owned = self._owned[self._reaching]
+            owned.callback(destroy, entity)
+            if gate is not None:
+                owned.callback(gate.close)  # before that
         return entity
 
     def _unsubscribe(self, subscription: Subscription) -> None:

@@ -148,10 +148,6 @@ class Outgoing:
         self._publish(self.bytes_of(stamp_ns, *values))
 
 
-FRAMES = {"valve": "valves", "regulator": "regulators"}
-"""Drive of a joint -> frame of its commands and outputs."""
-
-
 class SampleOutput:
     """Publishes what the node that owns the valves measures: plant or bridge.
 
@@ -165,7 +161,7 @@ class SampleOutput:
         self.pressures = tuple(
             Outgoing(node, f"pressure_{i}", f"muscle_{i}", PRESSURE) for i in ((1, 2) if pressures else ())
         )
-        self.valves = Outgoing(node, STATE_TOPICS[rig.drive], FRAMES[rig.drive], VALVES)
+        self.valves = Outgoing(node, STATE_TOPICS[rig.drive], f"{rig.drive}s", VALVES)
         body, self._position = joint_state(name, "position")
         self.encoder = Outgoing(node, "angle_sensor", frame, body) if encoder else None
         body, self._state = joint_state(name, "position", "effort")
