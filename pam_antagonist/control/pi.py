@@ -5,8 +5,7 @@ The paper's law, with e = reference - estimate in rad or N m, k the sample::
     x(k+1) = x(k) + e(k),    u(k) = C x(k) + D e(k) + beta,    C = [+c, -c],  D = [+T_P, -T_P],  beta = [5.5, 5.5] V
 
 The paper prints c = T_I / T_stp. Since x adds up e once a sample, an integral gain in V per (rad s) needs
-c = T_I * T_stp; with the printed value the valves are saturated nearly all the time. The paper
-leaves the following points open:
+c = T_I * T_stp; with the printed value the valves are saturated nearly all the time. The paper leaves open:
 
 * **Limits.** Each valve's voltage is clipped separately.
 * **Anti-windup** (conditional integration and a clamp). The integral term is stored as a voltage I = c x. It does not
