@@ -112,12 +112,9 @@ class SerialDevice:
     may take to answer [s].
     """
 
-    def __init__(
-        self, open_transport: Callable[[], Transport], hello_for_s: float = _HELLO_FOR, seed: int | None = None
-    ) -> None:
+    def __init__(self, open_transport: Callable[[], Transport], hello_for_s: float = _HELLO_FOR) -> None:
         self._open = open_transport
         self._hello_for_s = hello_for_s
-        self._random = random.Random(seed)
         self._transport: Transport | None = None
         self._frames = FrameReader()
         self._closed = False
@@ -144,7 +141,7 @@ class SerialDevice:
         if self._transport is None:
             self._transport = self._open()
             self._frames.reset()
-        self._begin((self._session + self._random.randrange(1, SEQUENCES)) % SEQUENCES)
+        self._begin((self._session + random.randrange(1, SEQUENCES)) % SEQUENCES)
         vent, rate = (action.hold, 0.0) if action.vent is None else (action.vent, action.rate)
         hello = frame(protocol.pack(Hello(protocol.VERSION, self._session, *action.hold, *vent, rate)))
         end = time.monotonic() + self._hello_for_s

@@ -99,21 +99,21 @@ class Authority:
         return Verdict.ACCEPTED if self._holds else Verdict.LISTENING
 
 
+_SILENCE_NS = 1_000_000_000  # of the owner of references
+
+
 class ReferenceOwner:
     """Admits the references of one publisher, and refuses those of others while the first one is heard.
 
-    Two publishers whose numbers are close by chance cannot be distinguished.
-
-    Args:
-        silence: time after which another publisher may take over [s].
+    Two publishers whose numbers are close by chance cannot be distinguished. After a second of silence another one may
+    take over.
 
     Attributes:
         refused: number of refused references so far.
     """
 
-    def __init__(self, silence: float = 1.0) -> None:
+    def __init__(self) -> None:
         self.refused = 0
-        self._silence = round(silence * 1e9)
         self._last: int | None = None
         self._heard_ns = 0
 
@@ -126,7 +126,7 @@ class ReferenceOwner:
             publishers: number of publishers on the topic now.
             now_ns: steady time [ns].
         """
-        if publishers > 1 and self._last is not None and 0 <= now_ns - self._heard_ns <= self._silence:
+        if publishers > 1 and self._last is not None and 0 <= now_ns - self._heard_ns <= _SILENCE_NS:
             if sequence is not None and not 0 < sequence - self._last <= LONGEST_STEP:
                 self.refused += 1
                 return False

@@ -204,7 +204,7 @@ class Wire:
 
 def test_greeting_samples_commands_and_goodbye() -> None:
     wire = Wire()
-    device = SerialDevice(lambda: wire, seed=1)
+    device = SerialDevice(lambda: wire)
     info = device.start(ACTION)
     assert (info.name, info.unit, info.period_ns, info.watchdog_ns) == ("reference", "V", MS, 20 * MS)
     assert device.samples(0.1)[0].voltage == ACTION.hold

@@ -298,7 +298,7 @@ def test_a_single_publisher_is_obeyed_at_once_also_a_new_one() -> None:
 
 
 def test_while_the_first_is_heard_another_is_refused() -> None:
-    owner = ReferenceOwner(1.0)
+    owner = ReferenceOwner()
     assert owner.admit(5000, 2, 0)
     for k in range(1, 50):
         assert owner.admit(5000 + k, 2, k * S // 10)
@@ -309,7 +309,7 @@ def test_while_the_first_is_heard_another_is_refused() -> None:
 
 
 def test_silence_frees_the_joint() -> None:
-    owner = ReferenceOwner(1.0)
+    owner = ReferenceOwner()
     owner.admit(5000, 2, 0)
     assert not owner.admit(1, 2, S)
     assert owner.admit(2, 2, S + 1)
