@@ -48,9 +48,9 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
     return True
 
 
-def local_only(environment: MutableMapping[str, str] = os.environ) -> bool:
+def local_only() -> bool:
     """Whether discovery is limited to this machine."""
-    return environment.get(RANGE) == "LOCALHOST" and not environment.get("ROS_STATIC_PEERS")
+    return os.environ.get(RANGE) == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS")
 
 
 def nothing_there(
