@@ -16,7 +16,7 @@ from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from pam_antagonist.nodes import launching
+from pam_antagonist.nodes import processes
 from pam_antagonist.paths import config_dir
 
 PACKAGE = "pam_antagonist"
@@ -42,7 +42,7 @@ def refuse_unknown(context: LaunchContext) -> None:
     Raises:
         ValueError: an unknown argument.
     """
-    launching.refuse_unknown(Path(__file__).name, context.argv, [argument.name for argument in arguments()])
+    processes.refuse_unknown(Path(__file__).name, context.argv, [argument.name for argument in arguments()])
 
 
 def given_parameters(context: LaunchContext) -> dict[str, object]:
@@ -55,7 +55,7 @@ def given_parameters(context: LaunchContext) -> dict[str, object]:
     for name in PARAMETERS:
         text = LaunchConfiguration(name).perform(context)
         if text:
-            value = launching.value_of(name, text)
+            value = processes.value_of(name, text)
             # As text, even where it reads like a number or as true.
             given[name] = ParameterValue(value, value_type=str) if isinstance(value, str) else value
     return given
@@ -82,8 +82,8 @@ def nodes(context: LaunchContext) -> list[Node]:
             "parameters": [LaunchConfiguration("parameters"), *([given] if given else [])],
             "output": "screen",
             "respawn": LaunchConfiguration("respawn"),
-            "respawn_delay": launching.RESPAWN_DELAY,
-            "sigterm_timeout": launching.STOP_TIME,
+            "respawn_delay": processes.RESPAWN_DELAY,
+            "sigterm_timeout": processes.STOP_TIME,
         }
         extra = ["--log-level", level] if level else []
         if enclaves:

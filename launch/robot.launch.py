@@ -13,7 +13,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from pam_antagonist.nodes import launching
+from pam_antagonist.nodes import processes
 from pam_antagonist.paths import config_dir
 
 PACKAGE = "pam_antagonist"
@@ -28,7 +28,7 @@ def refuse_unknown(context: LaunchContext) -> None:
     Raises:
         ValueError: an unknown argument.
     """
-    launching.refuse_unknown(Path(__file__).name, context.argv, [argument.name for argument in arguments()])
+    processes.refuse_unknown(Path(__file__).name, context.argv, [argument.name for argument in arguments()])
 
 
 def namespaces(path: str) -> list[str]:
@@ -63,9 +63,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     for name in PARAMETERS:
         text = LaunchConfiguration(name).perform(context)
         if text:  # as text, even where it reads like a number or as true
-            given += ["-p", f"{name}:={json.dumps(launching.value_of(name, text))}"]
+            given += ["-p", f"{name}:={json.dumps(processes.value_of(name, text))}"]
     level = ["--log-level", LaunchConfiguration("log_level").perform(context)]
-    common: dict[str, object] = {"package": PACKAGE, "output": "screen", "sigterm_timeout": launching.STOP_TIME}
+    common: dict[str, object] = {"package": PACKAGE, "output": "screen", "sigterm_timeout": processes.STOP_TIME}
     # Without a name or a namespace: these would be for every node of the process.
     started = [
         Node(
@@ -73,7 +73,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             parameters=[path],
             ros_arguments=[*level, *given],
             respawn=LaunchConfiguration("respawn"),
-            respawn_delay=launching.RESPAWN_DELAY,
+            respawn_delay=processes.RESPAWN_DELAY,
             **common,
         )
     ]

@@ -3,8 +3,7 @@
 import time
 from collections.abc import Mapping
 
-from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, RawSample
-from pam_antagonist.hardware.transport import DeviceLost
+from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, DeviceLost, RawSample
 from pam_antagonist.nodes import bridge
 from pam_antagonist.safety import SafeAction
 

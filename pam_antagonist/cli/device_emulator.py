@@ -60,7 +60,7 @@ def parser() -> common.Parser:
 
 def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.hardware.calibration import Converter, load_calibration
-    from pam_antagonist.hardware.emulator import DeviceClock, Emulator, Port, VoltageLog
+    from pam_antagonist.hardware.emulator import Emulator, Port, VoltageLog
     from pam_antagonist.hardware.firmware import Firmware, Settings
     from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan, parse_fault
     from pam_antagonist.hardware.protocol import Feature
@@ -104,11 +104,11 @@ def _main(arguments: argparse.Namespace) -> int:
             pipe = FaultOrders(arguments.orders)
             stack.callback(pipe.close)
             orders = pipe.take
-        clock = DeviceClock(arguments.drift * 1e-6, arguments.first_us)
         plan = FaultPlan(faults, arguments.seed, orders)
         emulator = Emulator(
-            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link), clock
-        )
+            plant, converter, Firmware(settings), plan, VoltageLog(log), lambda: Port(arguments.link),
+            arguments.drift * 1e-6, arguments.first_us,
+        )  # fmt: skip
         stack.callback(emulator.close)
         print(f"{arguments.link or emulator.path}", flush=True)
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -126,7 +126,7 @@ class _Stop:
     """Set by a signal, or when the process that this one is to end with is gone."""
 
     def __init__(self) -> None:
-        from pam_antagonist.nodes.spin import PARENT_VARIABLE
+        from pam_antagonist.nodes.processes import PARENT_VARIABLE
 
         self._parent = int(os.environ.get(PARENT_VARIABLE, "0"))
         self._stopped = False

@@ -25,6 +25,11 @@ class Mode(IntEnum):
         return Mode.TORQUE if self in (Mode.TORQUE, Mode.TORQUE_STIFFNESS) else Mode.ANGLE
 
     @property
+    def unit(self) -> str:
+        """Unit of the reference's value."""
+        return "N m" if self.quantity is Mode.TORQUE else "rad"
+
+    @property
     def has_stiffness(self) -> bool:
         """Whether the reference has a stiffness, which only the law through the model can follow."""
         return self not in PI_MODES
@@ -107,9 +112,6 @@ class Law:
         blend_time: float,
     ) -> None:
         self._limits = limits or VoltageLimits()
-        for name, value in (("sample period", sample_period), ("resume time", resume_time), ("blend time", blend_time)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise BadInput(f"{name} {value!r} s: expected a finite time above 0")
         self._period = sample_period
         self._safe = self._limits.check("safe voltage", safe_voltage)
         self._resume_samples = round(resume_time / sample_period)

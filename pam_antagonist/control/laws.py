@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status
+from pam_antagonist.control.command import PI_MODES, Command, Law, Mode
 from pam_antagonist.control.governor import Governor
 from pam_antagonist.control.model_law import ModelController, Seen, wanted_pressures
 from pam_antagonist.control.pi import PiController
@@ -26,7 +26,6 @@ _OUT_OF_REACH = 1e-5
 """[N m] An angle with a larger missing torque is out of reach; above the tolerance of the solution."""
 _GRID = 73
 _HALVINGS = 40
-_UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ class Reachable:
         possible = stiffness if math.isnan(stiffness) else min(max(stiffness, found.softest), found.stiffest)
         if followed == value and (possible == stiffness or math.isnan(stiffness)):
             return value, stiffness, ""
-        unit = _UNIT[mode.quantity]
+        unit = mode.unit
         words = (
             f"reference {_pair(value, unit, stiffness)} is out of reach: {_pair(followed, unit, possible)} is "
             f"followed; the stiffness can be {found.softest:.3g} to {found.stiffest:.3g} N m/rad there"
@@ -128,8 +127,8 @@ LAWS = ("pi", "model")
 class Laws:
     """Both laws behind one interface. A change between them is bumpless.
 
-    A rig with pressure regulators has no PI, one without pressures to choose from no law through the model. `name` is
-    that of the active law, one of ``LAWS``.
+    A rig with pressure regulators has no PI, one without pressures to choose from no law through the model. `active` is
+    the law that commands now, `name` its name, one of ``LAWS``.
     """
 
     def __init__(
@@ -144,7 +143,7 @@ class Laws:
         first = pi or model
         if first is None:
             raise BadInput("no law of control: expected the PI, the law through the model, or both")
-        self._law: Law = first
+        self.active: Law = first
         self.name = "model" if pi is None else "pi"
         self.choose(name, None)
 
@@ -164,10 +163,10 @@ class Laws:
             )
         if name == "pi" and mode is not None and mode.has_stiffness:
             raise BadInput(f"law: pi has no mode {mode.name}: send a reference of mode ANGLE or TORQUE first")
-        before, chosen = self._law, self.pi if name == "pi" else self.model
+        before, chosen = self.active, self.pi if name == "pi" else self.model
         assert chosen is not None  # checked above
-        self._law = chosen
-        self._law.stop(before.valves)
+        self.active = chosen
+        chosen.stop(before.valves)
         self.name = name
 
     def nearest(self, mode: Mode, value: float, stiffness: float, angle: float) -> tuple[float, float, str]:
@@ -179,22 +178,9 @@ class Laws:
         assert self._reachable is not None  # comes with the law through the model
         return self._reachable.nearest(mode, value, stiffness, angle)
 
-    @property
-    def running(self) -> bool:
-        """Whether the next command goes on with the present integral; otherwise it starts bumplessly."""
-        return self._law.running
-
-    def stop(self, valves: tuple[float, float] | None = None) -> None:
-        """:meth:`Law.stop` of the active law."""
-        self._law.stop(valves)
-
-    def safe(self, status: Status) -> Command:
-        """The safe voltages, for one sample without a usable reference or estimate."""
-        return self._law.safe(status)
-
     def step(self, wanted: Wanted, seen: Seen, *, late: bool = False) -> Command:
         """The command for one estimate; `late`: it is too old to act on."""
-        if self.pi is not None and self._law is self.pi:
+        if self.pi is not None and self.active is self.pi:
             value = seen.torque if wanted.mode is Mode.TORQUE else seen.angle
             return self.pi.step(wanted.mode, wanted.value, value, velocity=wanted.velocity, late=late)
         assert self.model is not None  # it is the active law

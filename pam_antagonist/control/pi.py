@@ -5,14 +5,12 @@ The paper's law, with e = reference - estimate in rad or N m, k the sample::
     x(k+1) = x(k) + e(k),    u(k) = C x(k) + D e(k) + beta,    C = [+c, -c],  D = [+T_P, -T_P],  beta = [5.5, 5.5] V
 
 The paper prints c = T_I / T_stp. Since x adds up e once a sample, an integral gain in V per (rad s) needs
-c = T_I * T_stp; with the printed value the valves are saturated nearly all the time. :meth:`Gains.as_printed` gives
-this value. The paper leaves the following points open:
+c = T_I * T_stp; with the printed value the valves are saturated nearly all the time. The paper leaves open:
 
 * **Limits.** Each valve's voltage is clipped separately.
 * **Anti-windup** (conditional integration and a clamp). The integral term is stored as a voltage I = c x. It does not
   grow while a valve is at its limit and e drives it further. It never exceeds the span, the largest difference at which
   no valve is beyond its limits. So the output leaves a limit in the same sample in which e changes sign.
-  ``anti_windup="none"`` gives the paper's law.
 * **Bumpless start, mode switch and retuning.** The integral term is chosen so that the first output equals the present
   voltages of the valves. The rest (the mean of both voltages, and the part beyond the span) is an offset that decays
   with ``blend_time``.
@@ -25,12 +23,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
-
-ANTI_WINDUP = ("conditional", "none")
 
 
 @dataclass(frozen=True)
@@ -42,18 +38,6 @@ class Gains:
     bias: float = 5.5  # beta, the voltage of both valves at rest [V]
     velocity: float = 0.0  # feed-forward of the reference's velocity [V s/rad]; the paper has none
 
-    def __post_init__(self) -> None:
-        for name in ("proportional", "integral", "velocity"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise BadInput(f"{name} gain {value!r}: expected a finite number, 0 or more")
-        if not (math.isfinite(self.bias) and 0.0 <= self.bias <= 10.0):
-            raise BadInput(f"bias {self.bias!r} V: expected 0 to 10 V")
-
-    def as_printed(self, sample_period: float) -> Gains:
-        """Gains with which c becomes T_I / T_stp, as the paper prints it, by the sample period T_stp [s]."""
-        return replace(self, integral=self.integral / sample_period**2)
-
 
 PUBLISHED_GAINS: Mapping[Mode, Gains] = {Mode.ANGLE: Gains(5.45, 1.55), Mode.TORQUE: Gains(7.45, 4.75)}
 """The paper's gains, "determined by trial-and-error"."""
@@ -64,7 +48,7 @@ the time. Chosen in simulation, seed 0, from twenty pairs; not tried on a real j
 
 
 class PiController(Law):
-    """PI control of an antagonistic pair: one command for each estimate. See the module for `anti_windup`."""
+    """PI control of an antagonistic pair: one command for each estimate."""
 
     def __init__(
         self,
@@ -75,23 +59,12 @@ class PiController(Law):
         safe_voltage: tuple[float, float] = (5.5, 5.5),
         resume_time: float = 0.5,
         blend_time: float = 0.5,
-        anti_windup: str = "conditional",
     ) -> None:
         super().__init__(sample_period, limits, safe_voltage, resume_time, blend_time)
-        if anti_windup not in ANTI_WINDUP:
-            raise BadInput(f"anti-windup {anti_windup!r}: expected one of {', '.join(ANTI_WINDUP)}")
-        self._anti_windup = anti_windup == "conditional"
         self._gains: dict[Mode, Gains] = {}
-        self._integral = 0.0
+        self.integral = 0.0  # I [V]: half of its contribution to the voltage difference between the valves
         for mode in PI_MODES:
-            if mode not in gains:
-                raise BadInput(f"gains: none for mode {mode.name.lower()}")
             self.retune(mode, gains[mode])
-
-    @property
-    def integral(self) -> float:
-        """The integral term I [V]: half of its contribution to the voltage difference between the valves."""
-        return self._integral
 
     def span(self, mode: Mode) -> float:
         """Largest half difference [V] at which neither valve has reached a limit."""
@@ -135,7 +108,7 @@ class PiController(Law):
             half = (self._valves[0] - self._valves[1]) / 2.0
         else:
             mean, rest = self._fade()
-            half = self._integral + proportional + rest
+            half = self.integral + proportional + rest
             command = self._clipped(gains.bias + mean + half, gains.bias + mean - half)
         self._integrate(mode, gains, error, half)
         self._valves = command.voltage
@@ -147,15 +120,12 @@ class PiController(Law):
         mean = (self._valves[0] + self._valves[1]) / 2.0 - self._gains[mode].bias
         span = self.span(mode)
         self._mode = mode
-        self._integral = min(max(half - proportional, -span), span)
-        self._offset = (mean, half - proportional - self._integral)
+        self.integral = min(max(half - proportional, -span), span)
+        self._offset = (mean, half - proportional - self.integral)
 
     def _integrate(self, mode: Mode, gains: Gains, error: float, half: float) -> None:
-        integral = self._integral + gains.integral * self._period * error
-        if self._anti_windup:
-            span = self.span(mode)
-            # A valve at its limit cannot follow a larger integral.
-            if (half >= span and error > 0.0) or (half <= -span and error < 0.0):
-                return
-            integral = min(max(integral, -span), span)
-        self._integral = integral
+        span = self.span(mode)
+        # A valve at its limit cannot follow a larger integral.
+        if (half >= span and error > 0.0) or (half <= -span and error < 0.0):
+            return
+        self.integral = min(max(self.integral + gains.integral * self._period * error, -span), span)

@@ -27,7 +27,6 @@ from pam_antagonist.errors import BadInput
 LOST = ("safe", "hold")
 """The choices of parameter ``reference_lost``."""
 
-_UNIT = {Mode.ANGLE: "rad", Mode.TORQUE: "N m"}
 _LONGEST_STEP_NS = 20_000_000
 """[ns] A longer interval between two samples counts as this long for the slew, so that the reference does not jump."""
 
@@ -51,10 +50,6 @@ class Rules:
     slew: Mapping[Mode, float]  # largest change in a second; 0: any
     timeout: Mapping[Mode, float]  # after which a reference that is not repeated is lost [s]; 0: never
     lost: str = "safe"  # ``safe`` or ``hold``
-
-    def __post_init__(self) -> None:
-        if self.lost not in LOST:
-            raise BadInput(f"reference_lost is {self.lost!r}: expected one of {', '.join(LOST)}")
 
 
 class Trajectory:
@@ -172,7 +167,7 @@ class References:
         `damping`: [N m s/rad], for ``Mode.IMPEDANCE``; NaN: none added to the joint's own.
         """
         if not math.isfinite(value):
-            self.refuse(f"reference {value:g} {_UNIT[mode.quantity]}, expected a finite number", mode)
+            self.refuse(f"reference {value:g} {mode.unit}, expected a finite number", mode)
             return
         if mode.has_stiffness and not (math.isfinite(stiffness) and stiffness > 0.0):
             self.refuse(
@@ -237,8 +232,7 @@ class References:
         largest = self._rules.largest[mode.quantity]
         if abs(value) <= largest:
             return ""
-        unit = _UNIT[mode.quantity]
-        return f"reference {value:g} {unit} is limited to ±{largest:g} {unit}"
+        return f"reference {value:g} {mode.unit} is limited to ±{largest:g} {mode.unit}"
 
     def at(self, stamp_ns: int, now_ns: int, angle: float, torque: float) -> Wanted:
         """The reference at the stamp of an estimate [ns], with its angle [rad] and torque [N m], and a steady time."""

@@ -13,6 +13,10 @@ SEQUENCES = 1 << 16
 """Sequence numbers count modulo this."""
 
 
+class DeviceLost(Exception):
+    """The device cannot be reached, or is not the expected one. The message says why, in one line."""
+
+
 @dataclass(frozen=True)
 class DeviceInfo:
     """Properties that a device reports when it starts."""

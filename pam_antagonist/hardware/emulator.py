@@ -12,7 +12,6 @@ import time
 import tty
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
 
@@ -115,17 +114,10 @@ class VoltageLog:
         self._waiting, self._flushed = False, time.monotonic()
 
 
-@dataclass(frozen=True)
-class DeviceClock:
-    """Clock of the emulated device."""
-
-    drift: float = 0.0  # relative rate by which it is faster than the host's [-]
-    first_us: int = 0  # counter at power-on [µs]
-
-
 class Emulator:
     """The device: its clock, firmware, sensors and port.
 
+    `drift`: relative rate by which its clock is faster than the host's [-]. `first_us`: its counter at power-on [µs].
     `missed`: samples that were skipped because this process stalled for too long.
     """
 
@@ -137,7 +129,8 @@ class Emulator:
         faults: FaultPlan,
         log: VoltageLog,
         open_port: Callable[[], Port],
-        clock: DeviceClock,
+        drift: float,
+        first_us: int,
     ) -> None:
         self._joint = Miswired(plant, faults)
         self._converter = converter
@@ -145,7 +138,7 @@ class Emulator:
         self._faults = faults
         self._log = log
         self._open_port = open_port
-        self._clock = clock
+        self._drift, self._first_us = drift, first_us
         self._port: Port | None = open_port()
         self._frozen: dict[int, float] = {}
         self._first_command_s: float | None = None
@@ -159,7 +152,7 @@ class Emulator:
 
     def run(self, stopping: Callable[[], bool]) -> None:
         """Sample in real time until ``stopping`` returns true."""
-        period = self._firmware.settings.period_us * 1e-6 / (1.0 + self._clock.drift)
+        period = self._firmware.settings.period_us * 1e-6 / (1.0 + self._drift)
         start = time.monotonic()
         index = 0  # of the last sample; missed samples count
         while not stopping():
@@ -182,7 +175,7 @@ class Emulator:
 
     def _us(self, since_start: float) -> int:
         """Counter of the device's clock [µs] at a host time since the start [s]."""
-        return (self._clock.first_us + int(since_start * (1.0 + self._clock.drift) * 1e6)) % (1 << 32)
+        return (self._first_us + int(since_start * (1.0 + self._drift) * 1e6)) % (1 << 32)
 
     def _listen(self, until: float, start: float) -> None:
         """Wait for the next tick, and answer the host meanwhile."""
@@ -196,11 +189,11 @@ class Emulator:
 
     def _tick(self, index: int, overrun: Status, stopping: Callable[[], bool]) -> None:
         period_us = self._firmware.settings.period_us
-        if self._plan((self._clock.first_us + index * period_us) % (1 << 32), stopping):
+        if self._plan((self._first_us + index * period_us) % (1 << 32), stopping):
             self._firmware = Firmware(self._firmware.settings)
-            self._clock = replace(self._clock, first_us=-index * period_us % (1 << 32))
+            self._first_us = -index * period_us % (1 << 32)
         firmware = self._firmware
-        now_us = (self._clock.first_us + index * period_us) % (1 << 32)
+        now_us = (self._first_us + index * period_us) % (1 << 32)
         if self._port is not None and not self._faults.has("deaf"):
             # Bytes that came while this process stalled.
             data = self._faults.damaged(self._port.wait(0.0))

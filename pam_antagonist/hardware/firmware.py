@@ -84,11 +84,6 @@ class Firmware:
         self._command_us = 0  # when it came
         self._heard_us = 0  # when the newest command or hello came; a repeated hello does not count as a command
 
-    @property
-    def damaged(self) -> int:
-        """Number of damaged frames received."""
-        return self._frames.damaged
-
     def receive(self, data: bytes, now_us: int) -> bytes:
         """Take bytes from the host. `now_us`: device's clock [µs], modulo 2³²."""
         answer = b""
@@ -202,7 +197,7 @@ class Firmware:
             self._sequence, now_us % _FULL,
             readings.pressure_1, readings.pressure_2, readings.encoder, readings.torque, *self.voltage,
             status, self._newest or 0, min(silence_us, 0xFFFF) if known else 0xFFFF,
-            self.watchdog_trips & 0xFFFF, self.damaged & 0xFFFF, self.refused & 0xFFFF,
+            self.watchdog_trips & 0xFFFF, self._frames.damaged & 0xFFFF, self.refused & 0xFFFF,
         )  # fmt: skip
         return frame(protocol.pack(telemetry))
 

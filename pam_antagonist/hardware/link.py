@@ -21,9 +21,8 @@ from typing import NamedTuple
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter
-from pam_antagonist.hardware.device import SEQUENCES, Device, DeviceInfo, RawSample
+from pam_antagonist.hardware.device import SEQUENCES, Device, DeviceInfo, DeviceLost, RawSample
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.transport import DeviceLost
 from pam_antagonist.safety import SafeAction
 
 _COUNTER = 1 << 32

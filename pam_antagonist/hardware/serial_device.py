@@ -1,16 +1,20 @@
-"""The host's side of the protocol: a device that is reached by a transport."""
+"""The host's side of the protocol: a device that is reached by a transport of bytes, such as a serial port."""
 
 from __future__ import annotations
 
 import math
+import os
 import random
+import select
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from typing import Protocol
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware import protocol
-from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, RawSample
+from pam_antagonist.hardware.device import SEQUENCES, DeviceInfo, DeviceLost, RawSample
 from pam_antagonist.hardware.link import Unwrapped
 from pam_antagonist.hardware.protocol import (
     Command,
@@ -24,8 +28,77 @@ from pam_antagonist.hardware.protocol import (
     Welcome,
     frame,
 )
-from pam_antagonist.hardware.transport import DeviceLost, Transport
+from pam_antagonist.optional import needs
 from pam_antagonist.safety import SafeAction
+
+
+class Transport(Protocol):
+    """Bytes to and from a device."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Received bytes, as soon as there are some; empty after the time [s]."""
+
+    def write(self, data: bytes) -> None:
+        """Send without waiting; bytes that do not fit into the buffer are dropped, never sent late."""
+
+    def close(self) -> None:
+        """Close the transport. May be called twice."""
+
+
+class SerialTransport:
+    """A serial port, opened by pyserial: exclusively, raw, eight bits, no parity, one stop bit, no flow control.
+
+    `port`: such as ``/dev/ttyACM0``, or a link below ``/dev/serial/by-id``, whose name is fixed. `baud`: bit rate
+    [1/s]; USB devices ignore it.
+    """
+
+    def __init__(self, port: str, baud: int = 921_600) -> None:
+        with needs("hardware", port):
+            import serial
+
+        try:
+            self._serial = serial.Serial(port, baud, timeout=0, write_timeout=0, exclusive=True)
+        except ValueError as error:
+            raise BadInput(f"{port} with {baud} baud: {error}") from None
+        except (OSError, EOFError) as error:  # SerialException is an OSError
+            raise DeviceLost(f"{port} cannot be opened: {_reason(error)}") from None
+        self._port = port
+        self._fd: int = self._serial.fileno()
+
+    def read(self, timeout_s: float) -> bytes:
+        """See :meth:`Transport.read`."""
+        try:
+            ready, _, _ = select.select([self._fd], [], [], timeout_s)
+            if not ready:
+                return b""
+            data = os.read(self._fd, 65_536)
+        except (OSError, ValueError) as error:
+            raise DeviceLost(f"{self._port} is gone: {_reason(error)}") from None
+        if not data:  # Linux reports an unplugged port as readable without data
+            raise DeviceLost(f"{self._port} is gone: end of file")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See :meth:`Transport.write`."""
+        try:
+            os.write(self._fd, data)
+        except BlockingIOError:
+            pass
+        except (OSError, ValueError) as error:
+            raise DeviceLost(f"{self._port} is gone: {_reason(error)}") from None
+
+    def close(self) -> None:
+        """See :meth:`Transport.close`."""
+        try:
+            self._serial.close()
+        except (OSError, ValueError):  # it is gone anyway
+            pass
+
+
+def _reason(error: BaseException) -> str:
+    text = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+    return " ".join(text.split())[:200]
+
 
 _HELLO_EVERY = 0.1  # [s]
 _HELLO_FOR = 3.0  # [s]; boards that restart when their port is opened need two seconds
@@ -39,12 +112,9 @@ class SerialDevice:
     may take to answer [s].
     """
 
-    def __init__(
-        self, open_transport: Callable[[], Transport], hello_for_s: float = _HELLO_FOR, seed: int | None = None
-    ) -> None:
+    def __init__(self, open_transport: Callable[[], Transport], hello_for_s: float = _HELLO_FOR) -> None:
         self._open = open_transport
         self._hello_for_s = hello_for_s
-        self._random = random.Random(seed)
         self._transport: Transport | None = None
         self._frames = FrameReader()
         self._closed = False
@@ -65,18 +135,13 @@ class SerialDevice:
         self._acknowledged: int | None = None
         self.telemetry = None
 
-    @property
-    def damaged(self) -> int:
-        """Number of damaged frames from the device."""
-        return self._frames.damaged
-
     def start(self, action: SafeAction) -> DeviceInfo:
         """See :meth:`Device.start`; opens the transport if needed, and does the handshake."""
         self._closed = False
         if self._transport is None:
             self._transport = self._open()
             self._frames.reset()
-        self._begin((self._session + self._random.randrange(1, SEQUENCES)) % SEQUENCES)
+        self._begin((self._session + random.randrange(1, SEQUENCES)) % SEQUENCES)
         vent, rate = (action.hold, 0.0) if action.vent is None else (action.vent, action.rate)
         hello = frame(protocol.pack(Hello(protocol.VERSION, self._session, *action.hold, *vent, rate)))
         end = time.monotonic() + self._hello_for_s
@@ -187,7 +252,7 @@ class SerialDevice:
         self._round_trips.clear()
         newest = self.telemetry
         return {
-            "damaged frames from the device": self.damaged,
+            "damaged frames from the device": self._frames.damaged,
             "damaged frames at the device": math.nan if newest is None else newest.damaged,
             "commands refused by the device": math.nan if newest is None else newest.refused,
             "strange frames": self.strange,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -17,13 +16,11 @@ from pam_antagonist.hardware.calibration import Converter, ZeroPressureMeasureme
 from pam_antagonist.hardware.device import Device
 from pam_antagonist.hardware.link import Link, Sample, Wanted
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.serial_device import SerialDevice
-from pam_antagonist.hardware.transport import SerialTransport
+from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import ANGLE_SENSORS, FRAME, JOINT_NAME, RIG, VALVE_OWNER, Parameter
-from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import ValvePort
 
@@ -77,24 +74,6 @@ _DEVICE_STOPS = (
 )
 
 
-class _SharedPort(ValvePort):
-    """A valve port that two threads use: the device's and the executor's. `others`: as :class:`ValvePort`."""
-
-    def __init__(self, lock: threading.RLock, *others: Any) -> None:
-        self._lock = lock
-        super().__init__(*others)
-
-    @override
-    def _clear(self, request: Any) -> str:
-        with self._lock:
-            return super()._clear(request)
-
-    @override
-    def stop(self, reason: str) -> None:
-        with self._lock:
-            super().stop(reason)
-
-
 class BridgeNode(PamNode):
     """Publishes a device's samples, and sends it the commands that pass the valve guard.
 
@@ -105,10 +84,11 @@ class BridgeNode(PamNode):
     `device`: makes the device; None: a device at the serial port of the parameters. `options`: as :class:`PamNode`.
     """
 
+    NAME, TABLE = "bridge", PARAMETERS
+
     def __init__(self, device: Callable[[], Device] | None = None, **options: Any) -> None:
         self._make_device = device or self._serial_device
-        self._lock = threading.RLock()
-        super().__init__("bridge", PARAMETERS, **options)
+        super().__init__(**options)
 
     def _serial_device(self) -> Device:
         port, baud = self.values["port"], self.values["baud"]
@@ -126,7 +106,7 @@ class BridgeNode(PamNode):
         first, second = values["pressure_rest"]
         self._converter = Converter(load_calibration(values["hardware"]), (first, second))
         self._converter.adapt(rig.drive)
-        self.port = _SharedPort(self._lock, self, rig)
+        self.port = ValvePort(self, rig)
         # The device's outputs are voltages; for a rig with regulators all other commands are pressures.
         limits, action = self.port.drive.limits, self._converter.action(self.port.drive.action)
         low, high = (self._converter.output((limit, limit)) for limit in (limits.minimum, limits.maximum))
@@ -147,7 +127,7 @@ class BridgeNode(PamNode):
             encoder=values["angle_sensor"] == "encoder",
         )
         self.serve(Trigger, "~/measure_rest", self._measure_rest)
-        announce(self, rig)
+        self.announce(rig)
 
     @override
     def activate(self) -> None:
@@ -156,7 +136,7 @@ class BridgeNode(PamNode):
 
     @override
     def deactivate(self) -> None:
-        with self._lock:
+        with self.port.lock:
             self.port.rest()
         self._link.stop()
 
@@ -170,7 +150,7 @@ class BridgeNode(PamNode):
 
     def _attend(self) -> None:
         now = time.monotonic_ns()
-        with self._lock:
+        with self.port.lock:
             if self._session != self._link.counts.sessions:
                 self._session = self._link.counts.sessions
                 # Commands from the time without a device are not for the new one.
@@ -188,7 +168,7 @@ class BridgeNode(PamNode):
     def _deliver(self, sample: Sample) -> None:
         asked = self._converter.asked(sample.voltage)
         self._samples.send(sample.stamp_ns, sample.pressure, asked, sample.angle, sample.torque, sample.angle)
-        with self._lock:
+        with self.port.lock:
             if self._samples.pressures:
                 self.port.supervise(sample.stamp_ns, *sample.pressure)
             for flag, reason in _DEVICE_STOPS:
@@ -199,7 +179,7 @@ class BridgeNode(PamNode):
     # ---------------------------------------------------------------- thread of the executor
 
     def _measure_rest(self, _request: Any) -> str:
-        with self._lock:
+        with self.port.lock:
             first, second = self._rest.result()
             self._converter.rest = (first, second)
             self._rest.clear()
@@ -211,7 +191,7 @@ class BridgeNode(PamNode):
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         self._link.check()
         self._log_trouble(self._link.trouble)
-        with self._lock:
+        with self.port.lock:
             port = self.port.health(steady_ns)
         return {"device": self._device_health(steady_ns), "clock": self._clock_health(), **port}
 

@@ -48,10 +48,8 @@ class PipelineClient:
     `subscribed`, `published`: logical names of topics. `profile`: quality of service of the published topic.
     """
 
-    def __init__(
-        self, name: str, namespace: str, subscribed: Sequence[str], published: str, profile: QoSProfile
-    ) -> None:
-        self._node = client_node(name, namespace)
+    def __init__(self, name: str, subscribed: Sequence[str], published: str, profile: QoSProfile) -> None:
+        self._node = client_node(name, DEFAULT_NAMESPACE)
         self._topic = TOPICS[published].relative
         self._publisher = self._node.create_publisher(message_class(published), self._topic, profile)
         self._topics = {
@@ -115,13 +113,12 @@ class PipelineClient:
 class ReferenceClient(PipelineClient):
     """Reads estimate, measurement and commands, and publishes references.
 
-    `listening`: False: only publish, so that the pipeline does not deliver messages to this node. `drive`: of the
-    joint's rig: ``valve`` or ``regulator``.
+    `drive`: of the joint's rig: ``valve`` or ``regulator``.
     """
 
-    def __init__(self, namespace: str = DEFAULT_NAMESPACE, listening: bool = True, drive: str = "valve") -> None:
-        subscribed = ("joint_estimate", "measured_joint_states", COMMAND_TOPICS[drive]) if listening else ()
-        super().__init__("watch", namespace, subscribed, "reference", qos.REFERENCE)
+    def __init__(self, drive: str = "valve") -> None:
+        subscribed = ("joint_estimate", "measured_joint_states", COMMAND_TOPICS[drive])
+        super().__init__("watch", subscribed, "reference", qos.REFERENCE)
         self._plant = self._node.create_client(SetParameters, "plant/set_parameters")
 
     def send(self, mode: Mode, value: float, stiffness: float = math.nan, damping: float = math.nan) -> None:
@@ -161,10 +158,10 @@ class DriveClient(PipelineClient):
     before the pipeline is complete.
     """
 
-    def __init__(self, namespace: str = DEFAULT_NAMESPACE, drive: str = "valve", also: Sequence[str] = ()) -> None:
+    def __init__(self, drive: str = "valve", also: Sequence[str] = ()) -> None:
         topic = COMMAND_TOPICS[drive]
         self._field, self._message = _FIELDS[drive], message_class(topic)
-        super().__init__("excite", namespace, (*_PRESSURES, "measured_joint_states", *also), topic, qos.COMMAND)
+        super().__init__("excite", (*_PRESSURES, "measured_joint_states", *also), topic, qos.COMMAND)
 
     def now_ns(self) -> int:
         """Time of the clock that stamps samples [ns]."""
@@ -250,9 +247,9 @@ class Announcer:
     The node commands nothing and has no subscriptions.
     """
 
-    def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
-        self._node = client_node(name, namespace)
-        self._publisher = DiagnosticsPublisher(self._node, namespace)
+    def __init__(self, name: str) -> None:
+        self._node = client_node(name, DEFAULT_NAMESPACE)
+        self._publisher = DiagnosticsPublisher(self._node, DEFAULT_NAMESPACE)
         self._step: tuple[str, float, float | None] | None = None  # text, when it began, how long it takes [s]
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._go_on, daemon=True)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import override
 
@@ -18,13 +19,13 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.laws import PARAMETERS, described, make_laws, retune
-from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.parameters import by_rig, check_pressure_sensors
+from pam_antagonist.nodes.node import RIG_TOPIC, PamNode
+from pam_antagonist.nodes.parameters import by_rig
 from pam_antagonist.nodes.references import ReferenceInput
-from pam_antagonist.nodes.rigs import RigWatch, announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import drive_of
 from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
+from pam_antagonist.rig import RigIdentity, differences
 from pam_antagonist.rig.schema import ENCODER_ZERO
 from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist_msgs.msg import Health as HealthMessage
@@ -52,6 +53,70 @@ services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and t
 
 _CHECKS = 4  # checks of the estimates' time-out and of the valves, within ``max_age``
 
+_SOURCES = ("plant", "bridge")
+
+
+class RigWatch:
+    """Compares the rig files of other nodes, which publish them, with the node's own.
+
+    The filter often cannot detect a wrong rig file: the innovations may look right while the angle is wrong.
+
+    `disagree`: called with the problem in words when a node publishes the rig of another joint.
+    """
+
+    def __init__(self, node: PamNode, own: RigIdentity, disagree: Callable[[str], object]) -> None:
+        self._node = node
+        self._own = own
+        self._disagree = disagree
+        self._others: dict[str, RigIdentity] = {}
+        node.create_subscription(String, RIG_TOPIC, self._on_rig, qos.LATCHED)
+
+    def _on_rig(self, message: String) -> None:
+        try:
+            other = RigIdentity.read(message.data)
+        except BadInput as error:
+            self._node.get_logger().warning(str(error))
+            return
+        if other.node == self._own.node:
+            return
+        if other.node in _SOURCES:  # only one of them runs: the last one to publish
+            for source in _SOURCES:
+                self._others.pop(source, None)
+        self._others[other.node] = other
+        if problem := self._problem(other):
+            self._disagree(problem)
+
+    def _problem(self, other: RigIdentity) -> str:
+        found = differences(self._own, other)
+        if not found:
+            return ""
+        more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+        return f"the rig file of the {other.node} is another joint's: {found[0]}{more} ({other}; here {self._own})"
+
+    @property
+    def present(self) -> str:
+        """The present problem, in words; empty if there is none."""
+        return next(filter(None, map(self._problem, self._others.values())), "")
+
+    def forget_the_gone(self) -> None:
+        """Forget the rigs of nodes that are gone."""
+        topic = self._node.resolve_topic_name(RIG_TOPIC)
+        there = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
+        self._others = {name: other for name, other in self._others.items() if name in there}
+
+    def health(self) -> Health:
+        """Part ``rig`` for ``/diagnostics``."""
+        values: dict[str, Any] = {self._own.node: str(self._own)}
+        values |= {name: str(other) for name, other in sorted(self._others.items())}
+        unlike = sorted(other.node for other in self._others.values() if other.fingerprint != self._own.fingerprint)
+        return judged(
+            values,
+            "the same for all",
+            (self.present, Level.ERROR, self.present),
+            (unlike, Level.OK, f"the same joint; {' and '.join(unlike)} with other values than the controller"),
+            (not self._others, Level.OK, "no other node has published its rig yet"),
+        )
+
 
 class ControllerNode(PamNode):
     """Sends one command for each estimate; safe voltages without a valid estimate or reference.
@@ -60,10 +125,8 @@ class ControllerNode(PamNode):
     called with each command: stamp [ns], voltages (2,) [V].
     """
 
+    NAME, TABLE = "controller", PARAMETERS
     stopped = ""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__("controller", PARAMETERS, **options)
 
     @override
     def configure(self) -> None:
@@ -72,7 +135,6 @@ class ControllerNode(PamNode):
         drive = drive_of(rig, values)
         self._limits, self._action = drive.limits, drive.action
         self._laws = make_laws(values, rig, self._limits, self._action.hold)
-        check_pressure_sensors(values["pressure_sensors"], rig)
         self._supervision = EstimateSupervision(
             values["stop_angle"],
             values["stop_angle_time"],
@@ -98,12 +160,12 @@ class ControllerNode(PamNode):
         self._statuses = dict.fromkeys(Status, 0)
         self._last = Status.NO_REFERENCE
         self._latency, self._rate, self._rises = Window(), Rate(), Rises()
-        self._output = wire.Outgoing(self, COMMAND_TOPICS[rig.drive], wire.FRAMES[rig.drive], wire.VALVES)
+        self._output = wire.Outgoing(self, COMMAND_TOPICS[rig.drive], f"{rig.drive}s", wire.VALVES)
         self._decode, self._valves = wire.Incoming(wire.ESTIMATE_FOR_CONTROL), wire.Incoming(wire.VALVES)
         self._stops_on = stops_on(values["stop_on"])
         self.serve(SetBool, "~/enable", self._enable)
         self.serve(Trigger, "~/clear_stop", self._clear)
-        self._rigs = RigWatch(self, announce(self, rig), self.stop)
+        self._rigs = RigWatch(self, self.announce(rig), self.stop)
 
     @override
     def change(self, changed: Mapping[str, Any]) -> None:
@@ -114,7 +176,7 @@ class ControllerNode(PamNode):
     @override
     def activate(self) -> None:
         self._heard_ns = None
-        self._laws.stop()
+        self._laws.active.stop()
         self._supervision.reset()
         if not self.linked:
             name = TOPICS["joint_estimate"].relative
@@ -129,7 +191,7 @@ class ControllerNode(PamNode):
     @override
     def deactivate(self) -> None:
         if self._enabled:
-            self._send(self._laws.safe(Status.DISABLED), self._stamp + 1)
+            self._send(self._laws.active.safe(Status.DISABLED), self._stamp + 1)
 
     @override
     def close(self) -> None:
@@ -192,7 +254,7 @@ class ControllerNode(PamNode):
         """Restart the laws at the voltages on the valves; where these are not known, at the last command."""
         self._look()
         self._voltage = self._following.on_valves(time.monotonic_ns()) or self._voltage
-        self._laws.stop(self._voltage)
+        self._laws.active.stop(self._voltage)
 
     # ---------------------------------------------------------------- samples
 
@@ -207,7 +269,7 @@ class ControllerNode(PamNode):
         now = self.now_ns()
         if stamp < self._estimate_ns - RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
             self._jumps += 1
-            self._laws.stop(self._voltage)
+            self._laws.active.stop(self._voltage)
         self._estimate_ns = stamp
         self._heard_ns = now
         self._silent = False
@@ -220,12 +282,12 @@ class ControllerNode(PamNode):
         if reason:
             self.stop(reason)
         if self.stopped:
-            self._send(self._laws.safe(Status.STOPPED), stamp)
+            self._send(self._laws.active.safe(Status.STOPPED), stamp)
             return
         late = now - stamp > self._max_age or bool(int(flags) & JointEstimate.LATE) or self._supervision.settling
         wanted = self._references.at(stamp, time.monotonic_ns(), angle, torque)
         if wanted.lost:
-            self._send(self._laws.safe(Status.LOST), stamp)
+            self._send(self._laws.active.safe(Status.LOST), stamp)
             return
         seen = Seen(
             angle, velocity, torque, first, second, external, of_external, of_angle, of_velocity, of_torque, of_first,
@@ -249,9 +311,9 @@ class ControllerNode(PamNode):
             self._heard_ns = now
         elif silent > self._max_age:
             if silent > self._resume:
-                self._laws.stop()
+                self._laws.active.stop()
             self._silent = True
-            self._send(self._laws.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
+            self._send(self._laws.active.safe(Status.STOPPED if self.stopped else Status.LATE), self._stamp + 1)
         elif self._following.astray(self._voltage, time.monotonic_ns()):
             # The valves are stopped or obey another node. The command must not jump when they obey again.
             self._from_the_valves()
@@ -266,8 +328,8 @@ class ControllerNode(PamNode):
             if self._safe_since_ns is None:
                 self._safe_since_ns = now
             voltage = self._action.voltage(now - self._safe_since_ns)
-            if voltage != command.voltage and not self._laws.running:
-                self._laws.stop(voltage)
+            if voltage != command.voltage and not self._laws.active.running:
+                self._laws.active.stop(voltage)
         self._output.send(stamp_ns, *voltage)
         if self.deliver is not None:
             self.deliver(stamp_ns, voltage)

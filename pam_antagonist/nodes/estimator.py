@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -16,15 +16,13 @@ from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
+from pam_antagonist.nodes.pairing import Sample, SamplePairing
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
     PRESSURE_SENSORS,
     SIMULATED_JOINT,
     Parameter,
-    check_pressure_sensors,
 )
-from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 from pam_antagonist_msgs.msg import FilterCheckpoint, JointEstimate
@@ -75,8 +73,7 @@ class EstimatorNode(PamNode):
     called with each estimate: stamp [ns], and the values of ``wire.ESTIMATE_FOR_CONTROL``.
     """
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__("estimator", PARAMETERS, **options)
+    NAME, TABLE = "estimator", PARAMETERS
 
     @override
     def configure(self) -> None:
@@ -84,19 +81,10 @@ class EstimatorNode(PamNode):
         values = self.values
         # Loads or compiles the filter, so that the first sample does not wait for it.
         self._estimator = self._make(values["tuning"])
-        check_pressure_sensors(values["pressure_sensors"], rig)
         self._encoder = values["angle_sensor"] == "encoder"
         measured = values["pressure_sensors"] == "measured"
-        self._inputs = {
-            **({PRESSURE_1: "pressure_1", PRESSURE_2: "pressure_2"} if measured else {}),
-            VALVES: STATE_TOPICS[rig.drive],
-            **({ANGLE: "angle_sensor"} if self._encoder else {}),
-        }
-        self._decode: Mapping[int, Callable[[bytes], Sequence[Any]]] = {
-            **dict.fromkeys((PRESSURE_1, PRESSURE_2), wire.Incoming(wire.PRESSURE_ALONE)),
-            VALVES: wire.Incoming(wire.VALVES),
-            ANGLE: partial(wire.position_in, joint=values["joint_name"]),
-        }
+        self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=self._encoder, pressures=measured)
+        self._decode = {place: decode for place, (_, decode) in self._inputs.items()}
         self._pairing = SamplePairing(values["pairing_timeout"], self.now_ns, topics=tuple(self._inputs))
         self._max_age = round(values["max_age"] * 1e9)
         self._published = self._late = 0
@@ -116,7 +104,7 @@ class EstimatorNode(PamNode):
         self._remembered: tuple[int, int] | None = None
         self.serve(Trigger, "~/reset", self._reset)
         self.serve(SetState, "~/set_state", self._set_state)
-        announce(self, rig)
+        self.announce(rig)
 
     @override
     def activate(self) -> None:
@@ -126,7 +114,7 @@ class EstimatorNode(PamNode):
         self.steady_timer(_CHECKPOINT_PERIOD, self._remember)
         if self.linked:
             return
-        for place, name in self._inputs.items():
+        for place, (name, _) in self._inputs.items():
             kind, callback = wire.message_class(name), partial(self.take_message, place)
             self.create_subscription(kind, TOPICS[name].relative, callback, qos.STREAM, raw=True)
         self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
@@ -151,7 +139,7 @@ class EstimatorNode(PamNode):
     def _set_state(self, request: Any) -> str:
         last = self._last
         if last is None:
-            state = TOPICS[self._inputs[VALVES]].relative
+            state = TOPICS[STATE_TOPICS[self._rig.drive]].relative
             raise BadInput(f"no sample has come that the state could belong to: expected pressures and {state}")
         first, second = map(float, request.pressure)
         voltage = (last.voltage_1, last.voltage_2)
@@ -177,7 +165,7 @@ class EstimatorNode(PamNode):
             self._take(self._pairing.whole(Sample(stamp_ns, *values)))
 
     def take_message(self, place: int, data: bytes) -> None:
-        """Take a serialised message. `place`: PRESSURE_1, PRESSURE_2, VALVES or ANGLE."""
+        """Take a serialised message. `place`: of the topic in a :class:`Sample`."""
         self._take(self._pairing.add(place, *self._decode[place](data)))
 
     def _take(self, samples: list[Sample]) -> None:

@@ -57,15 +57,14 @@ class Spread(NamedTuple):
 
 
 class Window:
-    """Collects values between two reports; those beyond the limit are left out."""
+    """Collects values between two reports; those beyond the first 20,000 are left out."""
 
-    def __init__(self, limit: int = 20_000) -> None:
+    def __init__(self) -> None:
         self._values: list[float] = []
-        self._limit = limit
 
     def add(self, value: float) -> None:
         """Add a value."""
-        if len(self._values) < self._limit:
+        if len(self._values) < 20_000:
             self._values.append(value)
 
     def take(self) -> Spread:

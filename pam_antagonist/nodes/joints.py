@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from rclpy.parameter import Parameter as Override
@@ -16,7 +18,7 @@ from pam_antagonist.nodes import bridge, estimator, laws, plant
 from pam_antagonist.nodes.controller import ControllerNode
 from pam_antagonist.nodes.estimator import EstimatorNode
 from pam_antagonist.nodes.health import Health, Level, judged
-from pam_antagonist.nodes.node import PamNode, SharedTimers
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.plant import PlantNode
 from pam_antagonist.nodes.spin import run_node
@@ -62,6 +64,58 @@ _TYPES = "start_type_description_service"
 _TICK = 0.001  # time between two checks of the nodes' timers [s]
 _TABLES = (bridge.PARAMETERS, laws.PARAMETERS, estimator.PARAMETERS, plant.PARAMETERS, PARAMETERS)
 _KNOWN = tuple({parameter.name for table in _TABLES for parameter in table})
+
+
+_EARLY = 500_000  # [ns] by which a call may come early; otherwise it would come up to a tick late
+
+
+@dataclass(eq=False)
+class Entry:
+    """One timer."""
+
+    period_ns: int  # time between two calls [ns]
+    callback: Callable[[], object]
+    next_ns: int  # steady time of the next call [ns]
+
+
+class SharedTimers:
+    """Calls each timer when its period has passed. Missed periods are skipped, as in ROS.
+
+    `clock`: steady time [ns].
+
+    Example:
+        >>> now, calls = [0], []
+        >>> timers = SharedTimers(lambda: now[0])
+        >>> entry = timers.add(0.002, lambda: calls.append(now[0]))
+        >>> for now[0] in range(0, 9_000_000, 1_000_000):
+        ...     timers.run()
+        >>> calls
+        [2000000, 4000000, 6000000, 8000000]
+    """
+
+    def __init__(self, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self._clock = clock
+        self._entries: list[Entry] = []
+
+    def add(self, period: float, callback: Callable[[], object]) -> Entry:
+        """Add a timer. `period`: time between two calls [s]."""
+        period_ns = round(period * 1e9)
+        entry = Entry(period_ns, callback, self._clock() + period_ns)
+        self._entries = [*self._entries, entry]
+        return entry
+
+    def remove(self, entry: Entry) -> None:
+        """Remove a timer."""
+        self._entries = [other for other in self._entries if other is not entry]
+
+    def run(self) -> None:
+        """Call all due timers; called by the executor's timer every millisecond."""
+        now = self._clock()
+        for entry in self._entries:  # the present list; a callback may replace it
+            if now >= entry.next_ns - _EARLY:
+                behind = now - entry.next_ns
+                entry.next_ns += entry.period_ns * (1 + max(behind, 0) // entry.period_ns)
+                entry.callback()
 
 
 class Joint(NamedTuple):
@@ -114,9 +168,11 @@ class JointsNode(PamNode):
     `options`: as :class:`PamNode`, for this node and for those of the joints.
     """
 
+    NAME, TABLE = "joints", PARAMETERS
+
     def __init__(self, **options: Any) -> None:
         self.joints: list[Joint] = []
-        super().__init__("joints", PARAMETERS, also_known=_KNOWN, **{"namespace": "/", **options})
+        super().__init__(also_known=_KNOWN, **{"namespace": "/", **options})
         timers = SharedTimers()
         self.create_timer(_TICK, timers.run, clock=self._steady)
         # Made in every state of this node: its joints have life cycles of their own, and can be stopped at any time.

@@ -9,8 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,11 @@ from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, judged
-from pam_antagonist.nodes.monitor_feed import Feed
 from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES
+from pam_antagonist.nodes.pairing import ANGLE, Feed
 from pam_antagonist.nodes.parameters import ANGLE_SENSORS, SIMULATED_JOINT, Parameter
-from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
-from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
+from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import Health as HealthMessage
 
 DESCRIPTION = """
@@ -104,11 +101,9 @@ class Search:
 class MonitorNode(PamNode):
     """Feeds a :class:`Monitor`, starts searches, and publishes what they find."""
 
+    NAME, TABLE = "monitor", PARAMETERS
     _search: Search | None = None
     _found = _suspicion = ""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__("monitor", PARAMETERS, **options)
 
     @override
     def configure(self) -> None:
@@ -118,18 +113,11 @@ class MonitorNode(PamNode):
         if rig.valves.sealed:
             raise BadInput(f"rig {rig.name} is sealed: expected a joint that valves or regulators drive")
         self._monitor = Monitor(rig, values["joint"], values["lock_angle"], encoder)
-        self._inputs = {
-            PRESSURE_1: "pressure_1", PRESSURE_2: "pressure_2", VALVES: STATE_TOPICS[rig.drive],
-            **({ANGLE: "angle_sensor"} if encoder else {}),
-        }  # fmt: skip
-        pressure, angle = wire.Incoming(wire.PRESSURE_ALONE), partial(wire.position_in, joint=values["joint_name"])
-        self._decode: Mapping[int, Callable[[bytes], Sequence[Any]]] = {
-            PRESSURE_1: pressure, PRESSURE_2: pressure, VALVES: wire.Incoming(wire.VALVES), ANGLE: angle,
-        }  # fmt: skip
+        self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=encoder)
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
         self._samples, self._rate, self._suspect, self._complaint = 0, Rate(), list[Finding](), ""
         self._health = self.create_publisher(HealthMessage, TOPICS["health"].relative, qos.LATCHED)
-        announce(self, rig)
+        self.announce(rig)
 
     @override
     def activate(self) -> None:
@@ -138,7 +126,7 @@ class MonitorNode(PamNode):
         self._alarms, self._found, self._suspicion = Alarms(ANGLE in self._inputs), "", ""
         self._topics = {
             place: self.collect(wire.message_class(name), TOPICS[name].relative, qos.RECORD)
-            for place, name in self._inputs.items()
+            for place, (name, _) in self._inputs.items()
         }
         self.steady_timer(_POLL, self._poll)
 
@@ -155,7 +143,7 @@ class MonitorNode(PamNode):
 
     def _poll(self) -> None:
         batches = {
-            place: [self._decode[place](data) for data, _ in wire.take(subscription)]
+            place: [self._inputs[place][1](data) for data, _ in wire.take(subscription)]
             for place, subscription in self._topics.items()
         }
         stamps, rows, back = self._feed.add(batches)

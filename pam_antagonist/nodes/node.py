@@ -5,75 +5,27 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
+from std_msgs.msg import String
 
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level, connections
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, by_rig, declare
-from pam_antagonist.recording.topics import DEFAULT_NAMESPACE
-from pam_antagonist.rig import Rig, load_rig
+from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS
+from pam_antagonist.rig import Rig, RigIdentity, load_rig
 
-_EARLY = 500_000  # [ns] by which a call may come early; otherwise it would come up to a tick late
-
-
-@dataclass(eq=False)
-class Entry:
-    """One timer."""
-
-    period_ns: int  # time between two calls [ns]
-    callback: Callable[[], object]
-    next_ns: int  # steady time of the next call [ns]
-
-
-class SharedTimers:
-    """Calls each timer when its period has passed. Missed periods are skipped, as in ROS.
-
-    `clock`: steady time [ns].
-
-    Example:
-        >>> now, calls = [0], []
-        >>> timers = SharedTimers(lambda: now[0])
-        >>> entry = timers.add(0.002, lambda: calls.append(now[0]))
-        >>> for now[0] in range(0, 9_000_000, 1_000_000):
-        ...     timers.run()
-        >>> calls
-        [2000000, 4000000, 6000000, 8000000]
-    """
-
-    def __init__(self, clock: Callable[[], int] = time.monotonic_ns) -> None:
-        self._clock = clock
-        self._entries: list[Entry] = []
-
-    def add(self, period: float, callback: Callable[[], object]) -> Entry:
-        """Add a timer. `period`: time between two calls [s]."""
-        period_ns = round(period * 1e9)
-        entry = Entry(period_ns, callback, self._clock() + period_ns)
-        self._entries = [*self._entries, entry]
-        return entry
-
-    def remove(self, entry: Entry) -> None:
-        """Remove a timer."""
-        self._entries = [other for other in self._entries if other is not entry]
-
-    def run(self) -> None:
-        """Call all due timers; called by the executor's timer every millisecond."""
-        now = self._clock()
-        for entry in self._entries:  # the present list; a callback may replace it
-            if now >= entry.next_ns - _EARLY:
-                behind = now - entry.next_ns
-                entry.next_ns += entry.period_ns * (1 + max(behind, 0) // entry.period_ns)
-                entry.callback()
-
+if TYPE_CHECKING:
+    from pam_antagonist.nodes.joints import SharedTimers
 
 _ANSWER = 0.5  # [s] from a shutdown request to the end of the process, so that the answer can be sent
 
@@ -83,6 +35,8 @@ SHARED_PARAMETERS = (
     *("max_slew", "max_pressure"),
 )
 """Parameters that a parameter file may set for all nodes of a pipeline, also for nodes that do not have them."""
+
+RIG_TOPIC = TOPICS["rig"].relative
 
 JOINTS_PARAMETERS = ("joints", "source")
 """Parameters of the executable ``joints``; on its command line they reach every node of the process."""
@@ -101,14 +55,9 @@ class _Gate:
         if self.open:
             self.callback(*message)
 
-
-class _Owned(NamedTuple):
-    """An entity that was made in a transition, and is destroyed in the opposite one."""
-
-    stage: str
-    destroy: Callable[[Any], object]
-    entity: Any
-    gate: _Gate | None
+    def close(self) -> None:
+        """Pass nothing on from now on."""
+        self.open = False
 
 
 class PamNode(LifecycleNode):  # type: ignore[misc]
@@ -132,6 +81,8 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         options: of ``rclpy.node.Node``, such as ``namespace``, ``context``, ``cli_args`` or ``parameter_overrides``.
     """
 
+    NAME: str  # of the node, unless it is remapped
+    TABLE: Sequence[Parameter]  # its own parameters
     finished = False  # set when the node has finished, or was shut down by its lifecycle service
     active = configured = False
     members: Sequence[PamNode] = ()  # nodes in the same executor that start and end with this one
@@ -139,8 +90,6 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def __init__(
         self,
-        name: str,
-        table: Sequence[Parameter],
         *,
         linked: bool = False,
         timers: SharedTimers | None = None,
@@ -150,13 +99,14 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self.linked = linked
         self._timers_shared = timers
         self._collected: dict[str, Subscription] = getattr(self, "_collected", {})
-        self._owned: list[_Owned] = []
+        # What was made in a transition is destroyed in the opposite one.
+        self._owned = {"configured": ExitStack(), "active": ExitStack()}
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
         self.about_rig: dict[str, str] = {}  # name and fingerprint of the rig for ``/diagnostics``
-        super().__init__(name, **{"namespace": DEFAULT_NAMESPACE, **options})
+        super().__init__(self.NAME, **{"namespace": DEFAULT_NAMESPACE, **options})
         known = (*SHARED_PARAMETERS, *JOINTS_PARAMETERS, *also_known)
-        self._table = {parameter.name: parameter for parameter in (*table, AUTOSTART, DIAGNOSTICS_PERIOD)}
+        self._table = {parameter.name: parameter for parameter in (*self.TABLE, AUTOSTART, DIAGNOSTICS_PERIOD)}
         self.given: dict[str, Any] = declare(self, tuple(self._table.values()), known)
         self.values = dict(self.given)  # the same, and filled in what is left to the rig file
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -201,6 +151,14 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         rig = load_rig(self.given["rig"], regulators=True)
         self.values = by_rig(self.given, rig)
         return rig
+
+    def announce(self, rig: Rig) -> RigIdentity:
+        """Publish the node's rig on the topic ``rig``, also for late subscribers, and its health from now on."""
+        identity = RigIdentity.of(rig, self.get_name())
+        self.create_publisher(String, RIG_TOPIC, qos.LATCHED).publish(String(data=identity.text()))
+        self.about_rig = {"rig": identity.name, "fingerprint of the rig": identity.fingerprint}
+        self.start_diagnostics(self.values["joint_name"])
+        return identity
 
     def start_diagnostics(self, hardware_id: str) -> None:
         """Publish :meth:`health` periodically from now on."""
@@ -304,7 +262,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         if self.configured:
             self.cleanup()
             self.configured = False
-        self._dispose("configured")
+        self._owned["configured"].close()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -324,12 +282,12 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
             self._transition_error = error
             if not self.values["autostart"]:
                 self.get_logger().error(f"cannot become {stage}: {error}")
-            self._dispose(stage)
+            self._owned[stage].close()
             return TransitionCallbackReturn.FAILURE
         except Exception as error:
             self._transition_error = error
             self.get_logger().error(f"cannot become {stage}: {type(error).__name__}: {error}")  # rclpy swallows it
-            self._dispose(stage)
+            self._owned[stage].close()
             raise
         finally:
             self._reaching = None
@@ -339,19 +297,14 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         if self.active:
             self.deactivate()
             self.active = False
-        self._dispose("active")
-
-    def _dispose(self, stage: str) -> None:
-        gone = [owned for owned in self._owned if owned.stage == stage]
-        self._owned = [owned for owned in self._owned if owned.stage != stage]
-        for owned in reversed(gone):
-            if owned.gate is not None:
-                owned.gate.open = False
-            owned.destroy(owned.entity)
+        self._owned["active"].close()
 
     def _own(self, destroy: Callable[[Any], object], entity: Any, gate: _Gate | None = None) -> Any:
         if self._reaching is not None:
-            self._owned.append(_Owned(self._reaching, destroy, entity, gate))
+            owned = self._owned[self._reaching]
+            owned.callback(destroy, entity)
+            if gate is not None:
+                owned.callback(gate.close)  # before that
         return entity
 
     def _unsubscribe(self, subscription: Subscription) -> None:

@@ -1,4 +1,4 @@
-"""Pairing of the messages of one sample by their stamp (without ROS).
+"""Pairing of the messages of one sample by their stamp, and the last minutes of samples for a monitor (without ROS).
 
 A sample is final as soon as every topic has delivered a message with the sample's stamp or a later one. If a topic is
 missing, a sample is final after the time-out, counted in stamps against the newest stamp *and* in waiting time. Missing
@@ -11,12 +11,21 @@ messages of one topic may come before those of the next topic, and messages in t
 
 from __future__ import annotations
 
+import heapq
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-PRESSURE_1, PRESSURE_2, VALVES, ANGLE = range(4)
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+PRESSURE_1, PRESSURE_2, VOLTAGES, ANGLE = range(4)
 """The topics of a sample; ANGLE only where a measured angle is used."""
 
 _FIRST = (0, 1, 2, 4)  # where each topic's values start in a sample
@@ -59,7 +68,7 @@ class SamplePairing:
         self,
         timeout: float,
         clock: Callable[[], int],
-        topics: Sequence[int] = (PRESSURE_1, PRESSURE_2, VALVES),
+        topics: Sequence[int] = (PRESSURE_1, PRESSURE_2, VOLTAGES),
     ) -> None:
         self._topics = tuple(topics)
         self._complete = sum(1 << topic for topic in self._topics)
@@ -79,7 +88,7 @@ class SamplePairing:
         """Add one message.
 
         Args:
-            topic: PRESSURE_1, PRESSURE_2, VALVES or ANGLE.
+            topic: PRESSURE_1, PRESSURE_2, VOLTAGES or ANGLE.
             stamp_ns: stamp of the message [ns].
             values: one pressure [Pa], two voltages [V], or one angle [rad].
         """
@@ -139,3 +148,69 @@ class SamplePairing:
         self.counts.samples += 1
         self.counts.incomplete += values[_BITS] != self._complete
         return Sample(stamp, *values[:_BITS])
+
+
+COLUMNS = len(Sample._fields) - 1  # of a :class:`Feed`: both pressures, both voltages and the angle
+_PATIENCE = 1.0  # [s] in a :class:`Feed`, a topic that is behind the others by more is missing
+
+
+class Feed:
+    """Pairs messages as the estimator does, and keeps the rows of the last `seconds`.
+
+    `topics`: those that are expected. `clock`: present time [ns].
+    """
+
+    def __init__(self, topics: Sequence[int], seconds: float, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self._pairing, self._span = SamplePairing(_PATIENCE, clock, topics), round(seconds * 1e9)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all."""
+        self._pairing.reset()
+        self._parts = deque[tuple[Stamps, Floats]]()
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest sample; 0 before the first."""
+        return int(self._parts[-1][0][-1]) if self._parts else 0
+
+    @property
+    def kept(self) -> tuple[Stamps, Floats]:
+        """Stamps (N,) [ns] and rows (N, 5) of the last seconds."""
+        parts = self._parts
+        stamps = np.concatenate([np.zeros(0, np.int64), *(one for one, _ in parts)])
+        rows = np.concatenate([np.zeros((0, COLUMNS)), *(one for _, one in parts)])
+        inside = stamps > self.newest_ns - self._span
+        return stamps[inside], rows[inside]
+
+    @property
+    def jumps(self) -> int:
+        """How often the clock was set back."""
+        return self._pairing.counts.restarts
+
+    def add(self, batches: Mapping[int, Sequence[Sequence[float]]]) -> tuple[Stamps, Floats, bool]:
+        """New messages of each topic, each as its stamp [ns] and values.
+
+        Returns the stamps (N,) and rows (N, 5) that are complete, NaN where a topic has no value, and whether the clock
+        was set back: then all before is forgotten.
+        """
+        jumps, samples = self.jumps, list[Sample]()
+        # In the order of the stamps hardly any sample waits; each topic keeps its own order.
+        topics = [[(message, topic) for message in messages] for topic, messages in batches.items()]
+        for (stamp, *values), topic in heapq.merge(*topics, key=lambda item: item[0][0]):
+            before = self.jumps
+            new = self._pairing.add(topic, int(stamp), *values)
+            if self.jumps > before:
+                samples.clear()
+            samples += new
+        samples += self._pairing.expire()
+        if self.jumps > jumps:
+            self._parts.clear()
+        stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+        rows = np.array([sample[1:] for sample in samples]).reshape(-1, COLUMNS)
+        if len(stamps):
+            # To join all that is kept with each message would take longer than the monitor itself.
+            self._parts.append((stamps, rows))
+            while self._parts[0][0][-1] <= self.newest_ns - self._span:
+                self._parts.popleft()
+        return stamps, rows, self.jumps > jumps

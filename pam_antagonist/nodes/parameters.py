@@ -18,7 +18,7 @@ Value = bool | int | float | str | list[float] | list[str]
 
 _PATIENCE, _SAMPLES = 0.02, 3
 """[s], [-] Time, and samples of the rig, for which a command or an estimate may fail to come; the longer one counts."""
-_TYPES = {bool: "true or false", int: "an integer", float: "a number", str: "a text", list: "a list of numbers"}
+_TYPES = {bool: "true or false", int: "an integer", float: "a number", str: "a text"}
 
 # Parameters that ROS itself, or a parameter file for a whole pipeline, may set on any node.
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
@@ -27,13 +27,12 @@ _ROS_PREFIXES = ("qos_overrides.", "diagnostic_updater.")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter."""
+    """One parameter; a list of numbers has two, one for each muscle."""
 
     name: str  # as in ``-p name:=value``
     default: Value
     low: float | None = None  # lowest value, also of each element of a list; None: no bound
     high: float | None = None
-    length: int = 2
     choices: tuple[str, ...] = ()
     solid: bool = False
     read_only: bool = True
@@ -53,9 +52,10 @@ class Parameter:
     @property
     def expected(self) -> str:
         """The allowed values, in words."""
-        text = _TYPES[type(self.default)]
         if isinstance(self.default, list):
-            text = "a list of texts" if self._item is str else f"a list of {self.length} numbers"
+            text = "a list of texts" if self._item is str else "a list of 2 numbers"
+        else:
+            text = _TYPES[type(self.default)]
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.solid:
@@ -77,7 +77,7 @@ class Parameter:
             value = float(value)
         items = value if isinstance(value, list) else [value]
         good = type(value) is kind and all(type(one) is item and self._allows(one) for one in items)
-        if not good or (kind is list and item is float and len(items) != self.length):
+        if not good or (kind is list and item is float and len(items) != 2):
             raise BadInput(f"parameter {self.name} is {value!r}: expected {self.expected}")
         return value  # type: ignore[no-any-return]
 
@@ -163,6 +163,11 @@ PRESSURE_SENSORS = ("measured", "none")
 
 def by_rig(values: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
     """Parameters, those filled in that are left to the rig file: -1 of a voltage, 0 of another quantity."""
+    if values.get("pressure_sensors") == "none" and rig.drive == "valve":
+        raise BadInput(
+            f"pressure_sensors is none, but rig {rig.name} has valves, whose voltages do not determine the pressures; "
+            "expected a rig with pressure regulators (drive: regulator), or pressure_sensors: measured"
+        )
     out = dict(values)
     makers: dict[str, tuple[float, Callable[[], Sequence[float]]]] = {
         "safe_voltage": (-1.0, lambda: rest_voltage(rig)),
@@ -183,15 +188,6 @@ def by_rig(values: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
             filled = [own if value == left else value for value, own in zip(given, make(), strict=True)]
             out[name] = filled if isinstance(out[name], list) else filled[0]
     return out
-
-
-def check_pressure_sensors(pressure_sensors: str, rig: Rig) -> None:
-    """Refuse a rig with valves without measured pressures. `pressure_sensors`: one of ``PRESSURE_SENSORS``."""
-    if pressure_sensors == "none" and rig.drive == "valve":
-        raise BadInput(
-            f"pressure_sensors is none, but rig {rig.name} has valves, whose voltages do not determine the pressures; "
-            "expected a rig with pressure regulators (drive: regulator), or pressure_sensors: measured"
-        )
 
 
 AUTOSTART = Parameter("autostart", True).about(

@@ -19,9 +19,7 @@ from pam_antagonist.nodes.parameters import (
     SIMULATED_JOINT,
     VALVE_OWNER,
     Parameter,
-    check_pressure_sensors,
 )
-from pam_antagonist.nodes.rigs import announce
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import ValvePort
 from pam_antagonist.rig import NO_ENCODER
@@ -86,8 +84,7 @@ class PlantNode(PamNode):
     none is published.
     """
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__("plant", PARAMETERS, **options)
+    NAME, TABLE = "plant", PARAMETERS
 
     @override
     def configure(self) -> None:
@@ -100,7 +97,6 @@ class PlantNode(PamNode):
         self._plant = Plant(rig, **held, **given, initial_pressure=tuple(values["initial_pressure"]))
         # Compiles or loads the code of a step; uses another plant, so that this one starts at rest.
         Plant(rig, **held).step(self.port.drive.action.hold)
-        check_pressure_sensors(values["pressure_sensors"], rig)
         encoder = values["angle_sensor"] == "encoder"
         if encoder and rig.encoder is None:
             raise BadInput(f"angle_sensor encoder: {NO_ENCODER.format(rig=rig.name)}")
@@ -117,7 +113,7 @@ class PlantNode(PamNode):
         if DISTURBANCE in rig.effects:
             self._pushed = wire.Outgoing(self, "measured_external_torque", values["frame_id"], wire.WRENCH)
         self.steady_timer(self._period * 1e-9, self._tick)
-        announce(self, rig)
+        self.announce(rig)
 
     @override
     def change(self, changed: Mapping[str, Any]) -> None:

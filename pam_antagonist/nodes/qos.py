@@ -20,29 +20,20 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.exceptions import ParameterException
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, InvalidQoSProfileException, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, InvalidQoSProfileException, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from pam_antagonist.errors import BadInput
 
-
-def _profile(depth: int, reliable: bool = True, kept: bool = False) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
-    )
-
-
-STREAM = _profile(1000)
-RECORD = _profile(5000)
-COMMAND = _profile(100)
-REFERENCE = _profile(10)
-GLANCE = _profile(1, reliable=False)
-LATCHED = _profile(10, kept=True)
-LAST_ONE = _profile(1, kept=True)
-DIAGNOSTICS = _profile(10)
+# As ROS 2 has it, a profile is reliable, volatile and keeps the last messages unless it says otherwise.
+STREAM = QoSProfile(depth=1000)
+RECORD = QoSProfile(depth=5000)
+COMMAND = QoSProfile(depth=100)
+REFERENCE = QoSProfile(depth=10)
+GLANCE = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LAST_ONE = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+DIAGNOSTICS = QoSProfile(depth=10)
 
 # Durability is fixed: an old command must not reach the valves, and an old reference must not count as new.
 _OVERRIDES = QoSOverridingOptions.with_default_policies()  # reliability, history and depth

@@ -8,7 +8,6 @@ import re
 import shutil
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -48,20 +47,10 @@ subscribes:  pressure_1, pressure_2, valve_state, valve_command, pressure_state,
              rig, filter_checkpoint, /diagnostics
 """
 
-PARAMETERS: tuple[Parameter, ...] = ()
+PARAMETERS: tuple[Parameter, ...] = ()  # beside those of every node
 
 _MEGABYTE = 1_000_000
 _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of ``record``."""
-
-    out: Path
-    duration: float | None  # of the recording [s]; None: until it is stopped
-    limits: Limits = field(default_factory=Limits)
-    namespaces: tuple[str, ...] = ()
 
 
 class _Parser(argparse.ArgumentParser):
@@ -70,8 +59,8 @@ class _Parser(argparse.ArgumentParser):
         raise BadInput(f"{message} (see {typed('record --help')})")
 
 
-def read_options(arguments: list[str]) -> Options:
-    """Read the arguments other than those of ROS."""
+def read_options(arguments: list[str]) -> argparse.Namespace:
+    """Read the arguments other than those of ROS; ``limits`` are those of a file of the bag."""
     parser = _Parser(prog="record", add_help=False, allow_abbrev=False)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--duration", type=float)
@@ -83,11 +72,12 @@ def read_options(arguments: list[str]) -> Options:
     _check("--max-duration", given.max_duration, 0.1, "seconds")
     _check("--max-size", given.max_size, 0.1, "megabytes")
     size = None if given.max_size is None else round(given.max_size * _MEGABYTE)
-    namespaces = tuple(map(normalize_namespace, given.namespace))
-    for namespace in namespaces:
-        if not _NAMESPACE.fullmatch(namespace) or namespaces.count(namespace) > 1:
+    given.namespace = list(map(normalize_namespace, given.namespace))
+    for namespace in given.namespace:
+        if not _NAMESPACE.fullmatch(namespace) or given.namespace.count(namespace) > 1:
             raise BadInput(f"--namespace {namespace or '/'}: expected a namespace such as /left/elbow, each once")
-    return Options(given.out, given.duration, Limits(size, given.max_duration), namespaces)
+    given.limits = Limits(size, given.max_duration)
+    return given
 
 
 def _check(name: str, value: float | None, above: float, unit: str) -> None:
@@ -108,12 +98,14 @@ class RecorderNode(PamNode):
     The node empties the middleware's queues fifty times a second. A callback for each of 7000 messages a second would
     take twice the processor time. The times of reception come from the middleware and stay exact.
 
-    `node_options`: as :class:`PamNode`.
+    `options`: from :func:`read_options`. `node_options`: as :class:`PamNode`.
     """
 
-    def __init__(self, options: Options, **node_options: Any) -> None:
+    NAME, TABLE = "recorder", PARAMETERS
+
+    def __init__(self, options: argparse.Namespace, **node_options: Any) -> None:
         self._options = options
-        self._path = options.out
+        self._path: Path = options.out
         self._topics: dict[str, Subscription] = {}
         self._counts: dict[str, int] = {}
         self._gaps: dict[str, Gaps] = {}
@@ -125,7 +117,7 @@ class RecorderNode(PamNode):
         self._until = math.inf
         # Shown only on a terminal; /diagnostics reports the progress as well.
         self._line = tqdm(bar_format="{desc}", leave=False, disable=None)
-        super().__init__("recorder", PARAMETERS, **node_options)
+        super().__init__(**node_options)
 
     @override
     def configure(self) -> None:
@@ -140,7 +132,7 @@ class RecorderNode(PamNode):
     def _wanted(self) -> Iterator[tuple[str, Topic]]:
         """Full name and description of each topic to record."""
         names: set[str] = set()
-        for namespace in self._options.namespaces or (None,):
+        for namespace in self._options.namespace or (None,):
             for topic in TOPICS.values():
                 name = self.resolve_topic_name(topic.relative if namespace is None else topic.resolve(namespace))
                 if name not in names:  # /diagnostics is one for all

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
+from pam_antagonist.nodes.processes import PARENT_VARIABLE, PRIORITY_VARIABLE
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.paths import config_dir
 from pam_antagonist.program import piped, typed
@@ -47,9 +48,9 @@ def stay_on_this_machine(environment: MutableMapping[str, str] = os.environ) -> 
     return True
 
 
-def local_only(environment: MutableMapping[str, str] = os.environ) -> bool:
+def local_only() -> bool:
     """Whether discovery is limited to this machine."""
-    return environment.get(RANGE) == "LOCALHOST" and not environment.get("ROS_STATIC_PEERS")
+    return os.environ.get(RANGE) == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS")
 
 
 def nothing_there(
@@ -69,11 +70,6 @@ def nothing_there(
     return f"no joint in namespace {namespace or '/'} of ROS domain {domain}. Try: {'; or '.join(tries)}"
 
 
-def secured(environment: MutableMapping[str, str] = os.environ) -> bool:
-    """Whether SROS2 is switched on."""
-    return environment.get("ROS_SECURITY_ENABLE", "").lower() == "true"
-
-
 def own_parameters(arguments: Sequence[str]) -> list[str]:
     """The arguments of a node (``cli_args``) that repeat the parameters of its command line.
 
@@ -89,12 +85,6 @@ def own_parameters(arguments: Sequence[str]) -> list[str]:
             rules += ["-p", word]
     return ["--ros-args", *rules] if rules else []
 
-
-PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
-"""Environment variable with the id of the parent process; a node ends with it, even if the parent is killed."""
-
-PRIORITY_VARIABLE = "PAM_ANTAGONIST_PRIORITY"
-"""Environment variable with the real-time priority (1 to 99) that a node requests."""
 
 _PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -232,7 +222,7 @@ def _made(create: Callable[[], PamNode], name: str, stop: _Stop) -> PamNode:
         time.sleep(_MOMENT)
         if stop.signal is not None:
             raise _Interrupted from None  # raised in a callback of the compiler, which failed with another error
-        if secured() and "secur" in str(error).lower():
+        if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true" and "secur" in str(error).lower():
             raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
         if type(error).__name__ == "RCLError":  # by the environment or the arguments: none of this package's
             raise BadInput(f"{name}: {_first_sentence(error)}") from None

@@ -13,11 +13,12 @@ The port connects the rules of :mod:`pam_antagonist.safety` with ROS. A node tha
 If controller and valves are in one process, :meth:`ValvePort.command` replaces the topic.
 
 These calls may come from any single thread. The services and :meth:`ValvePort.health` run in the executor's thread. If
-these are two threads, all calls need a lock.
+these are two threads, all calls need the port's lock; the services and :meth:`ValvePort.stop` take it by themselves.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,8 +33,7 @@ from pam_antagonist.nodes.wire import number_of, take
 from pam_antagonist.recording.topics import COMMAND_TOPICS, TOPICS
 from pam_antagonist.rig import Rig
 from pam_antagonist.safety import PressureSupervision, SafeAction, ValveGuard
-from pam_antagonist.safety.authority import Verdict
-from pam_antagonist.safety.guard import Decision, safe_action
+from pam_antagonist.safety.guard import Decision, Verdict, safe_action
 from pam_antagonist.safety.supervision import frozen_time
 
 if TYPE_CHECKING:
@@ -79,10 +79,12 @@ class ValvePort:
 
     Attributes:
         drive: limits of the commands: voltages of valves, or pressures of regulators.
+        lock: for calls from a second thread.
     """
 
     def __init__(self, node: PamNode, rig: Rig, *, noisy: bool = True) -> None:
         values = node.values
+        self.lock = threading.RLock()
         self.drive = drive_of(rig, values)
         self.guard = ValveGuard(self.drive.limits, self.drive.action, self.drive.slew, values["command_timeout"])
         first, second = (limit or _SUPPLY_MARGIN * rig.supply.pressure for limit in values["max_pressure"])
@@ -156,8 +158,9 @@ class ValvePort:
 
     def stop(self, reason: str) -> None:
         """Stop the valves for a reason in words, until the stop is cleared."""
-        if self.guard.stop(reason):
-            self._node.get_logger().error(f"stopped: {reason}")
+        with self.lock:
+            if self.guard.stop(reason):
+                self._node.get_logger().error(f"stopped: {reason}")
 
     def _stop(self, _request: Any) -> str:
         before = self.guard.stopped
@@ -165,14 +168,15 @@ class ValvePort:
         return f"was stopped: {before}" if before else "stopped"
 
     def _clear(self, _request: Any) -> str:
-        if not self.guard.stopped:
-            return "there is no stop to clear"
-        if self.supervision.present:
-            raise BadInput(f"not cleared, since the cause is still present: {self.supervision.present}")
-        words = f"cleared: {self.guard.clear()}"
-        self.supervision.reset()
-        self._node.get_logger().warning(words)
-        return words
+        with self.lock:
+            if not self.guard.stopped:
+                return "there is no stop to clear"
+            if self.supervision.present:
+                raise BadInput(f"not cleared, since the cause is still present: {self.supervision.present}")
+            words = f"cleared: {self.guard.clear()}"
+            self.supervision.reset()
+            self._node.get_logger().warning(words)
+            return words
 
     def _commanders(self) -> dict[str, str]:
         """Identifier -> node of each publisher of commands."""

@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 from pam_antagonist.control.command import Mode
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.health import Level
 from pam_antagonist.nodes.processes import busy_domains
 from pam_antagonist.nodes.references import ASKED, MODE, MODES, STIFFNESS
 from pam_antagonist.nodes.spin import client_node, nothing_there
@@ -45,7 +46,6 @@ _FRESH = 0.3
 """[s] Older values are not shown."""
 _GONE = 3.0
 """[s] A node without diagnostics for this time is shown as silent."""
-_SILENT = 3  # level of a silent node
 COMMANDS_AT_WORK = ("commission",)
 """Nodes of commands that report their progress; their silence means that they have ended, and is no fault."""
 _ANSWER = 5.0
@@ -112,11 +112,6 @@ class PipelineWatch:
                 self._node.destroy_subscription(subscription)
             self._topics, self._latest, self._statuses = {}, {}, {}
 
-    @property
-    def listening(self) -> bool:
-        """Whether there are subscriptions."""
-        return bool(self._topics)
-
     def close(self) -> None:
         """End the node."""
         if self._caller is not None:
@@ -177,7 +172,7 @@ class PipelineWatch:
             statuses.append(
                 {
                     "name": name,
-                    "level": _SILENT if silent else int.from_bytes(status.level, "little"),
+                    "level": int(Level.STALE) if silent else int.from_bytes(status.level, "little"),
                     "text": f"silent for {now - heard:.0f} s" if silent else status.message,
                     "values": {item.key: item.value for item in status.values},
                 }

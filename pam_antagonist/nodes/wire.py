@@ -15,10 +15,11 @@ import importlib
 import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VOLTAGES
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 
 if TYPE_CHECKING:
@@ -147,10 +148,6 @@ class Outgoing:
         self._publish(self.bytes_of(stamp_ns, *values))
 
 
-FRAMES = {"valve": "valves", "regulator": "regulators"}
-"""Drive of a joint -> frame of its commands and outputs."""
-
-
 class SampleOutput:
     """Publishes what the node that owns the valves measures: plant or bridge.
 
@@ -164,7 +161,7 @@ class SampleOutput:
         self.pressures = tuple(
             Outgoing(node, f"pressure_{i}", f"muscle_{i}", PRESSURE) for i in ((1, 2) if pressures else ())
         )
-        self.valves = Outgoing(node, STATE_TOPICS[rig.drive], FRAMES[rig.drive], VALVES)
+        self.valves = Outgoing(node, STATE_TOPICS[rig.drive], f"{rig.drive}s", VALVES)
         body, self._position = joint_state(name, "position")
         self.encoder = Outgoing(node, "angle_sensor", frame, body) if encoder else None
         body, self._state = joint_state(name, "position", "effort")
@@ -208,6 +205,21 @@ class Incoming:
         frame_bytes = int.from_bytes(data[12:16], "little" if order == "<" else "big")
         unpacked = layout(self._body, frame_bytes, order).unpack_from(data)
         return (unpacked[1] * _SECOND + unpacked[2], *unpacked[5:])
+
+
+def sample_inputs(
+    drive: str, joint: str, *, encoder: bool, pressures: bool = True
+) -> dict[int, tuple[str, Callable[[bytes], Sequence[Any]]]]:
+    """Topics of a sample (logical names), and how their messages are unpacked, by their places in a :class:`Sample`.
+
+    `drive`: of the rig. `joint`: name of the joint in topic ``angle_sensor``.
+    """
+    pressure = Incoming(PRESSURE_ALONE)
+    return {
+        **({PRESSURE_1: ("pressure_1", pressure), PRESSURE_2: ("pressure_2", pressure)} if pressures else {}),
+        VOLTAGES: (STATE_TOPICS[drive], Incoming(VALVES)),
+        **({ANGLE: ("angle_sensor", partial(position_in, joint=joint))} if encoder else {}),
+    }
 
 
 def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:

@@ -1,7 +1,6 @@
 """Safety rules that plant, bridge and controller share: which commands reach the valves, and what stops them."""
 
-from pam_antagonist.safety.authority import Authority, ReferenceOwner
-from pam_antagonist.safety.guard import SafeAction, ValveGuard
+from pam_antagonist.safety.guard import Authority, ReferenceOwner, SafeAction, ValveGuard
 from pam_antagonist.safety.supervision import EstimateSupervision, Following, PressureSupervision
 
 __all__ = [

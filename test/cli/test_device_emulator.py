@@ -15,10 +15,10 @@ import pytest
 
 from pam_antagonist.__main__ import main
 from pam_antagonist.errors import BadInput
+from pam_antagonist.hardware.device import DeviceLost
 from pam_antagonist.hardware.line_faults import FaultPlan, parse_fault
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.serial_device import SerialDevice
-from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
+from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.safety import SafeAction
 
 

@@ -12,7 +12,7 @@ import pam_antagonist.__main__
 from pam_antagonist import __version__
 from pam_antagonist.__main__ import COMMANDS, main
 from pam_antagonist.errors import BadInput
-from pam_antagonist.hardware.transport import SerialTransport
+from pam_antagonist.hardware.serial_device import SerialTransport
 from pam_antagonist.program import VARIABLE, program, typed
 from validation.__main__ import COMMANDS as MEASUREMENTS
 

@@ -118,7 +118,7 @@ def test_nothing_usable_gives_no_findings_and_memory_stays_bounded(run: Run) -> 
 
 
 def test_feed_pairs_by_stamp_waits_a_second_for_a_topic_and_forgets_when_the_clock_is_set_back() -> None:
-    from pam_antagonist.nodes.monitor_feed import Feed
+    from pam_antagonist.nodes.pairing import Feed
 
     now = [0]
     feed, ms = Feed((0, 1, 2), seconds=2.0, clock=lambda: now[0]), 1_000_000

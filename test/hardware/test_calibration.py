@@ -14,6 +14,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter, ZeroPressureMeasurement, load_calibration
 from pam_antagonist.hardware.device import DeviceInfo
 from pam_antagonist.paths import config_dir
+from pam_antagonist.safety import SafeAction
 
 EXAMPLE: dict[str, Any] = yaml.safe_load((config_dir() / "hardware" / "example.yaml").read_text(encoding="utf-8"))
 REGULATORS = {f"regulator_{n}": {"gain": 60e3, "offset": 0.0, "reference": "gauge"} for n in (1, 2)}
@@ -178,3 +179,14 @@ def test_what_is_not_at_rest_is_not_measured(pressures: list[tuple[float, float]
         rest.add(pressure)
     with pytest.raises(Exception, match=words):
         rest.result()
+
+
+def test_a_device_puts_out_voltages_that_ask_for_the_pressures() -> None:
+    converter = Converter(load_calibration("example_regulators"))
+    assert converter.output((401.3e3, 101.3e3)) == pytest.approx((5.0, 0.0))
+    assert converter.asked((5.0, 0.0)) == pytest.approx((401.3e3, 101.3e3))
+    safe = converter.action(SafeAction((401.3e3, 341.3e3), (101.3e3, 101.3e3), 30e3))
+    assert safe.hold == pytest.approx((5.0, 4.0)) and safe.vent == pytest.approx((0.0, 0.0))
+    assert safe.rate == pytest.approx(0.5)
+    with pytest.raises(BadInput, match="calibration example has no regulators, but the rig has"):
+        Converter(load_calibration("example")).adapt("regulator")

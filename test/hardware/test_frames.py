@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pam_antagonist.hardware import protocol
+from pam_antagonist.hardware.device import DeviceLost
 from pam_antagonist.hardware.firmware import Firmware, Readings
 from pam_antagonist.hardware.protocol import (
     LONGEST_PAYLOAD,
@@ -25,8 +26,7 @@ from pam_antagonist.hardware.protocol import (
     Welcome,
     frame,
 )
-from pam_antagonist.hardware.serial_device import SerialDevice
-from pam_antagonist.hardware.transport import DeviceLost, SerialTransport
+from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.safety import SafeAction
 
 payloads = st.binary(min_size=1, max_size=LONGEST_PAYLOAD)
@@ -204,7 +204,7 @@ class Wire:
 
 def test_greeting_samples_commands_and_goodbye() -> None:
     wire = Wire()
-    device = SerialDevice(lambda: wire, seed=1)
+    device = SerialDevice(lambda: wire)
     info = device.start(ACTION)
     assert (info.name, info.unit, info.period_ns, info.watchdog_ns) == ("reference", "V", MS, 20 * MS)
     assert device.samples(0.1)[0].voltage == ACTION.hold

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
+from sent import Loop, Sent
 
 from pam_antagonist.nodes.processes import free_domain
-
-# pytest's importlib mode puts no folder on the path: probe.py and sent.py stand beside the tests.
-sys.path.insert(0, str(Path(__file__).parent))
-
-from sent import Sent
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -85,3 +79,17 @@ def new_node(ros: None) -> Iterator[Callable[..., Any]]:
     for node in made:
         node.close()
         node.destroy_node()
+
+
+@pytest.fixture
+def controller(new_node: Callable[..., Any]) -> Callable[..., Loop]:
+    """Makes a controller with parameters, and what feeds it."""
+    from pam_antagonist.nodes.controller import ControllerNode
+
+    return lambda **parameters: Loop(new_node(ControllerNode, **parameters))
+
+
+@pytest.fixture
+def loop(controller: Callable[..., Loop]) -> Loop:
+    """A controller as it comes."""
+    return controller()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,8 +16,10 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import FluidPressure, JointState
+from std_srvs.srv import Trigger
 
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.processes import Processes
@@ -77,16 +80,20 @@ def read_log(path: Path) -> list[Row]:
 
 
 class Probe:
-    """Collects (time of reception [ns], message) of each topic that it was given; publishes to any."""
+    """Collects (time of reception [ns], message) of each topic that it was given; publishes to any.
 
-    def __init__(self, *topics: str) -> None:
+    `profile`: quality of service, where it is to be that of another program.
+    """
+
+    def __init__(self, *topics: str, name: str = "probe", profile: QoSProfile | None = None) -> None:
         tune_middleware()
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("probe", namespace="/pam", context=self._context, start_parameter_services=False)
+        self.node = Node(name, namespace="/pam", context=self._context, start_parameter_services=False)
         self.seen: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in topics}
+        heard, self._profile = profile or qos.RECORD, profile
         self._subscriptions = {
-            topic: self.node.create_subscription(TYPES[topic], TOPICS[topic].relative, lambda message: None, qos.RECORD)
+            topic: self.node.create_subscription(TYPES[topic], TOPICS[topic].relative, lambda message: None, heard)
             for topic in topics
         }
         self._publishers: dict[str, Any] = {}
@@ -137,20 +144,30 @@ class Probe:
         self.collect()
         return tuple(self.seen[topic][-1][1].voltage)
 
-    def statuses(self, part: str) -> list[tuple[int, int, str]]:
-        """Time of reception [ns], level and message of each status of a part, such as ``pam/plant: safety``."""
+    def statuses(self, part: str) -> list[Any]:
+        """Each status of a part so far, such as ``pam/plant: safety``."""
         self.collect()
-        found = ((at, status) for at, message in self.seen["diagnostics"] for status in message.status)
-        return [(at, status.level[0], status.message) for at, status in found if status.name == part]
+        return [one for _, message in self.seen["diagnostics"] for one in message.status if one.name == part]
 
     def publisher(self, topic: str) -> Any:
         if topic not in self._publishers:
-            profile = qos.REFERENCE if topic == "reference" else qos.STREAM
+            profile = self._profile or (qos.REFERENCE if topic == "reference" else qos.STREAM)
             self._publishers[topic] = self.node.create_publisher(TYPES[topic], TOPICS[topic].relative, profile)
         return self._publishers[topic]
 
     def matched(self, topic: str, count: int = 1) -> bool:
         return self.publisher(topic).get_subscription_count() >= count
+
+    def follow(self, degrees: float, apart: float) -> None:
+        """Wait until the loop follows a reference, with voltages that are so far apart, as no safe ones are [V]."""
+        self.until(lambda: self.matched("reference"), 30.0, "a controller")
+
+        def following() -> bool:
+            self.refer(0, math.radians(degrees))
+            return bool(self.seen["valve_state"]) and self.voltage()[0] - self.voltage()[1] > apart
+
+        self.clear()
+        self.until(following, 30.0, "voltages that follow the reference")
 
     def refer(self, mode: int, value: float) -> None:
         self.publisher("reference").publish(JointReference(mode=mode, value=value))
@@ -173,6 +190,10 @@ class Probe:
             self._executor.remove_node(self._caller)
         assert future.done(), f"{name} does not answer"
         return future.result()
+
+    def trigger(self, name: str) -> Any:
+        """The answer of a service without a request."""
+        return self.call(Trigger, name)
 
     def transition(self, node: str, label: str) -> bool:
         """Ask a node for a transition, as ``ros2 lifecycle set`` does; whether it came about."""

@@ -108,7 +108,6 @@ class Line:
 def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
     """Nine seconds at 1 kHz with a reference of 10°, the faults, a stop that is cleared, then the bridge is killed."""
     from probe import Probe, read_log
-    from std_srvs.srv import Trigger
 
     folder, safe = tmp_path_factory.mktemp("bridge"), {"safe_voltage": list(SAFE)}
     faults = [word for fault in FAULTS for word in ("--fault", fault)]
@@ -118,8 +117,8 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
         probe.refer(0, math.radians(10.0))
         probe.until(lambda: line.logged("-nan"), 30.0, "the last fault's end")
         probe.wait(0.2)
-        cleared = [probe.call(Trigger, "bridge/clear_stop") for _ in range(2)]
-        probe.call(Trigger, "controller/clear_stop")  # its estimate had no pressure 1
+        cleared = [probe.trigger("bridge/clear_stop") for _ in range(2)]
+        probe.trigger("controller/clear_stop")  # its estimate had no pressure 1
         probe.wait(0.8)
         begun = time.time_ns()
         changed = [probe.transition("bridge", "deactivate"), probe.state("bridge")]

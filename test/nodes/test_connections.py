@@ -7,32 +7,25 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from sent import MS, stamped
 
 from pam_antagonist.errors import BadInput
 
 pytestmark = pytest.mark.ros
 
-MS = 1_000_000
+
+DRIVEN = ("pressure_1", "pressure_2", "valve_state")
 
 
 @pytest.fixture
 def driver(ros: None) -> Iterator[Any]:
-    """A driver as many are: sensor data, best effort. It hears commands with best effort as well."""
-    import rclpy
-    from rclpy.node import Node
+    """A driver as many are: sensor data, best effort."""
+    from probe import Probe
     from rclpy.qos import qos_profile_sensor_data
-    from sensor_msgs.msg import FluidPressure
 
-    from pam_antagonist_msgs.msg import ValveCommand
-
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    node = Node("daq", namespace="/pam", context=context)
-    kinds = {"pressure_1": FluidPressure, "pressure_2": FluidPressure, "valve_state": ValveCommand}
-    node.outputs = {name: node.create_publisher(kind, name, qos_profile_sensor_data) for name, kind in kinds.items()}
-    yield node
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    with Probe(name="daq", profile=qos_profile_sensor_data) as driver:
+        driver.outputs = {name: driver.publisher(name) for name in DRIVEN}
+        yield driver
 
 
 @pytest.fixture
@@ -47,13 +40,6 @@ def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
     return factory
 
 
-def until(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + 15.0
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.01)
-
-
 def problems(node: Any) -> list[str]:
     return list(node.connections().values.values())
 
@@ -64,7 +50,7 @@ def override(topic: str, side: str = "subscription", **policies: Any) -> dict[st
 
 def test_a_best_effort_driver_is_an_error_that_names_it_and_what_to_set(make: Any, driver: Any) -> None:
     node = make()
-    until(lambda: " ".join(problems(node)).count("/pam/daq") == 3, "the driver was not found")
+    driver.until(lambda: " ".join(problems(node)).count("/pam/daq") == 3, what="a driver")
     health = node.connections()
     assert health.level == 2
     assert health.message == (
@@ -82,14 +68,13 @@ def test_what_the_error_says_makes_it_work(make: Any, driver: Any) -> None:
     import rclpy
 
     from pam_antagonist.nodes.qos import STREAM
-    from pam_antagonist.nodes.wire import set_stamp
 
     given: dict[str, Any] = {}
-    for name in driver.outputs:
+    for name in DRIVEN:
         given |= override(f"/pam/{name}", reliability="best_effort")
     node = make(**given)
     assert STREAM.reliability.name == "RELIABLE"  # the default of all others is untouched
-    until(lambda: all(output.get_subscription_count() for output in driver.outputs.values()), "nobody listens")
+    driver.until(lambda: all(output.get_subscription_count() for output in driver.outputs.values()), what="a listener")
     assert node.connections().level == 0
     begin = node.now_ns()
     executor = rclpy.executors.SingleThreadedExecutor()
@@ -99,7 +84,7 @@ def test_what_the_error_says_makes_it_work(make: Any, driver: Any) -> None:
         while node._published < 20 and time.monotonic() < end:  # best effort: what comes before both know is lost
             for name, output in driver.outputs.items():
                 message = output.msg_type()
-                set_stamp(message.header.stamp, begin + k * MS)
+                stamped(message, begin + k * MS)
                 if name == "valve_state":
                     message.voltage = [5.5, 5.5]
                 else:
@@ -117,13 +102,13 @@ def test_a_subscriber_that_asks_for_more_is_named_too(make: Any, driver: Any) ->
     from sensor_msgs.msg import JointState
 
     kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    driver.create_subscription(JointState, "joint_states", lambda message: None, kept)
+    driver.node.create_subscription(JointState, "joint_states", lambda message: None, kept)
     node = make()
 
     def words() -> str:
         return "; ".join(problems(node))
 
-    until(lambda: "/pam/daq of /pam/joint_states" in words(), "the subscriber was not found")
+    driver.until(lambda: "/pam/daq of /pam/joint_states" in words(), what="a subscriber")
     assert (
         "subscriber /pam/daq of /pam/joint_states is not connected: volatile offered, transient local asked" in words()
     )

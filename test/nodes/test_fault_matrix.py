@@ -13,7 +13,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.slow]
 
 # Tests of their own have a device that is unplugged, a second commander and clocks that are set.
 MOST_IMPORTANT = (
-    "controller killed", "pressure stuck", "bridge killed", "rig file of another joint", "rig file with refined values"
+    "estimator killed", "controller killed", "pressure stuck", "bridge killed",
+    "rig file of another joint", "rig file with refined values",
 )  # fmt: skip
 
 

@@ -186,34 +186,27 @@ def robot(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Iter
         yield processes, probe, folder
 
 
-def statuses(probe: Any) -> dict[str, Any]:
-    return {status.name: status for _, message in probe.seen["diagnostics"] for status in message.status}
-
-
 @pytest.mark.ros
 @pytest.mark.realtime
 def test_stop_all_stops_every_joint_and_each_is_cleared_by_itself(robot: tuple[Processes, Any, Path]) -> None:
-    from std_srvs.srv import Trigger
-
     processes, probe, _ = robot
 
     def words(name: str) -> str:
         processes.check()
-        probe.collect()
-        return statuses(probe)[name].message if name in statuses(probe) else ""
+        return probe.statuses(name)[-1].message if probe.statuses(name) else ""
 
     probe.until(lambda: words("joints: joints") == "2 joints are active", 60.0, "the joints")
     probe.until(lambda: bool(words("left/elbow/controller: commands") and words("left/wrist/plant: safety")), 10.0)
-    ids = {name: status.hardware_id for name, status in statuses(probe).items()}
-    assert ids["left/elbow/controller: commands"] == "left_elbow" and ids["left/wrist/plant: safety"] == "left_wrist"
-    answer = probe.call(Trigger, "/joints/stop_all")
+    for name, joint in (("left/elbow/controller: commands", "left_elbow"), ("left/wrist/plant: safety", "left_wrist")):
+        assert probe.statuses(name)[-1].hardware_id == joint
+    answer = probe.trigger("/joints/stop_all")
     assert answer.success and answer.message == "stopped: /left/elbow, /left/wrist"
     probe.clear()
     probe.until(lambda: "left/elbow, /left/wrist" in words("joints: joints"), 10.0, "the stop in the diagnostics")
-    assert probe.call(Trigger, "/left/elbow/plant/clear_stop").success
+    assert probe.trigger("/left/elbow/plant/clear_stop").success
     probe.clear()
     probe.until(lambda: words("joints: joints") == "stopped: /left/wrist", 10.0, "the clear in the diagnostics")
-    assert probe.call(Trigger, "/left/wrist/plant/clear_stop").success
+    assert probe.trigger("/left/wrist/plant/clear_stop").success
     probe.wait(1.0)
 
 

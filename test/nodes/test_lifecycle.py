@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sent import stamp_of
 
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 
@@ -75,28 +76,15 @@ def rate(probe: Any, topic: str, seconds: float = 0.25) -> int:
     return len(probe.seen[topic])
 
 
-def stamp(message: Any) -> int:
-    return message.header.stamp.sec * SECOND + message.header.stamp.nanosec
-
-
 def refer(probe: Any, degrees: float) -> None:
     """Wait until the loop follows a reference.
 
     Pressures that jump, as those of a plant that was configured anew, or a state that was set to something else, are a
     reason for the controller to stop.
     """
-    from std_srvs.srv import Trigger
-
     controlling(probe)
-    probe.until(lambda: probe.call(Trigger, "controller/clear_stop").success, 10.0, "a clear")
-    probe.until(lambda: probe.matched("reference"), 20.0, "a controller")
-
-    def following() -> bool:
-        probe.refer(0, math.radians(degrees))
-        return bool(probe.seen["valve_state"]) and probe.seen["valve_state"][-1][1].voltage[0] > SAFE[0] + 0.2
-
-    probe.clear()
-    probe.until(following, 15.0, "voltages that follow the reference")
+    probe.until(lambda: probe.trigger("controller/clear_stop").success, 10.0, "a clear")
+    probe.follow(degrees, apart=0.2)
 
 
 def controlling(probe: Any) -> None:
@@ -110,7 +98,7 @@ def current(probe: Any, clock: Clock) -> None:
     """Wait until the estimates are those of now: a machine that is busy elsewhere lets them fall behind."""
 
     def age() -> int:
-        return time.monotonic_ns() + clock.offset_ns - stamp(probe.seen["joint_estimate"][-1][1])
+        return time.monotonic_ns() + clock.offset_ns - stamp_of(probe.seen["joint_estimate"][-1][1])
 
     probe.until(lambda: bool(probe.seen["joint_estimate"]) and 0 <= age() < SECOND // 4, 30.0, "estimates of now")
 
@@ -138,7 +126,7 @@ def test_stamps_are_those_of_simulated_time(pipeline: tuple[Processes, Any, Cloc
     rate(probe, "joint_estimate")
     for topic in ("valve_state", "joint_estimate", "valve_command"):
         now = time.monotonic_ns() + clock.offset_ns
-        assert 0 <= now - stamp(probe.seen[topic][-1][1]) < SECOND, topic
+        assert 0 <= now - stamp_of(probe.seen[topic][-1][1]) < SECOND, topic
 
 
 def test_inactive_controller_leaves_safe_voltages_and_is_silent(pipeline: tuple[Processes, Any, Clock]) -> None:
@@ -165,7 +153,7 @@ def test_inactive_plant_has_safe_voltages_while_its_joint_lives_on(pipeline: tup
     assert probe.transition("plant", "activate")
     probe.until(lambda: len(probe.seen["measured_joint_states"]) > 20, 10.0, "samples")
     assert tuple(probe.seen["valve_state"][0][1].voltage) == SAFE
-    stamps = np.array([stamp(message) for _, message in probe.seen["valve_state"]])
+    stamps = np.array([stamp_of(message) for _, message in probe.seen["valve_state"]])
     assert stamps[0] > at - 0.3 * SECOND
     assert np.all(np.diff(stamps) > 0)
 
@@ -186,8 +174,6 @@ def test_a_node_can_be_cleaned_up_and_started_again(pipeline: tuple[Processes, A
 
 
 def test_estimator_is_reset_and_set(pipeline: tuple[Processes, Any, Clock]) -> None:
-    from std_srvs.srv import Trigger
-
     from pam_antagonist_msgs.srv import SetState
 
     _, probe, _ = pipeline
@@ -195,7 +181,7 @@ def test_estimator_is_reset_and_set(pipeline: tuple[Processes, Any, Clock]) -> N
     angles = lambda: [math.degrees(message.angle) for _, message in probe.seen["joint_estimate"]]  # noqa: E731
     rate(probe, "joint_estimate")
     before = started()
-    assert probe.call(Trigger, "estimator/reset").success
+    assert probe.trigger("estimator/reset").success
     rate(probe, "joint_estimate")
     assert started() != before
     state = {"angle": math.radians(6.0), "velocity": 0.0, "pressure": [450e3, 450e3]}
@@ -248,14 +234,13 @@ def test_a_clock_that_is_set_back_resets_and_is_said_once(pipeline: tuple[Proces
     processes.check()
     estimates = [message for _, message in probe.seen["joint_estimate"]]
     now = time.monotonic_ns() + clock.offset_ns
-    assert 0 <= now - stamp(estimates[-1]) < SECOND
+    assert 0 <= now - stamp_of(estimates[-1]) < SECOND
     assert estimates[-1].started != before and estimates[-1].started.sec <= now // SECOND
     assert all(math.isfinite(message.angle) for message in estimates)
-    messages = [(status.name, status.message) for _, m in probe.seen["diagnostics"] for status in m.status]
     for part in ("plant: sampling", "estimator: samples", "controller: commands"):
-        said = [text for name, text in messages if name == f"pam/{part}" and "jumped" in text]
+        said = [status for status in probe.statuses(f"pam/{part}") if "jumped" in status.message]
         # To the plant, a clock that it cannot catch up with on a busy machine has jumped as well, but ahead.
         assert 1 <= len(said) <= 1 + (ahead() - before_ahead if part == "plant: sampling" else 0), part
     assert back() - before_back == 1
-    assert stamp(probe.seen["valve_command"][-1][1]) == pytest.approx(stamp(estimates[-1]), abs=0.5 * SECOND)
+    assert stamp_of(probe.seen["valve_command"][-1][1]) == pytest.approx(stamp_of(estimates[-1]), abs=0.5 * SECOND)
     refer(probe, 12.0)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sent import MS, estimate, refer
+from sent import MS
 
 from pam_antagonist.diagnosis.monitor import Alarms
 
@@ -155,28 +155,3 @@ def test_search_keeps_the_buffer_as_a_bag_and_a_folder_that_cannot_be_written_is
         assert monitor.search_as_ordered(str(tmp_path / "order.json")) == 2  # three seconds are too short
         assert ("the buffer is not kept" in capsys.readouterr().err) is not kept
     assert len(read_bag(tmp_path / "found" / "buffer", namespace="/left")) == 3000
-
-
-def test_a_finding_stops_the_controller_if_stop_on_names_it(new_node: Callable[..., Any]) -> None:
-    from pam_antagonist.errors import BadInput
-    from pam_antagonist.nodes.controller import ControllerNode, stops_on
-    from pam_antagonist_msgs.msg import Health
-
-    node = new_node(ControllerNode, stop_on=["leak", "slack"])
-    node.trigger_activate()
-    node.keep(commands=node._output)
-    begin = node.now_ns()
-    refer(node, 0, 0.1)
-    for k in range(20):
-        node.now_ns = lambda k=k: begin + k * MS  # a machine that stalls makes no estimate late
-        estimate(node, begin + k * MS, angle=0.002 * k)
-    assert tuple(node.sent["commands"][-1].voltage) != (5.5, 5.5)
-    node._heard_of(Health(name="thermal"))
-    assert not node.stopped
-    node._heard_of(Health(name="leak", muscle=1, sentence="air leaks from muscle 1"))
-    estimate(node, begin + 20 * MS)
-    assert tuple(node.sent["commands"][-1].voltage) == (5.5, 5.5)
-    assert "air leaks from muscle 1" in node.stopped and node.health(1)["commands"].level == 2
-    with pytest.raises(BadInput, match="no effect is called 'leek'"):
-        stops_on(["leek"])
-    assert stops_on([""]) == frozenset()

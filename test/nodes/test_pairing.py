@@ -7,10 +7,10 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VALVES, Sample, SamplePairing
+from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VOLTAGES, Sample, SamplePairing
 
 MS = 1_000_000
-TOPICS = (PRESSURE_1, PRESSURE_2, VALVES)
+TOPICS = (PRESSURE_1, PRESSURE_2, VOLTAGES)
 
 
 class Clock:
@@ -24,7 +24,7 @@ class Clock:
 
 
 def message(topic: int, k: int) -> tuple[int, int, tuple[float, ...]]:
-    values = (1.0 * k, 2.0 * k) if topic == VALVES else (10.0 * k + topic,)
+    values = (1.0 * k, 2.0 * k) if topic == VOLTAGES else (10.0 * k + topic,)
     return topic, k * MS, values
 
 
@@ -79,7 +79,7 @@ def test_any_interleaving_gives_the_same_samples(case, pace):
         values = [
             math.nan if (PRESSURE_1, k) in missing else 10.0 * k,
             math.nan if (PRESSURE_2, k) in missing else 10.0 * k + 1.0,
-            *((math.nan, math.nan) if (VALVES, k) in missing else (1.0 * k, 2.0 * k)),
+            *((math.nan, math.nan) if (VOLTAGES, k) in missing else (1.0 * k, 2.0 * k)),
         ]
         if not all(math.isnan(value) for value in values):
             expected.append(Sample(k * MS, *values))
@@ -94,7 +94,7 @@ def test_any_interleaving_gives_the_same_samples(case, pace):
 def test_a_sample_comes_out_with_its_last_message_and_not_before():
     clock, pairing = fresh()
     assert pairing.add(PRESSURE_1, MS, 1.0) == []
-    assert pairing.add(VALVES, MS, 3.0, 4.0) == []
+    assert pairing.add(VOLTAGES, MS, 3.0, 4.0) == []
     assert pairing.add(PRESSURE_2, MS, 2.0) == [Sample(MS, 1.0, 2.0, 3.0, 4.0)]
 
 
@@ -103,7 +103,7 @@ def test_a_topic_that_stays_away_is_waited_for_and_then_missing():
     out = []
     for k in range(100):
         clock.now = k * MS
-        got = run([message(PRESSURE_1, k), message(VALVES, k)], clock, pairing)
+        got = run([message(PRESSURE_1, k), message(VOLTAGES, k)], clock, pairing)
         out += [(clock.now - s.stamp_ns, s) for s in got]
     assert len(out) == 100 - 21  # the last ones still wait
     assert all(math.isnan(s.pressure_2) and s.pressure_1 == s.stamp_ns / MS * 10.0 for _, s in out)
@@ -115,7 +115,7 @@ def test_what_comes_after_its_sample_has_gone_is_dropped_and_counted():
     clock, pairing = fresh()
     for k in range(60):
         clock.now = k * MS
-        run([message(PRESSURE_1, k), message(VALVES, k)], clock, pairing)
+        run([message(PRESSURE_1, k), message(VOLTAGES, k)], clock, pairing)
     assert pairing.counts.samples == 39
     before = pairing.counts.samples
     assert run([message(PRESSURE_2, k) for k in range(30)], clock, pairing) == []
@@ -128,7 +128,7 @@ def test_the_first_of_two_messages_with_one_stamp_counts():
     pairing.add(PRESSURE_1, MS, 1.0)
     pairing.add(PRESSURE_1, MS, 9.0)
     pairing.add(PRESSURE_2, MS, 2.0)
-    assert pairing.add(VALVES, MS, 3.0, 4.0) == [Sample(MS, 1.0, 2.0, 3.0, 4.0)]
+    assert pairing.add(VOLTAGES, MS, 3.0, 4.0) == [Sample(MS, 1.0, 2.0, 3.0, 4.0)]
     assert pairing.counts.duplicates == 1
 
 
@@ -166,8 +166,8 @@ def test_stamps_that_stand_still_do_not_fill_the_memory():
 
 
 def test_without_measured_pressures_the_commands_alone_are_a_sample() -> None:
-    pairing = SamplePairing(0.02, Clock(), topics=(VALVES,))
-    (one,) = pairing.add(VALVES, MS, 3e5, 4e5)
+    pairing = SamplePairing(0.02, Clock(), topics=(VOLTAGES,))
+    (one,) = pairing.add(VOLTAGES, MS, 3e5, 4e5)
     assert (one.stamp_ns, one.voltage_1, one.voltage_2) == (MS, 3e5, 4e5)
     assert math.isnan(one.pressure_1) and math.isnan(one.pressure_2)
     assert pairing.counts.incomplete == 0
@@ -175,12 +175,15 @@ def test_without_measured_pressures_the_commands_alone_are_a_sample() -> None:
 
 def test_a_measured_angle_is_a_fourth_topic_of_a_sample() -> None:
     clock = Clock()
-    pairing = SamplePairing(0.02, clock, topics=(PRESSURE_1, PRESSURE_2, VALVES, ANGLE))
+    pairing = SamplePairing(0.02, clock, topics=(PRESSURE_1, PRESSURE_2, VOLTAGES, ANGLE))
     assert (
-        pairing.add(PRESSURE_1, MS, 1.0) == pairing.add(PRESSURE_2, MS, 2.0) == pairing.add(VALVES, MS, 3.0, 4.0) == []
+        pairing.add(PRESSURE_1, MS, 1.0)
+        == pairing.add(PRESSURE_2, MS, 2.0)
+        == pairing.add(VOLTAGES, MS, 3.0, 4.0)
+        == []
     )
     assert pairing.add(ANGLE, MS, 0.1) == [Sample(MS, 1.0, 2.0, 3.0, 4.0, 0.1)]
-    for topic, *values in ((PRESSURE_1, 1.0), (PRESSURE_2, 2.0), (VALVES, 3.0, 4.0)):
+    for topic, *values in ((PRESSURE_1, 1.0), (PRESSURE_2, 2.0), (VOLTAGES, 3.0, 4.0)):
         assert pairing.add(topic, 2 * MS, *values) == []
     assert [s.stamp_ns for s in pairing.add(ANGLE, 3 * MS, 0.2)] == [2 * MS]
     assert pairing.counts.incomplete == 1

@@ -97,3 +97,30 @@ def test_values_are_checked(parameter: Parameter, good: list[Any], bad: list[Any
     for value in bad:
         with pytest.raises(BadInput, match=r"parameter x is .*: expected"):
             parameter.check(value)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("name", "given", "words"),
+    [
+        ("controller", {}, "law: pi puts voltages on valves.*set law to model"),
+        (
+            "controller",
+            {"law": "model", "safe_pressure": [5.5, 5.5]},
+            "safe_pressure.*expected two pressures within 110000 to 700000 Pa",
+        ),
+        *(
+            (
+                name,
+                {"rig": "shin2022", "pressure_sensors": "none"},
+                "rig shin2022 has valves, whose voltages do not determine",
+            )
+            for name in ("plant", "estimator", "controller")
+        ),
+    ],
+)
+def test_what_does_not_suit_the_drive_is_refused_with_what_to_set(
+    name: str, given: dict[str, Any], words: str, made: Callable[..., Any]
+) -> None:
+    with pytest.raises(BadInput, match=words):
+        made(name, **{"rig": "shin2022_regulators", **given})

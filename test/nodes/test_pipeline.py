@@ -1,4 +1,4 @@
-"""Plant, estimator, controller and recorder as processes, through a stall of the machine; what the bag says then."""
+"""Plant, estimator, controller and recorder as processes, through a stall or with pushes; what the bag says then."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from pam_antagonist.estimation import ESTIMATE_DTYPE, Estimator
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 from pam_antagonist.recording import Recording, read_bag
+from pam_antagonist.replays import replay
 from pam_antagonist.replays.accounting import Accounting, account
 from pam_antagonist.rig import RigIdentity, fingerprint, load_rig
 
@@ -133,17 +134,15 @@ def test_replay_gives_the_very_bits_that_were_published(run: Run) -> None:
     pressure = recording.pressure.copy()
     for muscle in (0, 1):  # what the machine held up for longer than a sample waits, the estimator did without
         pressure[np.isin(recording.stamp_ns, live.stamp_ns[live.flags & 1 << muscle != 0]), muscle] = np.nan
-    replay = Estimator(load_rig("shin2022")).run(
-        recording.stamp_ns[first:], pressure[first:], recording.voltage[first:]
-    )
-    _, at_live, at_replay = np.intersect1d(live.stamp_ns, replay.stamp_ns, return_indices=True)
+    again = Estimator(load_rig("shin2022")).run(recording.stamp_ns[first:], pressure[first:], recording.voltage[first:])
+    _, at_live, at_replay = np.intersect1d(live.stamp_ns, again.stamp_ns, return_indices=True)
     assert len(at_live) == len(live) > 3000
     for name in ESTIMATE_DTYPE.names or ():
         published = np.asarray(getattr(live, name), dtype=np.float64)[at_live]
-        again = np.asarray(replay.rows[name], dtype=np.float64)[at_replay]
+        replayed = np.asarray(again.rows[name], dtype=np.float64)[at_replay]
         if name == "flags":
             published = (published.astype(int) & ~LATE).astype(np.float64)
-        assert np.array_equal(published, again, equal_nan=True), name
+        assert np.array_equal(published, replayed, equal_nan=True), name
     assert set(live.started_ns) == {live.started_ns[0]}
 
 
@@ -178,3 +177,32 @@ def test_recorder_says_what_it_recorded(run: Run) -> None:
     assert lines["/pam/rig"] == 3
     assert lines["/pam/measured/external_torque"] == 0
     assert lines["/diagnostics"] >= 10
+
+
+def test_live_and_replay_agree_bit_by_bit_with_an_encoder(tmp_path: Path, module_domain: None) -> None:
+    from pam_antagonist.nodes.client import ReferenceClient
+
+    given = {"rig": "shin2022_external_torque", "angle_sensor": "encoder"}
+    with Processes(tmp_path) as processes, ReferenceClient() as client:
+        processes.start("record", ["--out", str(tmp_path / "bag")])
+        processes.start("estimator", ros_arguments(given, {}))
+        # Commands never come: the valves keep their safe voltages, and only the pushes move the joint.
+        plant = {**given, "mismatch": 0.01, "seed": 3, "wait_for_subscribers": 2}
+        processes.start("plant", ros_arguments(plant, {}))
+        heard = ("joint_estimate", "measured_joint_states")
+        processes.wait(lambda: "" if all(map(client.latest, heard)) and client.may_push() else "nobody to push")
+        for torque in (0.0, 0.8, 0.0):
+            client.push(torque)
+            time.sleep(0.8)
+        processes.stop("plant")
+        time.sleep(0.3)
+        processes.stop("estimator", "record")
+    recording = read_bag(tmp_path / "bag")
+    assert recording.angle_sensor is not None and recording.external_torque is not None
+    done = replay(recording, load_rig(given["rig"]))
+    live, external = done.report.live_equal, done.report.ukf.external_torque
+    assert live is not None and live.equal == live.compared > 2000
+    assert done.report.estimator.counts.angles_used > 2000
+    assert external is not None and external.rmse < 0.15 and external.delay_s is not None
+    assert external.coverage95 is not None and external.coverage95 > 0.9
+    assert 0.0 <= external.delay_s <= 0.05

@@ -17,6 +17,7 @@ from pam_antagonist.recording.topics import TOPICS
 
 pytestmark = pytest.mark.ros
 NAMES = ("pressure_1", "pressure_2", "valve_state")
+BAG = "pam/recorder: bag"
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def recording(tmp_path: Path, domain: None, request: pytest.FixtureRequest) -> I
     """A recorder, and the publishers of a rig that it listens to."""
     from probe import Probe
 
-    with Processes(tmp_path) as processes, Probe() as probe:
+    with Processes(tmp_path) as processes, Probe("diagnostics") as probe:
         arguments = getattr(request, "param", [])
         process = processes.start("record", ["--out", str(tmp_path / "bag"), *arguments])
         probe.until(lambda: min(map(probe.matched, NAMES)), 60.0, "a recorder")
@@ -51,33 +52,13 @@ def publish(probe: Any, first: int, count: int) -> None:
         time.sleep(max(0.0, begin + (k - first + 1) * 1e-3 - time.monotonic()))
 
 
-def diagnosis(probe: Any) -> list[Any]:
-    """A subscription to what the recorder says about its bag."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    from pam_antagonist.nodes import qos
-    from pam_antagonist.nodes.wire import take
-
-    heard: list[Any] = []
-    subscription = probe.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: None, qos.DIAGNOSTICS)
-
-    def collect() -> list[Any]:
-        for message, _ in take(subscription):
-            heard.extend(status for status in message.status if status.name == "pam/recorder: bag")
-        return heard
-
-    return collect
-
-
 def test_a_full_disk_ends_the_recording_and_nothing_else(recording: tuple[Any, Process], tmp_path: Path) -> None:
     from pam_antagonist.recording import read_bag
 
     probe, process = recording
-    statuses = diagnosis(probe)
     resource.prlimit(process.popen.pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
     for first in range(0, 20_000, 500):
         publish(probe, first, 500)
-        statuses()
         if process.popen.poll() is not None:
             break
     assert process.popen.wait(5.0) == 2
@@ -85,8 +66,8 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(recording: tuple[Any, P
     said = process.last_words()
     assert "bag: cannot be written: File too large; " in said and "messages are kept and can be read" in said
     assert "Traceback" not in process.log.read_text()
-    probe.until(lambda: statuses()[-1].level == b"\2", 5.0, "an error on /diagnostics")
-    assert "the recording has ended: File too large" in statuses()[-1].message
+    probe.until(lambda: probe.statuses(BAG)[-1].level == b"\2", 5.0, "an error on /diagnostics")
+    assert "the recording has ended: File too large" in probe.statuses(BAG)[-1].message
     kept = read_bag(tmp_path / "bag")
     assert len(kept) > 300
     assert list(kept.pressure[:300, 0]) == [4e5 + k for k in range(300)]
@@ -131,10 +112,9 @@ def test_what_never_came_is_counted(recording: tuple[Any, Process], tmp_path: Pa
     from pam_antagonist.nodes import qos
 
     probe, process = recording
-    statuses = diagnosis(probe)
     publisher = probe.publisher("pressure_1")
     publish(probe, 0, 200)
-    probe.until(lambda: bool(statuses()), 5.0, "diagnostics")
+    probe.until(lambda: bool(probe.statuses(BAG)), 5.0, "diagnostics")
     process.popen.send_signal(signal.SIGSTOP)
     message = publisher.msg_type()
     message.header.frame_id = "f" * 1500
@@ -147,7 +127,7 @@ def test_what_never_came_is_counted(recording: tuple[Any, Process], tmp_path: Pa
     publish(probe, 20_000, 100)
 
     def last() -> dict[str, str]:
-        return {value.key: value.value for value in statuses()[-1].values}
+        return {value.key: value.value for value in probe.statuses(BAG)[-1].values}
 
     def counted() -> bool:
         lost, kept = int(last()["never came"]), int(last()["/pam/pressure_1"])
@@ -157,7 +137,7 @@ def test_what_never_came_is_counted(recording: tuple[Any, Process], tmp_path: Pa
         probe.until(counted, 20.0, "a count of what was lost")
     except AssertionError as error:
         log = process.log.read_text()
-        raise AssertionError(f"{error}: {len(statuses())} reports, the last {last()}, log {log}") from None
+        raise AssertionError(f"{error}: {len(probe.statuses(BAG))} reports, the last {last()}, log {log}") from None
     process.popen.send_signal(signal.SIGINT)
     assert process.popen.wait(10.0) == 0
     line = next(line for line in process.log.read_text().splitlines() if "/pam/pressure_1" in line)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
-import sent
-from sent import MS, refer, stamped
+from sent import MS, Loop, stamped
 
 from pam_antagonist.control.command import Mode
 
@@ -19,42 +19,21 @@ SAFE = (5.5, 5.5)
 
 
 @pytest.fixture
-def make(new_node: Callable[..., Any]) -> Callable[..., Any]:
-    """A controller of left_elbow with parameters, and what it publishes."""
-    from pam_antagonist.nodes.controller import ControllerNode
-
-    def factory(**parameters: Any) -> Any:
-        node = new_node(ControllerNode, **{"joint_name": "left_elbow", "diagnostics_period": 60.0, **parameters})
-        node.trigger_activate()
-        node.published = []
-        node._output._publish = lambda data: node.published.append(node._valves(data)[1:])
-        return node
-
-    return factory
+def make(controller: Callable[..., Loop]) -> Callable[..., Loop]:
+    """A controller of left_elbow with parameters."""
+    return partial(controller, joint_name="left_elbow", diagnostics_period=60.0)
 
 
 @pytest.fixture
 def planner(ros: None) -> Iterator[Any]:
-    import rclpy
-    from rclpy.node import Node
+    from probe import Probe
 
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    node = Node("planner", namespace="/pam", context=context)
-    yield node
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    with Probe(name="planner") as planner:
+        yield planner.node
 
 
-def estimate(node: Any, angle: float = 0.0, torque: float = 0.0, after: int = MS) -> tuple[float, float]:
-    """One estimate; the command that answers it [V]."""
-    node.stamp = getattr(node, "stamp", node.now_ns() + 10**9) + after  # ahead of the clock: never late
-    sent.estimate(node, node.stamp, angle=angle, torque=torque)
-    return node.published[-1]
-
-
-def talk(node: Any, publisher: Any, message: Any, heard: Callable[[], bool]) -> None:
-    """Publish until the node has what was meant."""
+def talk(loop: Loop, publisher: Any, message: Any, heard: Callable[[], bool]) -> None:
+    """Publish until the controller has what was meant."""
     end = time.monotonic() + 10.0
     while publisher.get_subscription_count() < 1:
         assert time.monotonic() < end, "the controller does not listen"
@@ -62,7 +41,7 @@ def talk(node: Any, publisher: Any, message: Any, heard: Callable[[], bool]) -> 
     publisher.publish(message)
     while not heard():
         assert time.monotonic() < end, "nothing was heard"
-        node.input.poll()
+        loop.node.input.poll()
         time.sleep(0.002)
 
 
@@ -100,21 +79,21 @@ def array(*data: float) -> Any:
     ],
 )
 def test_standard_messages_are_references(
-    make: Any, planner: Any, source: str, message: Any, mode: int, value: float
+    make: Callable[..., Loop], planner: Any, source: str, message: Any, mode: int, value: float
 ) -> None:
-    node = make(reference_source=source, commands_index=1)
+    loop = make(reference_source=source, commands_index=1)
     publisher = planner.create_publisher(type(message()), source, 10)
-    talk(node, publisher, message(), lambda: node._references.mode is not None)
+    talk(loop, publisher, message(), lambda: loop.references.mode is not None)
     echoed: list[Any] = []
-    node.input._echo.publish = echoed.append
+    loop.node.input._echo.publish = echoed.append
     state = {"angle": value} if mode == 0 else {"torque": value}
-    assert estimate(node, **state) == SAFE  # bumpless
-    assert (int(node._references.mode), node._references.value) == (mode, value)
+    assert loop.run(**state) == SAFE  # bumpless
+    assert (int(loop.references.mode), loop.references.value) == (mode, value)
     error = {key: item - 0.05 for key, item in state.items()}
-    assert estimate(node, **error)[0] > 5.6
+    assert loop.run(**error)[0] > 5.6
     # A bag has what was followed in the package's own message.
     assert [(item.mode, item.value) for item in echoed] == [(mode, value)]
-    health = node.health(1)["reference"]
+    health = loop.health("reference")
     assert health.level == 0 and health.values["publishers"] == "/pam/planner"
     assert health.values["source"].startswith(f"/pam/{source} (")
 
@@ -130,14 +109,14 @@ def test_standard_messages_are_references(
     ],
 )
 def test_what_does_not_ask_this_joint_changes_nothing_and_refreshes_nothing(
-    make: Any, source: str, message: Any
+    make: Callable[..., Loop], source: str, message: Any
 ) -> None:
-    node = make(reference_source=source)
-    node.input._accept(message())
-    assert node._references.mode is None and estimate(node, angle=0.1) == SAFE
-    node._references.set(Mode.ANGLE, 0.2, 5)
-    node.input._accept(message())
-    assert node._references._heard_ns == 5 and not node._references.complaint
+    loop = make(reference_source=source)
+    loop.node.input._accept(message())
+    assert loop.references.mode is None and loop.run(angle=0.1) == SAFE
+    loop.references.set(Mode.ANGLE, 0.2, 5)
+    loop.node.input._accept(message())
+    assert loop.references._heard_ns == 5 and not loop.references.complaint
 
 
 @pytest.mark.parametrize(
@@ -152,100 +131,98 @@ def test_what_does_not_ask_this_joint_changes_nothing_and_refreshes_nothing(
     ],
 )
 def test_what_asks_this_joint_and_cannot_be_used_gives_safe_voltages(
-    make: Any, source: str, message: Any, words: str
+    make: Callable[..., Loop], source: str, message: Any, words: str
 ) -> None:
-    node = make(reference_source=source)
-    node.input._accept(message())
-    assert words in node._references.complaint
+    loop = make(reference_source=source)
+    loop.node.input._accept(message())
+    assert words in loop.references.complaint
     for _ in range(3):
-        assert estimate(node, angle=0.1) == SAFE
-    health = node.health(1)
+        assert loop.run(angle=0.1) == SAFE
+    health = loop.node.health(1)
     assert health["reference"].level == health["commands"].level == 2 and words in health["reference"].message
 
 
-def test_a_trajectory_is_followed_in_time_with_feed_forward(make: Any) -> None:
-    node = make(reference_source="joint_trajectory", angle_velocity=2.0, angle_proportional=0.0, angle_integral=0.0)
-    node.stamp = node.now_ns() + 10**9
+def test_a_trajectory_is_followed_in_time_with_feed_forward(make: Callable[..., Loop]) -> None:
+    loop = make(reference_source="joint_trajectory", angle_velocity=2.0, angle_proportional=0.0, angle_integral=0.0)
     message = trajectory((0.0, [0.0, 0.0]), (0.1, [0.0, 0.1]))
-    node.input._accept(stamped(message, node.stamp))
+    loop.node.input._accept(stamped(message, loop.now))
     values = []
     for _ in range(120):
-        estimate(node)
-        values.append(node._references.value)
+        loop.run()
+        values.append(loop.references.value)
     assert values[:99] == pytest.approx([k * 1e-3 for k in range(1, 100)])
     assert values[100:] == [0.1] * 20
     # 1 rad/s, 2 V s/rad: the first command starts bumplessly, so the feed-forward shows when it ends.
-    first = [voltage for voltage, _ in node.published]
+    first = [voltage for voltage, _ in loop.voltages]
     assert first[50] - first[110] == pytest.approx(2.0, abs=0.01)
 
 
-def test_a_torque_that_nobody_repeats_ends_in_safe_voltages(make: Any, planner: Any) -> None:
+def test_a_torque_that_nobody_repeats_ends_in_safe_voltages(make: Callable[..., Loop], planner: Any) -> None:
     from pam_antagonist_msgs.msg import JointReference
 
-    node = make(torque_reference_timeout=0.1)
+    loop = make(torque_reference_timeout=0.1)
     publisher = planner.create_publisher(JointReference, "reference", 10)
-    talk(node, publisher, JointReference(mode=1, value=1.0), lambda: node._references.mode is not None)
-    estimate(node, torque=1.0)
-    assert estimate(node, torque=0.8)[0] > 6.0
+    talk(loop, publisher, JointReference(mode=1, value=1.0), lambda: loop.references.mode is not None)
+    loop.run(torque=1.0)
+    assert loop.run(torque=0.8)[0] > 6.0
     time.sleep(0.11)
-    assert estimate(node) == SAFE
-    health = node.health(1)
+    assert loop.run() == SAFE
+    health = loop.node.health(1)
     assert health["reference"].message == "the reference timed out: safe voltages"
     assert health["commands"].level == 1 and "reference lost" in health["commands"].message
-    talk(node, publisher, JointReference(mode=1, value=1.0), lambda: not node._references.lost)
-    estimate(node, torque=1.0)
-    assert estimate(node, torque=0.8)[0] > 6.0
+    talk(loop, publisher, JointReference(mode=1, value=1.0), lambda: not loop.references.lost)
+    loop.run(torque=1.0)
+    assert loop.run(torque=0.8)[0] > 6.0
 
 
-def test_or_in_the_angle_that_was_estimated_then(make: Any) -> None:
-    node = make(torque_reference_timeout=0.1, reference_lost="hold")
-    node._references.set(Mode.TORQUE, 1.0, time.monotonic_ns() - 200 * MS)
-    estimate(node, angle=0.2)
-    assert node._references.value == 0.2
-    assert estimate(node, angle=0.1)[0] > 5.6  # back to the angle
-    assert "is held" in node.health(1)["reference"].message
+def test_or_in_the_angle_that_was_estimated_then(make: Callable[..., Loop]) -> None:
+    loop = make(torque_reference_timeout=0.1, reference_lost="hold")
+    loop.references.set(Mode.TORQUE, 1.0, time.monotonic_ns() - 200 * MS)
+    loop.run(angle=0.2)
+    assert loop.references.value == 0.2
+    assert loop.run(angle=0.1)[0] > 5.6  # back to the angle
+    assert "is held" in loop.health("reference").message
 
 
-def test_a_second_publisher_is_refused_and_named(make: Any, planner: Any) -> None:
-    import rclpy
+def test_a_second_publisher_is_refused_and_named(make: Callable[..., Loop], planner: Any) -> None:
     from rclpy.node import Node
 
     from pam_antagonist_msgs.msg import JointReference
 
-    node = make()
+    loop = make()
     first = planner.create_publisher(JointReference, "reference", 10)
     for k in range(150):  # two publishers whose numbers are near cannot be told apart
-        talk(node, first, JointReference(mode=0, value=0.1), lambda k=k: node.input._owner._last == k + 1)
+        talk(loop, first, JointReference(mode=0, value=0.1), lambda k=k: loop.node.input._owner._last == k + 1)
     second = Node("teleop", namespace="/pam", context=planner.context)
     try:
         other = second.create_publisher(JointReference, "reference", 10)
-        talk(node, other, JointReference(mode=0, value=-0.3), lambda: node.input._owner.refused == 1)
-        assert node._references._target == 0.1
-        health = node.health(1)["reference"]
+        talk(loop, other, JointReference(mode=0, value=-0.3), lambda: loop.node.input._owner.refused == 1)
+        assert loop.references._target == 0.1
+        health = loop.health("reference")
         assert health.level == 2
         assert health.message == "1 references of a second publisher refused: /pam/planner, /pam/teleop"
-        assert node.health(2)["reference"].level == 1  # it is there, and silent
+        assert loop.health("reference").level == 1  # it is there, and silent
     finally:
         second.destroy_node()
-    assert rclpy.ok()
 
 
 @pytest.mark.parametrize(("mode", "value", "followed"), [(0, 0.5, 0.436333), (0, -20.0, -0.436333), (1, 3.3, 3.204112)])
-def test_a_reference_out_of_range_is_limited_and_said(make: Any, mode: int, value: float, followed: float) -> None:
-    node = make()
-    refer(node, mode, value)
-    estimate(node)
-    estimate(node)
-    assert node._references.value == pytest.approx(followed, rel=1e-5) and node.published[-1] != SAFE
-    health = node.health(1)["reference"]
+def test_a_reference_out_of_range_is_limited_and_said(
+    make: Callable[..., Loop], mode: int, value: float, followed: float
+) -> None:
+    loop = make()
+    loop.refer(mode, value)
+    loop.run(2)
+    assert loop.references.value == pytest.approx(followed, rel=1e-5) and loop.voltages[-1] != SAFE
+    health = loop.health("reference")
     assert health.level == 1 and "is limited to" in health.message and health.values["limited"] == 1
 
 
-def test_the_slew_limit_begins_at_the_estimate(make: Any) -> None:
-    node = make(max_angle_rate=1.0)
-    refer(node, 0, 0.3)
+def test_the_slew_limit_begins_at_the_estimate(make: Callable[..., Loop]) -> None:
+    loop = make(max_angle_rate=1.0)
+    loop.refer(0, 0.3)
     values = []
     for _ in range(10):
-        estimate(node, angle=0.1)
-        values.append(node._references.value)
+        loop.run(angle=0.1)
+        values.append(loop.references.value)
     assert values == pytest.approx([0.1 + k * 1e-3 for k in range(10)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -29,47 +28,31 @@ class TopicSystem:
     as no controller has set it, it is NaN, and goes out as that.
     """
 
-    def __init__(self, namespace: str, joint: str) -> None:
-        import rclpy
-        from rclpy.node import Node
+    def __init__(self, joint: str) -> None:
+        from probe import Probe
         from rclpy.qos import QoSProfile, qos_profile_sensor_data
-        from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import JointState
 
-        from pam_antagonist.nodes.spin import tune_middleware
-        from pam_antagonist_msgs.msg import ValveCommand
-
-        tune_middleware()
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("controller_manager", context=self._context, start_parameter_services=False)
-        self._joint, self._kind = joint, JointState
-        self._commands = self.node.create_publisher(JointState, f"{namespace}/joint_command", QoSProfile(depth=1))
-        subscribe = self.node.create_subscription
-        profile = qos_profile_sensor_data
-        self._states = subscribe(JointState, f"{namespace}/joint_states", lambda message: None, profile)
-        self._valves = subscribe(ValveCommand, f"{namespace}/valve_state", lambda message: None, profile)
-        self.state = {"position": math.nan, "velocity": math.nan, "effort": math.nan}
-        self.command = math.nan
+        self.probe = Probe("joint_states", "valve_state", name="controller_manager", profile=qos_profile_sensor_data)
+        self._message = JointState(name=[joint])
+        self._commands = self.probe.node.create_publisher(JointState, "joint_command", QoSProfile(depth=1))
+        self.position = self.command = math.nan
         self.valves: tuple[float, float] | None = None
 
     def read(self) -> None:
-        from pam_antagonist.nodes.wire import take
-
-        for message, _ in take(self._states):
-            if self._joint in message.name:
-                index = list(message.name).index(self._joint)
-                for name in self.state:
-                    values = getattr(message, name)
-                    if len(values) and math.isfinite(values[index]):
-                        self.state[name] = values[index]
-        for message, _ in take(self._valves):
-            self.valves = (message.voltage[0], message.voltage[1])
+        self.probe.collect()
+        for _, message in self.probe.seen["joint_states"]:
+            (name,) = message.name
+            if name == self._message.name[0] and math.isfinite(message.position[0]):
+                self.position = message.position[0]
+        if self.probe.seen["valve_state"]:
+            self.valves = self.probe.voltage()
+        self.probe.clear()
 
     def write(self) -> None:
-        message = self._kind(name=[self._joint], position=[self.command])
-        message.header.stamp = self.node.get_clock().now().to_msg()
-        self._commands.publish(message)
+        self._message.position = [self.command]
+        self._message.header.stamp = self.probe.node.get_clock().now().to_msg()
+        self._commands.publish(self._message)
 
     def until(self, condition: Callable[[], bool], limit: float, what: str, writes: bool = True) -> None:
         """Updates at 50 Hz until it is so."""
@@ -78,16 +61,10 @@ class TopicSystem:
             self.read()
             if condition():
                 return
-            assert time.monotonic() < end, f"{what} did not happen within {limit} s: {self.state}, {self.valves}"
+            assert time.monotonic() < end, f"{what} did not happen within {limit} s: {self.position}, {self.valves}"
             if writes:
                 self.write()
             time.sleep(0.02)
-
-    def close(self) -> None:
-        import rclpy
-
-        self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
 
 
 @pytest.fixture
@@ -107,24 +84,24 @@ def pipeline(tmp_path: Path, domain: None) -> Iterator[tuple[Processes, TopicSys
         processes.start("controller", ros_arguments({**common, **patient, **controller, **more}, {}))
         owner = {"safe_voltage": list(SAFE), "command_timeout": 0.5, "max_command_age": 0.5}
         processes.start("plant", ros_arguments({**common, **owner, "wait_for_subscribers": 1}, {}))
-        stack = TopicSystem("/pam", "left_elbow")
-        try:
+        stack = TopicSystem("left_elbow")
+        with stack.probe:
             yield processes, stack
-        finally:
-            stack.close()
 
 
 def test_the_stack_moves_the_joint_and_nothing_that_dies_keeps_the_valves(
     pipeline: tuple[Processes, TopicSystem],
 ) -> None:
+    from probe import kill
+
     processes, stack = pipeline
-    stack.until(lambda: math.isfinite(stack.state["position"]) and stack.valves is not None, 60.0, "a state")
+    stack.until(lambda: math.isfinite(stack.position) and stack.valves is not None, 60.0, "a state")
     end = time.monotonic() + 0.5
     stack.until(lambda: time.monotonic() > end, 2.0, "half a second")
     assert stack.valves == SAFE  # NaN is not asked
 
     stack.command = 0.1
-    stack.until(lambda: abs(stack.state["position"] - 0.1) < 0.01, 30.0, "the commanded angle")
+    stack.until(lambda: abs(stack.position - 0.1) < 0.01, 30.0, "the commanded angle")
     assert stack.valves != SAFE
 
     # A stack that is gone: the commands stop.
@@ -132,13 +109,12 @@ def test_the_stack_moves_the_joint_and_nothing_that_dies_keeps_the_valves(
     stack.until(lambda: stack.valves != SAFE, 5.0, "control with commands again")
 
     # An estimator that is gone: the stack's state stands still and looks alive, and the stack goes on commanding.
-    processes.running["estimator"].popen.send_signal(signal.SIGKILL)
-    processes.running.pop("estimator").popen.wait(10.0)
+    kill(processes, "estimator")
     stack.command = 0.15
     stack.until(lambda: stack.valves == SAFE, 5.0, "safe voltages without estimates")
-    frozen = dict(stack.state)
+    frozen = stack.position
     end = time.monotonic() + 0.5
     stack.until(lambda: time.monotonic() > end, 2.0, "half a second")
-    assert stack.state == frozen and math.isfinite(frozen["position"])
+    assert stack.position == frozen
     assert stack.valves == SAFE
     processes.check()

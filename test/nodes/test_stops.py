@@ -10,6 +10,7 @@ import contextlib
 import itertools
 import math
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ PLANT_SAFE = (5.0, 5.2)
 CONTROLLER_SAFE = (5.3, 5.1)
 SAFE = (PLANT_SAFE, CONTROLLER_SAFE)
 PRESSURE_LIMIT = 500e3
+CONTROLLER = ros_arguments({"safe_voltage": list(CONTROLLER_SAFE), "diagnostics_period": 0.2, "max_angle": 0.5}, {})
 LIMIT_MS = 100.0  # twice what is asked for at a device: the thread that feeds the controller is none of its own
 
 
@@ -72,35 +74,22 @@ class Bench:
     def __init__(self, processes: Processes, probe: Any, feeder: Feeder) -> None:
         self.processes, self.probe, self.feeder = processes, probe, feeder
 
-    def trigger(self, name: str) -> Any:
-        from std_srvs.srv import Trigger
-
-        return self.probe.call(Trigger, name)
-
     def enable(self, wanted: bool) -> Any:
         from std_srvs.srv import SetBool
 
         return self.probe.call(SetBool, "controller/enable", data=wanted)
 
-    def work(self, reference: float = 0.2) -> None:
+    def work(self) -> None:
         """Clear what the test before has left, and wait until the controller moves the valves."""
         self.feeder.usual()
         self.processes.check()
-        self.probe.until(
-            lambda: all(self.trigger(f"{node}/clear_stop").success for node in ("plant", "controller")), 10.0, "a clear"
-        )
-        self.probe.refer(0, reference)
-
-        def moving() -> bool:
-            first, second = self.probe.voltage()
-            return first - second > 0.45 and (first, second) not in (PLANT_SAFE, CONTROLLER_SAFE)
-
-        self.probe.clear()
-        self.probe.until(lambda: bool(self.probe.seen["valve_state"]) and moving(), 10.0, "a working controller")
+        stops = ("plant/clear_stop", "controller/clear_stop")
+        self.probe.until(lambda: all(self.probe.trigger(stop).success for stop in stops), 10.0, "a clear")
+        self.probe.follow(degrees=11.5, apart=0.45)
 
     def said(self, part: str) -> list[tuple[int, str]]:
         """Level and message of each status of a part so far."""
-        return [(level, message) for _, level, message in self.probe.statuses(part)]
+        return [(status.level[0], status.message) for status in self.probe.statuses(part)]
 
     def all_safe(self, safe: tuple[float, float], seconds: float = 0.25) -> bool:
         self.probe.clear()
@@ -116,13 +105,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Iter
     from probe import Probe
 
     plant = {"safe_voltage": list(PLANT_SAFE), "max_pressure": [PRESSURE_LIMIT, 2e6], "diagnostics_period": 0.2}
-    controller = {"safe_voltage": list(CONTROLLER_SAFE), "diagnostics_period": 0.2, "max_angle": 0.5}
     with (
         Processes(tmp_path_factory.mktemp("stops")) as processes,
         Probe("valve_command", "valve_state", "diagnostics", "pressure_1") as probe,
     ):
         processes.start("plant", ros_arguments(plant, {}))
-        processes.start("controller", ros_arguments(controller, {}))
+        processes.start("controller", CONTROLLER)
         feeder = Feeder(probe)
         try:
             ready = lambda: probe.matched("reference") and probe.seen["valve_state"] and probe.seen["valve_command"]  # noqa: E731
@@ -154,14 +142,14 @@ def test_controller_stops_latches_and_is_cleared_without_a_bump(bench: Bench, na
     due = max(sent[0] + takes_ms * 1e6, sent[samples])
     assert (received[unsafe[-1] + 1][0] - due) * 1e-6 < LIMIT_MS
     assert bench.all_safe(CONTROLLER_SAFE)
-    answer = bench.trigger("controller/clear_stop")
+    answer = bench.probe.trigger("controller/clear_stop")
     assert not answer.success and reason in answer.message  # the cause is still there
     bench.feeder.usual()
     assert bench.all_safe(CONTROLLER_SAFE, 0.4)  # gone, and it stays stopped
     stopped = [text for level, text in bench.said("pam/controller: commands") if level == 2]
     assert stopped and reason in stopped[-1]
     bench.probe.clear()
-    answer = bench.trigger("controller/clear_stop")
+    answer = bench.probe.trigger("controller/clear_stop")
     assert answer.success and reason in answer.message
     bench.probe.wait(0.1)
     commands = bench.probe.voltages("valve_command")
@@ -178,6 +166,23 @@ def test_estimates_that_stay_away_do_not_latch(bench: Bench) -> None:
     assert bench.all_safe(PLANT_SAFE, 0.1)
     assert bench.probe.voltage("valve_command") == CONTROLLER_SAFE
     bench.work()
+
+
+@pytest.mark.parametrize("way", ["signal", "service of its life cycle"])
+def test_a_controller_that_is_told_to_end_leaves_safe_voltages_behind(bench: Bench, way: str) -> None:
+    bench.work()
+    process = bench.processes.running.pop("controller")
+    if way == "signal":
+        process.popen.send_signal(signal.SIGINT)
+    else:
+        assert bench.probe.transition("controller", "shutdown")
+    assert process.popen.wait(10.0) == 0
+    bench.probe.wait(0.1)
+    assert bench.probe.voltage("valve_command") == CONTROLLER_SAFE
+    assert bench.all_safe(PLANT_SAFE, 0.1)  # the plant's own, since nobody commands
+    assert "Traceback" not in process.log.read_text()
+    bench.processes.start("controller", CONTROLLER)
+    bench.probe.until(lambda: bool(bench.probe.seen["valve_command"]), 60.0, "the controller")
 
 
 def test_disabled_is_safe_once_then_silent_and_enabled_goes_on_from_the_valves(bench: Bench) -> None:
@@ -244,7 +249,7 @@ def test_over_pressure_stops_the_plant_and_nothing_whips_when_it_is_cleared(benc
     bench.probe.refer(0, 0.12)
     bench.probe.wait(0.3)  # in which the controller takes note of both: a new reference is a step in any state
     bench.probe.clear()
-    answer = bench.trigger("plant/clear_stop")
+    answer = bench.probe.trigger("plant/clear_stop")
     assert answer.success and "above 500.0 kPa" in answer.message
     bench.probe.wait(0.3)
     voltages = [PLANT_SAFE, *bench.probe.voltages()]

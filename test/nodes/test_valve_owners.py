@@ -7,18 +7,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import yaml
 from sent import MS, asked, command, stamp_of
 
-from pam_antagonist.hardware.device import DeviceInfo, RawSample
+from pam_antagonist.hardware.device import DeviceLost
 from pam_antagonist.hardware.link import Sample
 from pam_antagonist.hardware.protocol import Status
-from pam_antagonist.hardware.transport import DeviceLost
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import load_rig
-from pam_antagonist.safety import SafeAction
 
 pytestmark = pytest.mark.ros
 
@@ -26,26 +25,13 @@ T0 = 1_795_000_000 * 10**9
 SAFE = (5.0, 5.25)
 
 
-class Absent:
+def absent() -> Any:
     """A device that is never there, but keeps what it was told."""
-
-    def __init__(self) -> None:
-        self.commands: list[tuple[float, float]] = []
-
-    def start(self, action: SafeAction) -> DeviceInfo:
-        raise DeviceLost("absent")
-
-    def samples(self, timeout_s: float) -> list[RawSample]:
-        raise DeviceLost("absent")
-
-    def command(self, voltage: tuple[float, float]) -> None:
-        self.commands.append(voltage)
-
-    def close(self) -> None:
-        pass
-
-    def counters(self) -> Mapping[str, float]:
-        return {}
+    device, commands = Mock(), list[tuple[float, float]]()
+    device.start.side_effect = device.samples.side_effect = DeviceLost("absent")
+    device.counters.return_value = {}
+    device.command, device.commands = commands.append, commands
+    return device
 
 
 class Owner:
@@ -103,7 +89,7 @@ class Real(Owner):
     def __init__(self, new_node: Callable[..., Any], patch: pytest.MonkeyPatch, **parameters: Any) -> None:
         from pam_antagonist.nodes import bridge
 
-        super().__init__(new_node, bridge.BridgeNode, Absent, **parameters)
+        super().__init__(new_node, bridge.BridgeNode, absent, **parameters)
         patch.setattr(bridge, "time", SimpleNamespace(monotonic_ns=lambda: self.now))
         self.keep(self.node._samples)
 
@@ -306,4 +292,4 @@ def test_diagnostics_tell_that_there_is_no_device_and_simulated_time_is_refused(
     assert health["clock"].level == 1
     assert {"commands", "safety"} <= set(health)
     with pytest.raises(BadInput, match="hardware does not follow simulated time"):
-        new_node(BridgeNode, Absent, use_sim_time=True)
+        new_node(BridgeNode, absent, use_sim_time=True)

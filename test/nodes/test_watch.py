@@ -234,7 +234,7 @@ def test_frames_show_what_the_joint_publishes(domain: None) -> None:
         assert watch.look().startswith("no joint in namespace /pam of ROS domain ")
         assert watch.report()["absent"] == watch.absent
         with Probe() as probe:
-            assert not watch.listening and watch.frame()[1:] == [None] * (len(FIELDS) - 1)
+            assert not watch._topics and watch.frame()[1:] == [None] * (len(FIELDS) - 1)
             names = ("joint_estimate", "pressure_1", "valve_state", "measured_joint_states", "reference")
             for name in names:
                 assert not probe.matched(name)

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pam_antagonist.hardware.line_faults import FaultOrders
-from pam_antagonist.nodes.spin import PARENT_VARIABLE, hurry
+from pam_antagonist.nodes.processes import PARENT_VARIABLE
+from pam_antagonist.nodes.spin import hurry
 
 _LOOK = 2e-4  # [s]
 
