@@ -155,7 +155,7 @@ def test_every_row_of_the_table_is_a_number_that_its_experiment_gives(
     monkeypatch.setattr("validation.paper.virtual.VirtualRig", lambda seed: short)
     write({"offline": values}, [0], {}, tmp_path, figures=True)
     shown = re.findall(r"^!\[.+\]\((.+)\)$", (tmp_path / "paper.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert len(shown) == 3 and all((tmp_path / place).read_bytes().startswith(b"\x89PNG") for place in shown)
+    assert len(shown) == 2 and all((tmp_path / place).read_bytes().startswith(b"\x89PNG") for place in shown)
 
 
 @pytest.mark.ros

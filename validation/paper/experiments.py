@@ -65,8 +65,8 @@ def offline_figures(rig: VirtualRig, values: pd.DataFrame) -> dict[str, Figure]:
         error.fill_between(x, -half, half, color=ESTIMATE, alpha=0.2, label="95 % interval of default")
         signal.set_ylabel(f"{quantity} [{UNITS[quantity]}]")
         error.set(xlabel="Time [s]", ylabel=f"error [{UNITS[quantity]}]")
-        signal.legend(ncols=4, fontsize=8)
-        error.legend(fontsize=8)
+        signal.legend(ncols=4, fontsize=8, loc="upper right")
+        error.legend(fontsize=8, loc="upper right")
         out[quantity] = figure
     return out
 
@@ -95,7 +95,7 @@ def steps_figure(rig: VirtualRig, values: pd.DataFrame) -> dict[str, Figure]:
         axes.plot(x, wanted, "k--", linewidth=0.9, label="reference")
         unit = "°" if math.isclose(live.SCALE[mode], math.degrees(1.0)) else "N m"
         axes.set(xlabel="Time [s]", ylabel=f"{mode.name.lower()} [{unit}]")
-    pairs[0][0].legend(fontsize=8)
+    pairs[0][0].legend(fontsize=8, loc="upper right")
     return {"steps": figure}
 
 
