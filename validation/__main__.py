@@ -17,11 +17,11 @@ COMMANDS: dict[str, Command] = {
         "validation.rigs.rehearsed:main",
         "run commission on twelve rigs of new_rig and joints drawn from their priors",
     ),
-    "rigs": Command("validation.rigs.judge:main", "identify fresh virtual rigs and judge the result"),
+    "rigs": Command("validation.rigs.fresh:main", "identify fresh virtual rigs and judge the result"),
     "monitor_study": Command(
         "validation.monitor_study:main", "measure what the monitor finds, how late, and how often it alarms for nothing"
     ),
-    "pamy": Command("validation.pamy.command:main", "apply close_loop to the recording of a real arm with regulators"),
+    "pamy": Command("validation.pamy:main", "apply close_loop to the recording of a real arm with regulators"),
     "faults": Command(
         "validation.faults.command:main",
         "make every fault in a running pipeline and report what the valves did",

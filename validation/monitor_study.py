@@ -1,14 +1,27 @@
-"""``monitor_study``: what the monitor finds on simulated joints, how late, and how often it alarms for nothing."""
+"""Let the monitor watch simulated joints under sensor-less control, faster than real time.
+
+They move by steps and are at rest, with pressures alone and with an encoder: nothing wrong for hours, then each effect
+that can come, after 90 s.
+
+A joint's parameters differ from the rig file by a percent. A size of n noises moves the pressure or the angle that it
+moves most by n standard deviations of a sample, root mean square over a minute of the moving joint under the same
+voltages. Found: when the search would begin, the effect is the first finding, or one that cannot be told from it.
+With --search each of them is carried out, as the node does: then false alarms are findings that it confirms, and a
+fault is found if it is confirmed. DIR keeps each seed's outcome; the same command again goes on.
+
+examples:
+  {run} monitor_study --out DIR --hours 10 --seeds 2
+  {run} monitor_study --out DIR --rig bench --hours 2 --seeds 1 --docs figures.md
+"""
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import tempfile
 import time
-from collections import defaultdict, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from multiprocessing import get_context
@@ -24,39 +37,26 @@ from pam_antagonist.cli.progress import counted
 from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor
 from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding, alike
 from pam_antagonist.errors import BadInput
-from pam_antagonist.report import terminal
-from pam_antagonist.report.document import Table, markdown
+from pam_antagonist.report.document import Table
 from pam_antagonist.rig import Encoder, Rig, load_rig
 from pam_antagonist.rig.file import write_rig
-from pam_antagonist.strict_json import write_json
+from validation import frame
 from validation.monitored import Fault, Joint, Samples, faults, size_of
 from validation.rigs.rehearsed import DESCRIBED, written
 
-_DESCRIPTION = """\
-Let the monitor watch simulated joints under sensor-less control, moving by steps and at rest, from pressures alone and
-with an encoder, faster than real time: nothing wrong for hours, then each effect that can come, after 90 s.
-
-A joint's parameters differ from the rig file by a percent. A size of n noises moves the pressure or the angle that it
-moves most by n standard deviations of a sample, root mean square over a minute of the moving joint under the same
-voltages. Found: when the search would begin, the effect is the first finding, or one that cannot be told from it.
-With --search each of them is carried out, as the node does: then false alarms are findings that it confirms, and a
-fault is found if it is confirmed. DIR keeps each seed's outcome; the same command again goes on.
-"""
-_EXAMPLES = """\
-examples:
-  {run} monitor_study --out DIR --hours 10 --seeds 2
-  {run} monitor_study --out DIR --rig bench --hours 2 --seeds 1 --docs figures.md
-"""
 NOISES = (4.0, 8.0, 16.0)
 _MINUTES = 20
 WAYS = [(moving, encoder) for moving in (True, False) for encoder in (False, True)]
-WORDS = {True: "moving", False: "at rest"}, {False: "", True: ", encoder"}
 _ENCODER = Encoder(std=5e-4, step=0.0, offset=0.0)
 _WARM_UP, _LONGEST = 90, 120
 """[s] Before a fault, and after it."""
 _NOTHING: dict[str, Any] = {"verdict": "none", "effects": [], "calibration": [], "ambiguous_with": []}
 _TAIL = 0.1
 """Share of the largest minutes from which the tail of the evidence is taken."""
+
+
+def _words(moving: bool, encoder: bool = False) -> str:
+    return ("moving" if moving else "at rest") + (", encoder" if encoder else "")
 
 
 def rig_of(name: str, folder: Path) -> Rig:
@@ -143,7 +143,7 @@ def trials(
         # A monitor that alarms before the fault cannot be judged by it; such alarms count in the hours of nothing.
         calm -= {k for k in calm if watched.due(k)}
     done = []
-    with counted(len(sizes), f"seed {seed}, {WORDS[0][moving]}") as advance:
+    with counted(len(sizes), f"seed {seed}, {_words(moving)}") as advance:
         for fault, noises, size in sizes:
             found = _forked(partial(_trial, watched, fault, size, calm)) if calm else []
             done += [{"fault": fault.label, "noises": noises, "size": size, **one} for one in found]
@@ -199,43 +199,40 @@ def _forked(work: Callable[[], Any]) -> Any:
     return out
 
 
+def _shares(trials: Sequence[dict[str, Any]]) -> Iterator[tuple[str, list[list[dict[str, Any]]]]]:
+    """Each way in which joints are watched, in words, and its trials by noises."""
+    for moving, encoder in WAYS:
+        mine = [one for one in trials if (one["moving"], one["encoder"]) == (moving, encoder)]
+        yield _words(moving, encoder), [[one for one in mine if one["noises"] == noises] for noises in NOISES]
+
+
+def _delays(trials: Sequence[dict[str, Any]]) -> list[float]:
+    return [one["delay_s"] for one in trials if one["delay_s"] is not None]
+
+
 def detection(done: Sequence[dict[str, Any]]) -> Table:
     """Share found and median delay, by fault."""
-    cells: dict[tuple[str, bool, bool, float], list[dict[str, Any]]] = defaultdict(list)
-    for one in done:
-        cells[one["fault"], one["moving"], one["encoder"], one["noises"]].append(one)
+
+    def cell(trials: Sequence[dict[str, Any]]) -> str:
+        late = f" ({np.median(_delays(trials)):.0f} s)" if _delays(trials) else ""
+        return f"{sum(one['found'] for one in trials)}/{len(trials)}{late}" if trials else "–"
+
     rows = []
     for fault in dict.fromkeys(one["fault"] for one in done):
-        row = [fault]
-        for moving, encoder in WAYS:
-            each = [cells.get((fault, moving, encoder, noises), []) for noises in NOISES]
-            row.append(" · ".join(_cell(one) for one in each))
-        rows.append(tuple(row))
-    heads = ("fault", *(WORDS[0][moving] + WORDS[1][encoder] for moving, encoder in WAYS))
+        mine = [one for one in done if one["fault"] == fault]
+        rows.append((fault, *(" · ".join(map(cell, each)) for _, each in _shares(mine))))
+    heads = ("fault", *(_words(*way) for way in WAYS))
     return Table(heads, tuple(rows), "found of tried, and median delay of an alarm, at 4 · 8 · 16 noises")
-
-
-def _cell(trials: Sequence[dict[str, Any]]) -> str:
-    if not trials:
-        return "–"
-    delays = [one["delay_s"] for one in trials if one["delay_s"] is not None]
-    late = f" ({np.median(delays):.0f} s)" if delays else ""
-    return f"{sum(one['found'] for one in trials)}/{len(trials)}{late}"
 
 
 def begun(done: Sequence[dict[str, Any]]) -> Table:
     """How many searches begin, how late, and how many faults the evidence names, over all faults."""
     rows = []
-    for moving, encoder in WAYS:
-        each = [
-            [one for one in done if (one["moving"], one["encoder"], one["noises"]) == (moving, encoder, noises)]
-            for noises in NOISES
-        ]
-        delays = [[one["delay_s"] for one in trials if one["delay_s"] is not None] for trials in each]
-        counts = (f"{len(late)}/{len(trials)}" for late, trials in zip(delays, each, strict=True))
-        medians = (f"{np.median(late):.0f}" if late else "–" for late in delays)
+    for words, each in _shares(done):
+        counts = (f"{len(_delays(trials))}/{len(trials)}" for trials in each)
+        medians = (f"{np.median(_delays(trials)):.0f}" if _delays(trials) else "–" for trials in each)
         named = (f"{sum(one['found'] for one in trials)}" for trials in each)
-        rows.append((WORDS[0][moving] + WORDS[1][encoder], *(" · ".join(cells) for cells in (counts, medians, named))))
+        rows.append((words, *(" · ".join(cells) for cells in (counts, medians, named))))
     heads = ("4 · 8 · 16 noises", "a search begins", "after, median [s]", "named")
     return Table(heads, tuple(rows) if done else (), "all faults together")
 
@@ -253,14 +250,12 @@ def alarms(hours: Sequence[dict[str, Any]]) -> Table:
         low, high = (chi2.ppf(0.025, 2 * count) if count else 0.0), chi2.ppf(0.975, 2 * count + 2)
         cost = sum(one["processor_s"][encoder] for one in mine) / (3600.0 * total)
         rows.append((
-            WORDS[0][moving] + WORDS[1][encoder], f"{total:.1f}", str(len(outcomes)), str(outcomes.count("suspected")),
+            _words(moving, encoder), f"{total:.1f}", str(len(outcomes)), str(outcomes.count("suspected")),
             str(count), f"{low / 2 / total:.2g} to {high / 2 / total:.2g}",
             f"{once_in(np.concatenate([one['largest'][encoder] for one in mine]), 6000.0):.1f}", f"{cost:.1%}",
         ))  # fmt: skip
-    heads = (
-        "joint", "hours", "searches", "suspected", "found", "found in an hour, 95 %", "evidence once in 100 h",
-        "of a core",
-    )  # fmt: skip
+    heads = ("joint", "hours", "searches", "suspected", "found", "found in an hour, 95 %", "evidence once in 100 h",
+             "of a core")  # fmt: skip
     return Table(heads, tuple(rows), "nothing wrong")
 
 
@@ -274,32 +269,22 @@ def once_in(largest: np.ndarray, minutes: float) -> float:
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("monitor_study", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("monitor_study", __doc__)
     out.option("--out", "folder of the outcomes; may exist", Path, metavar="DIR", required=True)
     out.option("--rig", "a rig, or one of rehearse_new_rigs (default: shin2022)", str, "shin2022", "RIG")
-    out.option(
-        "--hours",
-        "with nothing wrong, moving and at rest each, a joint for 20 minutes (default: 4)",
-        common.whole(0, 10_000),
-        4,
-        "H",
-    )
-    out.option(
-        "--seeds", "joints that get every effect, moving and at rest (default: 2)", common.whole(0, 10_000), 2, "N"
-    )
+    text = "with nothing wrong, moving and at rest each, a joint for 20 minutes (default: 4)"
+    out.option("--hours", text, common.whole(0, 10_000), 4, "H")
+    text = "joints that get every effect, moving and at rest (default: 2)"
+    out.option("--seeds", text, common.whole(0, 10_000), 2, "N")
     out.option("--first-seed", "(default: 1)", common.SEED, 1, "S")
     out.option("--only", "only effects whose name contains this (default: all)", str, "", "TEXT")
     out.flag("--search", "carry out the searches, each of a minute or two of processor time")
-    out.option("--docs", "write the tables as Markdown; FILE is replaced", Path, metavar="FILE")
+    frame.add_docs(out)
     return out
 
 
 def _main(arguments: argparse.Namespace) -> int:
-    folder: Path = arguments.out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from None
+    folder = frame.made(arguments.out)
     rig, first = rig_of(arguments.rig, folder), arguments.first_seed
     searches = None
     if arguments.search:
@@ -316,11 +301,9 @@ def _main(arguments: argparse.Namespace) -> int:
     ]
 
     def kept(what: str, seed: int, moving: bool, work: Callable[..., Any], more: object) -> Any:
-        parts = what, WORDS[0][moving], str(seed), "" if searches is None else "searched"
-        path = folder / f"{'_'.join(part for part in parts if part).replace(' ', '_')}.json"
-        if not path.exists():
-            write_json(path, work(rig, seed, moving, searches, more))
-        return json.loads(path.read_text(encoding="utf-8"))
+        parts = what, _words(moving), str(seed), "" if searches is None else "searched"
+        path = folder / f"{'_'.join(filter(None, parts)).replace(' ', '_')}.json"
+        return frame.kept(path, lambda: work(rig, seed, moving, searches, more))
 
     joints, seeds = range(first, first + round(60 / _MINUTES * arguments.hours)), range(first, first + arguments.seeds)
     ways = [(seed, moving) for seed in range(first, max(joints.stop, seeds.stop)) for moving in (True, False)]
@@ -332,10 +315,7 @@ def _main(arguments: argparse.Namespace) -> int:
             more = [one for one in sizes if one[1] == noises]
             name = f"{arguments.only}_faults_{noises:g}".lstrip("_")
             found += [{"moving": moving, **one} for one in kept(name, seed, moving, trials, more)]
-    tables = [table for table in (alarms(quiet), detection(found), begun(found)) if table.rows]
-    print("\n\n".join(terminal.table(table, indent="") for table in tables))
-    if arguments.docs is not None:
-        common.write_text(arguments.docs, "\n".join(line for one in tables for line in (*markdown(one), "")))
+    frame.show([alarms(quiet), detection(found), begun(found)], arguments)
     return common.DONE
 
 

@@ -26,7 +26,9 @@ from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import rest_pressure, rest_voltage
+from pam_antagonist.rig.schema import Reading
 from pam_antagonist.simulation.plant import scattered
+from validation.sensors import FIRST_STAMP_NS, shown
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +37,7 @@ SPREAD = 0.01
 GAINS = ModelGains(integral=1.0, approach=0.1)
 _SHARE, _LARGEST, _HOLD = 0.6, math.radians(25.0), (2.0, 6.0)
 """Steps of the angle: of what is within reach, at most [rad], and how long each is held [s]."""
-_FIRST_NS, _ROUNDS, _CLOSE = 10**18, 8, 1.05
+_ROUNDS, _CLOSE = 8, 1.05
 _WEAKER = tuple(f"muscle_1.force.{name}" for name in ("v1", "v2", "w1", "w2", "c1", "c3"))
 
 
@@ -59,20 +61,16 @@ class Joint:
         self._substeps = integration.substeps_of(rig.sample_period)
         self.p[par.FRICTION_STEP] = rig.sample_period / self._substeps
         box, declared = Box.of(rig.parameters()), slow.parameters()
-        regulated = rig.drive == "regulator"
-        self._command = (rest_pressure(rig),) * 2 if regulated else rest_voltage(rig)
+        self._command = (rest_pressure(rig),) * 2 if rig.drive == "regulator" else rest_voltage(rig)
         self._law = ModelController(
             declared, box, replace(GAINS, bandwidth=min(GAINS.bandwidth, 0.4 * RATE)), sample_period=slow.sample_period,
             limits=VoltageLimits(*rig.command_limits), safe_voltage=self._command,
         )  # fmt: skip
         self._filter = Estimator(slow, "default", "free")
-        self._span = min(_SHARE * min(-low, high) for low, high in [Reachable(declared, box).angles])
-        self._span = min(self._span, _LARGEST)
+        low, high = Reachable(declared, box).angles
+        self._span = min(_SHARE * min(-low, high), _LARGEST)
         self._goal, self._until = 0.0, 0.0
-        pressure = rest_pressure(rig)
-        self.x = equilibrium.initial_state(
-            equilibrium.rest_angle(pressure, pressure, self.p), pressure, pressure, np.array(self._command), self.p
-        )
+        self.x = _rest(rig, self.p, np.array(self._command), self.p)
         self.time, self.misread = 0.0, 0.0
 
     def change(self, p: NDArray[np.float64]) -> None:
@@ -90,26 +88,25 @@ class Joint:
         count = round(seconds / dt)
         states, voltage = np.empty((count, len(self.x))), np.empty((count, 2))
         noise = self._rng.standard_normal((count, 3))
-        shown, angle = np.empty((count, 2)), np.empty(count)
+        pressure, angle = np.empty((count, 2)), np.empty(count)
         begun = round(self.time / dt)
-        stamps = _FIRST_NS + np.rint(np.arange(begun + 1, begun + count + 1) * dt * 1e9).astype(np.int64)
+        stamps = FIRST_STAMP_NS + np.rint(np.arange(begun + 1, begun + count + 1) * dt * 1e9).astype(np.int64)
         for first in range(0, count, every):
             rows = slice(first, first + every)
             voltage[rows] = self._command
             driven = np.tile(self._command, (every + 1, 1))
             states[rows] = integration.course(self.x, driven, self.p, dt, self._substeps)[0][1:]
             self.x = states[first + every - 1].copy()
-            shown[rows] = readings(states[rows], self.p)
-            shown[rows] = _measured(shown[rows], rig.sensors.pressure_std, rig.sensors.pressure_step, noise[rows, :2])
-            self._control(int(stamps[first + every - 1]), shown[rows].mean(axis=0))
+            pressure[rows] = shown(readings(states[rows], self.p), rig.sensors.reading("pressure"), noise[rows, :2])
+            self._control(int(stamps[first + every - 1]), pressure[rows].mean(axis=0))
         if rig.encoder is not None:
             angle = states[:, 0] + rig.encoder.offset + self.misread
-            angle = _measured(angle, rig.encoder.std, rig.encoder.step, noise[:, 2])
+            angle = shown(angle, Reading(rig.encoder.std, rig.encoder.step), noise[:, 2])
         self.time += seconds
-        return Samples(stamps, shown, voltage, angle)
+        return Samples(stamps, pressure, voltage, angle)
 
     def _control(self, stamp: int, pressure: Floats) -> None:
-        now = (stamp - _FIRST_NS) * 1e-9
+        now = (stamp - FIRST_STAMP_NS) * 1e-9
         if self._moving and now >= self._until:
             self._goal = float(self._rng.uniform(-self._span, self._span))
             self._until = now + float(self._rng.uniform(*_HOLD))
@@ -118,15 +115,17 @@ class Joint:
             self._command = self._law.step(Mode.ANGLE, self._goal, math.nan, seen(row)).voltage
 
 
+def _rest(rig: Rig, p: Floats, command: Floats, q: Floats) -> Floats:
+    """The state with parameters q at the rest of parameters p."""
+    pressure = rest_pressure(rig)
+    angle = equilibrium.rest_angle(pressure, pressure, p)
+    return np.asarray(equilibrium.initial_state(angle, pressure, pressure, command, q))
+
+
 def readings(states: Floats, p: Floats) -> Floats:
     """Pressures as the sensors show them without noise (N, 2) [Pa]."""
     gains = [[dynamics.reading(i, value, p) for value in (0.0, 1e5)] for i in (0, 1)]
     return np.column_stack([low + (high - low) * states[:, 2 + i] * 1e-5 for i, (low, high) in enumerate(gains)])
-
-
-def _measured(values: Floats, std: float, step: float, noise: Floats) -> Floats:
-    noisy = values + std * noise
-    return np.asarray(np.rint(noisy / step) * step if step > 0.0 else noisy)
 
 
 @dataclass(frozen=True)
@@ -180,13 +179,8 @@ def _moved(fault: Fault, size: float, rig: Rig, minute: Samples) -> float:
     p[par.FRICTION_STEP] = rig.sample_period
     found = []
     for q in (p, fault.applied(p, size)):
-        pressure = rest_pressure(rig)
-        x = equilibrium.initial_state(
-            equilibrium.rest_angle(pressure, pressure, p), pressure, pressure, minute.voltage[0], q
-        )
-        states, _ = integration.course(
-            x, minute.voltage, q, rig.sample_period, integration.substeps_of(rig.sample_period)
-        )
+        x, substeps = _rest(rig, p, minute.voltage[0], q), integration.substeps_of(rig.sample_period)
+        states, _ = integration.course(x, minute.voltage, q, rig.sample_period, substeps)
         found.append(np.column_stack([readings(states, q), states[:, 0]]))
     assert rig.encoder is not None
     stds = np.array([rig.sensors.pressure_std] * 2 + [rig.encoder.std])

@@ -1,13 +1,21 @@
-"""``oracle``: what close_loop says of known recordings, case by case, and what got worse since it was frozen.
+"""Run close_loop on recordings whose answer was frozen, and say what got worse.
 
-A line of an oracle's file is one case: verdict, effects with sizes and standard deviations, calibrations, errors, time.
+The cases are the recordings at hand (rig A, the strangers, the sealed joint, the arm; DATA is their folder) and 60
+joints of the battery, 40 with effects in other forms than the catalogue's and 20 with nothing wrong. Each finished case
+is appended to FILE; the same command again continues. With --against, each case is compared with the same case of an
+earlier file: verdict, effects, sizes, calibrations, held-out errors, processor time.
+Status: 0 nothing is worse, 1 something is, 2 bad input.
+
+examples:
+  {run} oracle now.jsonl --data ../shared/data --against test/diagnosis/oracle.jsonl
+  {run} oracle now.jsonl --only battery --against test/diagnosis/oracle.jsonl
+  {run} oracle now.jsonl --only none --against test/diagnosis/oracle.jsonl --compare-only
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import tempfile
 import time
@@ -20,25 +28,9 @@ from pam_antagonist import diagnose
 from pam_antagonist.cli import common
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
-from validation import at_hand
-from validation.battery.draw import cases
-from validation.battery.plants import RIG, Case
+from validation import at_hand, frame
+from validation.battery.plants import RIG, Case, cases
 
-_DESCRIPTION = """\
-Run close_loop on recordings whose answer was frozen, and say what got worse.
-
-The cases are the recordings at hand (rig A, the strangers, the sealed joint, the arm; DATA is their folder) and 60
-joints of the battery, 40 with effects in other forms than the catalogue's and 20 with nothing wrong. Each finished case
-is appended to FILE; the same command again continues. With --against, each case is compared with the same case of an
-earlier file: verdict, effects, sizes, calibrations, held-out errors, processor time.
-Status: 0 nothing is worse, 1 something is, 2 bad input.
-"""
-_EXAMPLES = """\
-examples:
-  {run} oracle now.jsonl --data ../shared/data --against test/diagnosis/oracle.jsonl
-  {run} oracle now.jsonl --only battery --against test/diagnosis/oracle.jsonl
-  {run} oracle now.jsonl --only none --against test/diagnosis/oracle.jsonl --compare-only
-"""
 _SEED, _COUNT, _NOTHING = 39117, 47, 13
 """Of the 47 cases of the battery 7 have nothing wrong."""
 SIGMAS = 3.0
@@ -55,7 +47,7 @@ Entry = dict[str, Any]
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("oracle", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("oracle", __doc__)
     out.add_argument("file", type=Path, metavar="FILE", help="JSON lines, one a case; may exist")
     out.add_argument("--data", type=Path, metavar="DATA", help="folder of the recordings at hand (default: none)")
     out.add_argument("--only", default="", metavar="TEXT", help="only cases whose name contains this")
@@ -71,9 +63,8 @@ def _run(arguments: argparse.Namespace) -> int:
         for name, work in _work(old, arguments.data):
             if arguments.only in name and name not in done:
                 print(f"oracle: {name}", file=sys.stderr, flush=True)
-                done[name] = work()
-                with arguments.file.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(_rounded(done[name]), ensure_ascii=False) + "\n")
+                done[name] = json.loads(json.dumps(work()), parse_float=lambda text: float(f"{float(text):.5g}"))
+                frame.add_line(arguments.file, done[name])
     if arguments.against is None:
         return common.DONE
     both = [name for name in old if name in done and arguments.only in name]
@@ -86,8 +77,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def read(path: Path) -> dict[str, Entry]:
     """The cases of a file, by name."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        return {entry["case"]: entry for entry in map(json.loads, lines)}
+        return {entry["case"]: entry for entry in map(json.loads, path.read_text(encoding="utf-8").splitlines())}
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise BadInput(f"{path}: no file of an oracle ({error}); expected what oracle writes") from None
 
@@ -109,8 +99,7 @@ def _drawn() -> list[Case]:
 
 def _case(truth: Mapping[str, Any]) -> Case:
     effects = tuple((name, muscle) for name, muscle in truth["effects"])
-    lists = {"effects": effects, "form": tuple(truth["form"]), "sizes": tuple(truth["sizes"]), "calibration": None}
-    return Case(**{**truth, **lists})
+    return Case(truth["name"], truth["kind"], effects, tuple(truth["form"]), truth["seed"], tuple(truth["sizes"]), True)
 
 
 def _of_battery(case: Case) -> Entry:
@@ -144,7 +133,7 @@ def _diagnosed(name: str, truth: Any, recordings: Sequence[Any], rig: str, **opt
             {key: item.get(key) for key in ("name", "value", "std", "unit")} for item in report.get("calibration") or []
         ],
         "errors": report.get("errors") or _of_rows(report.get("errors_deg")), "values": report.get("values"),
-        "seconds": seconds, "cpu_s": cpu_s, "commit": _commit(),
+        "seconds": seconds, "cpu_s": cpu_s, "commit": frame.commit(),
     }  # fmt: skip
 
 
@@ -162,20 +151,6 @@ def _of_rows(rows: Sequence[Mapping[str, Any]] | None) -> Entry | None:
         return None
     parts = ("later", "recent", "interleaved")
     return {row["model"]: {f"{key} rmse_deg": row[key][0] for key in parts if row[key]} for row in rows}
-
-
-def _commit() -> str:
-    where = Path(__file__).parent
-    said = subprocess.run(["git", "rev-parse", "HEAD"], cwd=where, capture_output=True, text=True, check=False)
-    return said.stdout.strip()
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def compared(old: Entry, new: Entry) -> list[str]:

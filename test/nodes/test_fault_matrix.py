@@ -19,7 +19,7 @@ MOST_IMPORTANT = (
 
 
 def test_the_valves_are_safe_in_time_and_control_comes_back() -> None:
-    from validation.faults.run import run_faults
+    from validation.faults.bench import run_faults
 
     names = None if os.environ.get("PAM_PROOF") else MOST_IMPORTANT
     outcomes = run_faults(chosen(FAULTS, names), "shin2022")

@@ -24,6 +24,6 @@ def test_what_a_law_leaves_of_itself_and_of_another_one() -> None:
 
 
 def test_a_locked_joint_is_blind_to_friction_and_its_pressures_to_forces() -> None:
-    assert not ambiguity.changed_by(ambiguity.FRICTION, "locked").any()
-    torque, *pressures = (ambiguity.changed_by(ambiguity.CREEP, "locked") ** 2).mean(axis=0)
+    assert not ambiguity.changed_by(ambiguity.FRICTION.law, "locked").any()
+    torque, *pressures = (ambiguity.changed_by(ambiguity.CREEP.law, "locked") ** 2).mean(axis=0)
     assert torque > 0.0 and not any(pressures)

@@ -23,12 +23,11 @@ from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.learned import Law
 from validation.battery import command, outcomes, physics, places, scores
-from validation.battery.draw import CALIBRATIONS, EFFECTS, LARGE, LEVELS, cases
 from validation.battery.form import Form
 from validation.battery.forms import FOREIGN, REMAINDERS, SINGLE, UNCATALOGUED, group_of
 from validation.battery.outcomes import Outcome
 from validation.battery.places import Found
-from validation.battery.plants import JOINTS, KINDS, Case, staircase
+from validation.battery.plants import CALIBRATIONS, EFFECTS, JOINTS, KINDS, LARGE, LEVELS, Case, cases, staircase
 
 RIG = load_rig("shin2022")
 LEAK, CREEP, DROOP = ("leak", 1), ("creep", None), ("supply_droop", None)

@@ -12,8 +12,8 @@ from scipy.linalg import expm
 
 from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
-from validation.pamy import day, page
-from validation.pamy.command import main
+from validation import pamy
+from validation.frame import in_markdown
 
 EPISODES, ROWS, PERIOD = 60, 70, 0.01
 FREQUENCY, DAMPING = 40.0, 0.5
@@ -66,7 +66,7 @@ def _held(asked: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     options = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path / "pamy.md"), "--no-figures"]
-    assert main([str(arm(tmp_path)), *options]) == 0
+    assert pamy.main([str(arm(tmp_path)), *options]) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["effects"] == ["friction"]
     assert report["errors_deg"][-1]["later"][0] < 0.2
@@ -82,10 +82,10 @@ def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
 
 def test_the_log_book_has_an_entry_for_each_part_of_the_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = read_csv(arm(tmp_path), load_map("pamy_joint0"))
-    assert day.by_parts(recording, print, 1) is None  # too few episodes for eight parts
-    monkeypatch.setattr(day, "PARTS", 2)
-    book = day.by_parts(recording, print, 1)
+    assert pamy.by_parts(recording, 1) is None  # too few episodes for eight parts
+    monkeypatch.setattr(pamy, "PARTS", 2)
+    book = pamy.by_parts(recording, 1)
     assert book is not None
     spans = [span for entry in book.book.entries for span in entry.recordings]
     assert [Path(span.name).name for span in spans] == ["part_1", "part_2"]
-    assert "| joint.stiffness | 1/s² | 2 |" in page.of_the_day(book)
+    assert "| joint.stiffness | 1/s² | 2 |" in in_markdown(pamy.of_the_day(book))

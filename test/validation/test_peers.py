@@ -11,7 +11,7 @@ import pytest
 from pam_antagonist import load_rig
 from pam_antagonist.optional import available
 from validation.battery.plants import Case
-from validation.peers import command, joints, page, residuals, soft_sensors, with_model
+from validation.peers import command, joints, soft_sensors, with_model
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
@@ -28,9 +28,9 @@ def course(seed: int, late: int = 0) -> joints.Course:
 def test_soft_sensors_learn_what_there_is() -> None:
     fit, held = [course(1, 8)], [course(2, 8)]
     errors = {}
-    for sensor in (soft_sensors.linear, soft_sensors.lagged):
-        found = sensor(fit, held)
-        errors[sensor.__name__] = float(np.std(found.angle[0] - held[0].angle)), found.numbers
+    for name in ("linear", "lagged"):
+        found = getattr(soft_sensors, name)(fit, held)
+        errors[name] = float(np.std(found.angle[0] - held[0].angle)), found.numbers
     assert errors["linear"][1] == 3 and errors["lagged"][1] == 53
     assert errors["lagged"][0] < 1.3e-3 and 3.0 * errors["lagged"][0] < errors["linear"][0], errors
 
@@ -56,24 +56,23 @@ def test_other_filters_are_near_ours(free: joints.Joint) -> None:
     ours = with_model.ours(free, free.rig)
     for how in (with_model.extended_kalman, with_model.filterpy_ukf):
         found = with_model.filtered(free, free.rig, how)
-        assert found.rmse_deg == pytest.approx(ours.rmse_deg, rel=0.3)
-        # Ours knows that the parameters are uncertain.
-        assert found.coverage is not None and ours.coverage is not None and found.coverage <= ours.coverage
+        assert found["rmse_deg"] == pytest.approx(ours["rmse_deg"], rel=0.3)
+        assert found["coverage"] <= ours["coverage"]  # ours knows that the parameters are uncertain
 
 
 def test_a_law_of_the_residual_equations_is_added_to_the_model(free: joints.Joint) -> None:
     seen = []
 
-    def fitted(x: joints.Floats, y: joints.Floats) -> tuple[residuals.Law, int]:
+    def fitted(x: joints.Floats, y: joints.Floats) -> tuple[with_model.Law, int]:
         seen.append((x.shape, y.shape))
         return (lambda z: np.zeros((len(z), 3))), 0
 
-    found, numbers = residuals.free_run(free, free.rig, fitted)
+    found, numbers = with_model.free_run(free, free.rig, fitted)
     assert seen == [((1199, 6), (1199, 3))] and numbers == 0
-    alone = with_model.ours(free, free.rig).alone_deg
-    assert found.rmse_deg == pytest.approx(alone, abs=0.15)
-    pushed, _ = residuals.free_run(free, free.rig, lambda x, y: (lambda z: np.tile([0.0, 0.2, 0.0], (len(z), 1)), 1))
-    assert pushed.rmse_deg > found.rmse_deg + 0.1
+    alone = with_model.ours(free, free.rig)["alone_deg"]
+    assert found["rmse_deg"] == pytest.approx(alone, abs=0.15)
+    pushed, _ = with_model.free_run(free, free.rig, lambda x, y: (lambda z: np.tile([0.0, 0.2, 0.0], (len(z), 1)), 1))
+    assert pushed["rmse_deg"] > found["rmse_deg"] + 0.1
 
 
 @pytest.mark.skipif(not (DATA / "strangers").is_dir(), reason="the recordings at hand are not beside the project")
@@ -88,5 +87,5 @@ def test_the_command_continues_and_shows_its_tables(tmp_path: Path, capsys: pyte
     assert len((tmp_path / "out" / "peers.jsonl").read_text().splitlines()) == 5
     text = (tmp_path / "peers.md").read_text()
     assert "| the wrist |" in text and (tmp_path / "peers" / "curves.png").is_file()
-    figure = page.curves_figure(entries)
+    figure = command.curves_figure(entries)
     assert figure is not None and len(figure.axes) == 1

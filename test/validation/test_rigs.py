@@ -16,7 +16,7 @@ from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.unknowns import Fit, Unknown
 from pam_antagonist.recording.joint import JointCondition
 from validation import at_hand, oracle
-from validation.rigs import fresh, judge
+from validation.rigs import fresh
 
 
 def test_only_values_that_are_called_determined_are_compared_with_the_true_ones() -> None:
@@ -24,7 +24,7 @@ def test_only_values_that_are_called_determined_are_compared_with_the_true_ones(
     amounts = np.array([1.0, 0.5, -5.0, 1.0])
     fit = Fit(unknown, amounts, np.diag([0.01, 0.9, 0.01, 0.01]), 0.0)
     truth = {"known": 2.4, "wide": 2.0, "bound": -1.0}
-    assert judge.compared(fit, truth) == {"known": pytest.approx(-2.0)}
+    assert fresh.compared(fit, truth) == {"known": pytest.approx(-2.0)}
 
 
 @pytest.fixture
@@ -46,11 +46,8 @@ def test_a_fresh_rig_has_true_values_that_its_file_does_not_know() -> None:
 
 @pytest.mark.usefixtures("short")
 def test_the_command_counts_a_rig_that_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
-    def refused(lab: fresh.Laboratory) -> dict[str, str]:
-        return {"name": lab.name, "refused": "it moves too little"}
-
-    monkeypatch.setattr(judge, "judged", refused)
-    assert judge.main(["--out", str(tmp_path / "out.json"), "--first", "202", "--count", "1", "--declared"]) == 0
+    monkeypatch.setattr(fresh, "judged", lambda lab: {"refused": "it moves too little"})
+    assert fresh.main(["--out", str(tmp_path / "out.json"), "--first", "202", "--count", "1", "--declared"]) == 0
     assert json.loads((tmp_path / "out.json").read_text())[0]["refused"] == "it moves too little"
     assert "0 rigs of 1" in capsys.readouterr().out
 

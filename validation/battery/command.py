@@ -1,10 +1,32 @@
-"""``battery``: how often the diagnosis is right, on joints whose effects are known."""
+"""Let close_loop diagnose many simulated joints (a battery), and count how often the diagnosis was right.
+
+Each case is a free and a locked recording of a joint with one effect, with two, with none, or with an effect that is
+not in the catalogue. The effects are written in another form than the catalogue's. What they add to the most affected
+measurement ranges from half to 16 times the sensor's noise (RMS). The base parameters are scattered by a percent. Every
+share comes with its 95 % interval. It is this package's own simulator: being right here is less than being right on a
+real joint.
+
+The folder --out gets a JSON file for each finished case, and summary.json with all figures. The same command again
+continues an interrupted run. Shards of one battery may run at the same time into one folder; the tables are of the
+cases that are finished.
+Status: 0 whether or not the diagnosis was right, 2 bad input.
+
+examples:
+  {run} battery --out result --count 8
+  {run} battery --out result --shard 1/2 &   {run} battery --out result --shard 2/2
+  {run} battery --out result --count 80 --nothing 100 --docs figures.md
+  {run} battery --out result --count 0 --uncatalogued 22
+  {run} battery --out result --count 40 --effect friction
+  {run} battery --out result --dask tcp://10.0.0.5:8786
+"""
 
 from __future__ import annotations
 
 import argparse
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,38 +39,13 @@ from pam_antagonist.cli.recordings import connected
 from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.program import versions
-from pam_antagonist.report import terminal
-from pam_antagonist.report.document import markdown
+from pam_antagonist.report.document import Text
 from pam_antagonist.strict_json import write_json
-from validation import json_option
+from validation import frame
 from validation.battery import outcomes
-from validation.battery.draw import LARGE, LEVELS, cases
 from validation.battery.outcomes import Outcome
-from validation.battery.plants import DURATION, RIG, Case
+from validation.battery.plants import DURATION, LARGE, LEVELS, RIG, Case, cases
 
-_DESCRIPTION = """\
-Let close_loop diagnose many simulated joints (a battery), and count how often the diagnosis was right.
-
-Each case is a free and a locked recording of a joint with one effect, with two, with none, or with an effect that is
-not in the catalogue. The effects are written in another form than the catalogue's. What they add to the most affected
-measurement ranges from half to 16 times the sensor's noise (RMS). The base parameters are scattered by a percent. Every
-share comes with its 95 % interval. It is this package's own simulator: being right here is less than being right on a
-real joint.
-
-The folder --out gets a JSON file for each finished case, and summary.json with all figures. The same command again
-continues an interrupted run. Shards of one battery may run at the same time into one folder; the tables are of the
-cases that are finished.
-Status: 0 whether or not the diagnosis was right, 2 bad input.
-"""
-_EXAMPLES = """\
-examples:
-  {run} battery --out result --count 8
-  {run} battery --out result --shard 1/2 &   {run} battery --out result --shard 2/2
-  {run} battery --out result --count 80 --nothing 100 --docs figures.md
-  {run} battery --out result --count 0 --uncatalogued 22
-  {run} battery --out result --count 40 --effect friction
-  {run} battery --out result --dask tcp://10.0.0.5:8786
-"""
 _KINDS = {
     "nothing": "nothing wrong",
     "calibrations": "a wrong zero or clock as their only fault",
@@ -58,7 +55,7 @@ _KINDS = {
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("battery", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("battery", __doc__)
     out.option("--out", "folder of the outcomes; may exist", Path, metavar="DIR", required=True)
     out.option("--count", "how many cases (default: 80)", whole(0, 100_000), 80, "N")
     for name, what in _KINDS.items():
@@ -73,8 +70,8 @@ def parser() -> common.Parser:
         "--dask", help="judge whole cases, one a worker's thread, on the workers of this Dask scheduler, such as "
         "tcp://10.0.0.5:8786 (needs pam_antagonist[dask])"
     )  # fmt: skip
-    out.option("--docs", "write the table of figures as Markdown; FILE is replaced", Path, metavar="FILE")
-    json_option.add_new_json(out, "summary.json")
+    frame.add_docs(out)
+    frame.add_new_json(out, "summary.json")
     return out
 
 
@@ -93,15 +90,11 @@ def _main(arguments: argparse.Namespace) -> int:
     every = cases(**asked)
     first, shards = arguments.shard
     mine = every[first - 1 :: shards]
-    folder: Path = arguments.out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"{folder}: cannot be made: {error.strerror}") from None
+    folder = frame.made(arguments.out)
     waiting = [(k, case) for k, case in mine if outcomes.load(folder, k, case, arguments.duration) is None]
     with common.json_alone(arguments.json), counted(len(waiting), "battery") as advance:
         for number, outcome in _judged(waiting, arguments):
-            outcomes.save(folder, number, outcome)
+            frame.kept(outcomes.path_of(folder, number), partial(asdict, outcome))
             advance(1)
     loaded = (outcomes.load(folder, k, case, arguments.duration) for k, case in every)
     done = [outcome for outcome in loaded if outcome is not None]
@@ -139,23 +132,17 @@ def _report(done: Sequence[Outcome], count: int, asked: dict[str, Any], argument
             raise BadInput(f"{arguments.out}: no case is finished yet, so there is no summary for --json")
         print(f"{arguments.out}: no case is finished yet")
         return
-    makers = (scores.figures_table, scores.detection_table, scores.misses_table)
-    tables = [table for make in makers if (table := make(done)).rows]
-    codes = sorted({one.code for one in done})
+    codes, seconds = sorted({one.code for one in done}), sorted(one.seconds for one in done)
     summary = {
         **asked, "finished": len(done), "code": codes, "levels": list(LEVELS), "software": versions(),
         "scores": scores.scores(done).reset_index().to_dict("records"),
         "detection": scores.detections(done).reset_index().to_dict("records"),
     }  # fmt: skip
     write_json(arguments.out / "summary.json", summary)
-    about = f"{len(done)} of {count} cases are finished"
-    shown = "\n\n".join([about, *(terminal.table(table, indent="") for table in tables)])
-    json_option.show(f"{shown}\n", summary, arguments.json)
-    if arguments.docs is not None:
-        seconds = sorted(one.seconds for one in done)
-        took = f"a diagnosis took {seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s at most"
-        lines = [f"{about}; {took}; fingerprint of the code: {', '.join(codes)}.", "", *markdown(tables[0]), ""]
-        common.write_text(arguments.docs, "\n".join(lines))
+    about = (f"{len(done)} of {count} cases are finished; a diagnosis took {seconds[len(seconds) // 2]:.0f} s "
+             f"(median), {seconds[-1]:.0f} s at most; commit {', '.join(codes)}.")  # fmt: skip
+    tables = (scores.figures_table(done), scores.detection_table(done), scores.misses_table(done))
+    frame.show([Text(about), *tables], arguments, summary)
 
 
 main = common.command(parser, _main)

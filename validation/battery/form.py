@@ -29,6 +29,7 @@ class Deviation:
     substeps: int = 4  # of the simulation in a sample, at least
 
 
+EITHER_WAY = [-1.0, 1.0]
 Make = Callable[[float, "int | None", Random], Deviation]
 
 
@@ -50,33 +51,30 @@ def sides(muscle: int | None) -> tuple[int, ...]:
     return (1, 2) if muscle is None else (muscle,)
 
 
-def named(name: str, value: float, muscle: int | None) -> dict[str, float]:
-    """A number of the physics, by its name without the muscle's, for each muscle that is meant."""
-    return {f"{name}_{i}": value for i in sides(muscle)}
+def named(name: str, muscle: int | None) -> str:
+    """A number of the physics by its name without the muscle's: of the muscle that is meant, or of both."""
+    return name if muscle is None else f"{name}_{muscle}"
 
 
 def sign(rng: Random) -> float:
     """1 or −1."""
-    return float(rng.choice([-1.0, 1.0]))
+    return float(rng.choice(EITHER_WAY))
 
 
-def plain(name: str, unit: float, **others: tuple[float, float]) -> Make:
-    """A number of the physics: a unit times the amount; other numbers drawn between two bounds."""
+def plain(name: str, unit: float, both_ways: bool = False, **others: float | list[float] | tuple[float, float]) -> Make:
+    """A number of the physics: a unit times the amount, of either sign if it goes both ways.
 
-    def make(amount: float, muscle: int | None, rng: Random) -> Deviation:
-        drawn = {key: float(rng.uniform(*bounds)) for key, bounds in others.items()}
-        own = {name: amount * unit} if muscle is None else {f"{name}_{muscle}": amount * unit}
-        return Deviation({**own, **drawn})
-
-    return make
-
-
-def signed(name: str, unit: float) -> Make:
-    """A number of the physics in proportion to the amount, of either sign."""
+    `others`: numbers beside it, drawn between two bounds (a tuple), one of several (a list), or as they are.
+    """
 
     def make(amount: float, muscle: int | None, rng: Random) -> Deviation:
-        key = name if muscle is None else f"{name}_{muscle}"
-        return Deviation({key: sign(rng) * amount * unit})
+        numbers = {named(name, muscle): (sign(rng) if both_ways else 1.0) * amount * unit}
+        for key, value in others.items():
+            if isinstance(value, tuple):
+                numbers[key] = float(rng.uniform(*value))
+            else:
+                numbers[key] = float(rng.choice(value)) if isinstance(value, list) else value
+        return Deviation(numbers)
 
     return make
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from validation.battery.form import (
+    EITHER_WAY,
     Deviation,
     Floats,
     Form,
-    Make,
     Random,
     each,
     named,
@@ -23,18 +23,8 @@ from validation.battery.form import (
 )
 
 
-def _on_a_side(name: str, unit: float, way: str = "way", **others: tuple[float, float]) -> Make:
-    """A number of the physics in proportion to the amount, on one side or the other."""
-    fixed = plain(name, unit, **others)
-
-    def make(amount: float, muscle: int | None, rng: Random) -> Deviation:
-        return Deviation({**fixed(amount, muscle, rng).numbers, way: sign(rng)})
-
-    return make
-
-
 def _damping(amount: float, muscle: int | None, rng: Random) -> Deviation:
-    return Deviation({**named("damping", amount * 50.0, muscle), "damping_lean": sign(rng) * rng.uniform(0.6, 0.95)})
+    return Deviation({named("damping", muscle): amount * 50.0, "damping_lean": sign(rng) * rng.uniform(0.6, 0.95)})
 
 
 def _coil(amount: float, muscle: int | None, rng: Random) -> Deviation:
@@ -79,17 +69,16 @@ def _eccentric(amount: float, muscle: int | None, rng: Random) -> Deviation:
 
 
 FORMS: tuple[Form, ...] = (
-    Form("check valve between the chambers", "check", False, _on_a_side("check", 1.1e-10), "ISO 6358-1 (2013)"),
+    Form("check valve between the chambers", "check", False, plain("check", 1.1e-10, way=EITHER_WAY),
+         "ISO 6358-1 (2013)"),
     Form("relief valve", "relief", True, plain("relief", 1.6e-10, relief_at=(430e3, 500e3)), "Beater (2007)"),
-    Form("kinked hose", "kink", True, _on_a_side("kink", 3e-2, "kink_way"), "Brazier (1927)", 30.0),
+    Form("kinked hose", "kink", True, plain("kink", 3e-2, kink_way=EITHER_WAY), "Brazier (1927)", 30.0),
     Form("fold of the bladder", "fold", True, plain("fold", 2.5e-2), "Tsagarakis and Caldwell (2000)"),
     Form("flow forces on the spool", "jet", True, plain("jet", 1.5e-3), "Merritt (1967), ch. 5"),
     Form("coil with minor loops", "coil", True, _coil, "Preisach (1935); Vaughan and Gamble (1996)"),
     Form("damping other one way", "damping", False, _damping, "Reynolds et al. (2003)"),
-    Form(
-        "spring that engages", "engage", False, _on_a_side("engage", 0.1, engage_at=(0.02, 0.1)),
-        "Hunt and Crossley (1975)",
-    ),
+    Form("spring that engages", "engage", False, plain("engage", 0.1, engage_at=(0.02, 0.1), way=EITHER_WAY),
+         "Hunt and Crossley (1975)"),
     Form("gauge behind a tube", "gauge_tube", True, _gauge_tube, "Bergh and Tijdeman (1965)", 60.0),
     Form("multiplexer that remembers", "multiplexer", True, _multiplexer, "Kester (2005)"),
     Form("eccentric code disc", "eccentric", False, _eccentric, "Sanchez-Brea and Morlanes (2008)"),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
-from functools import lru_cache
+from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,12 +16,11 @@ import numpy as np
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import load_rig
-from pam_antagonist.strict_json import write_json
+from validation import frame
 from validation.battery.places import LEARNED, Found, are_arguments, found, is_place
-from validation.battery.plants import DURATION, JOINTS, RIG, Case
+from validation.battery.plants import CHANNELS, DURATION, JOINTS, RIG, Case, values_of
 
 HOLDOUT = 1.0 / 3.0
-CHANNELS = ("angle", "torque", "pressure_1", "pressure_2")
 Diagnose = Callable[[tuple[Recording, Recording]], Any]
 """Takes the recordings; the result has ``verdict``, ``effects``, ``ambiguous_with``, ``errors``, ``ranking`` and
 ``calibrations``."""
@@ -51,7 +48,7 @@ class Outcome:
     seconds: float  # that the diagnosis took
     threads: int
     reached: tuple[float, ...] = ()  # sizes that the effects really had
-    code: str = ""  # fingerprint of the program that made the diagnosis
+    code: str = ""  # commit of the program that made the diagnosis
     calibrations: tuple[str, ...] = ()
     where: tuple[Found, ...] = ()  # the place of each effect that was found
 
@@ -142,19 +139,9 @@ def judge(case: Case, diagnose: Diagnose, duration: float = DURATION, threads: i
         case.name, case.kind, case.effects, case.form, case.seed, case.sizes, duration, str(said.verdict),
         tuple((str(effect.name), effect.muscle) for effect in said.effects), tuple(map(str, said.ambiguous_with)),
         tuple(t.effect for t in said.ranking if t.round == 1 and t.shares is not None)[:_LEADING],
-        channel, errors, seconds, threads, case.reached, fingerprint(),
+        channel, errors, seconds, threads, case.reached, frame.commit(),
         tuple(str(item.name) for item in said.calibrations), tuple(found(effect) for effect in said.effects),
     )  # fmt: skip
-
-
-@lru_cache(maxsize=1)
-def fingerprint() -> str:
-    """Of every source file of the program, but for what measures it: equal as long as nothing is changed."""
-    package = Path(__file__).parents[2] / "pam_antagonist"
-    digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
-        digest.update(source.relative_to(package).as_posix().encode() + source.read_bytes())
-    return digest.hexdigest()[:12]
 
 
 def true_error(case: Case, recordings: Iterable[Recording], channel: str) -> float:
@@ -164,16 +151,10 @@ def true_error(case: Case, recordings: Iterable[Recording], channel: str) -> flo
         if channel == "angle" and joint == "locked":
             continue
         true = case.channels(joint, len(recording) * load_rig(RIG).sample_period)
-        difference = _values(recording, channel) - _values(true, channel)
+        difference = values_of(recording, channel) - values_of(true, channel)
         squares.append(difference[round(len(recording) * (1.0 - HOLDOUT)) :] ** 2)
     rmse = float(np.sqrt(np.mean(np.concatenate(squares))))
     return float(np.degrees(rmse)) if channel == "angle" else rmse
-
-
-def _values(source: Any, channel: str) -> np.ndarray:
-    if channel.startswith("pressure_"):
-        return np.asarray(source.pressure[:, int(channel[-1]) - 1])
-    return np.asarray(getattr(source, channel))
 
 
 def _error(errors: Any, channel: str) -> float | None:
@@ -184,20 +165,14 @@ def _error(errors: Any, channel: str) -> float | None:
     return None if known is None else float(known.rmse)
 
 
-def _path(folder: Path, number: int) -> Path:
+def path_of(folder: Path, number: int) -> Path:
+    """Where a case's outcome is."""
     return folder / f"case_{number:03d}.json"
-
-
-def save(folder: Path, number: int, outcome: Outcome) -> None:
-    """Write an outcome, whole or not at all."""
-    aside = _path(folder, number).with_suffix(".part")
-    write_json(aside, asdict(outcome))
-    aside.rename(_path(folder, number))
 
 
 def load(folder: Path, number: int, case: Case, duration: float) -> Outcome | None:
     """The outcome of a case that is done, None of one that is not; one of another battery is refused."""
-    path = _path(folder, number)
+    path = path_of(folder, number)
     if not path.exists():
         return None
     try:

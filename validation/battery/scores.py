@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from pam_antagonist.report.document import MISSING, Table, number, percent
-from validation.battery.draw import LARGE, LEVELS
 from validation.battery.forms import REMAINDERS, group_of
 from validation.battery.outcomes import Outcome
 from validation.battery.places import LEARNED
+from validation.battery.plants import LARGE, LEVELS
 
 FOUND = 0.9
 """Share of the cases of a size that have to be found for the size to count as found."""

@@ -1,4 +1,14 @@
-"""``benchmark``: what the package costs on this machine."""
+"""Measure what the package costs on this machine.
+
+  kernels   a UKF step against bare RK4 steps of the same model, and against filterpy's UKF around it; a call from
+            Python against the kernel
+  replay    the whole replay command against the length of the recording
+  pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): lost samples,
+            the time from pressure to command, memory; then again with the monitor beside them
+
+Compare ratios rather than times: a busy machine slows both sides of a ratio.
+Status: 0, or 2 for bad input.
+"""
 
 from __future__ import annotations
 
@@ -11,42 +21,42 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from pam_antagonist.cli import common
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
+from pam_antagonist.nodes.processes import Process, ProcessFailed
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.program import versions
-from pam_antagonist.report import terminal
+from pam_antagonist.recording import read_bag
+from pam_antagonist.replays.accounting import account
 from pam_antagonist.report.document import Table, number
 from pam_antagonist.rig import load_rig
-from validation import json_option
+from validation import frame
+from validation.pipeline import running
 
-_DESCRIPTION = """\
-Measure what the package costs on this machine.
-
-  kernels   a UKF step against bare RK4 steps of the same model, and against filterpy's UKF around it; a call from
-            Python against the kernel
-  replay    the whole replay command against the length of the recording
-  pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): lost samples,
-            the time from pressure to command, memory; then again with the monitor beside them
-
-Compare ratios rather than times: a busy machine slows both sides of a ratio.
-Status: 0, or 2 for bad input.
-"""
 PARTS = ("kernels", "replay", "pipeline")
 _RUNS = 3
+_SETTLE = 2.0  # after the nodes have started, before memory is looked at [s]
+_NODES = ("plant", "estimator", "controller")
+_OF: dict[str, dict[str, object]] = {
+    "plant": {"mismatch": 0.01, "wait_for_subscribers": 2}, "monitor": {"folder": "", "log_book": False}
+}  # fmt: skip
+"""Parameters of single nodes."""
 
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("benchmark", _DESCRIPTION)
+    out = common.Parser("benchmark", __doc__)
     out.option("--only", "run this part alone; may be given several times", choices=PARTS, action="append")
     out.option("--rig", "a YAML file, or a rig's name (default: shin2022)", default="shin2022", metavar="RIG")
     out.option("--bag", "recording for the replay (default: 60 s are simulated)", Path, metavar="BAG")
     out.option("--duration", "length of the pipeline's run [s] (default: 60)", float, 60.0, "S")
-    json_option.add_new_json(out, "the figures")
+    frame.add_new_json(out, "the figures")
     return out
 
 
@@ -65,14 +75,12 @@ def _main(arguments: argparse.Namespace) -> int:
             elif part == "replay":
                 figures |= _replay(arguments.rig, arguments.bag)
             else:
-                from validation.benchmark import pipeline
-
-                figures |= pipeline.measure(arguments.rig, arguments.duration)
+                figures |= _pipeline(arguments.rig, arguments.duration)
             done(1)
     table = Table(("figure", "measured"), tuple((name, number(value)) for name, value in figures.items()))
     machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
     content = {"figures": figures, "machine": machine, "software": versions()}
-    json_option.show(terminal.table(table, indent=""), content, arguments.json)
+    frame.show([table], arguments, content)
     return common.DONE
 
 
@@ -100,6 +108,73 @@ def _command(name: str, *arguments: str) -> float:
     if done.returncode != 0:
         raise BadInput(f"{name} ended with status {done.returncode}: {done.stderr.strip()[-300:]}")
     return time.perf_counter() - begin
+
+
+def _pipeline(rig: str, duration: float) -> dict[str, float]:
+    """Run the pipeline for a time [s], and again with the monitor: what became of samples, and what nodes took."""
+    alone, watched = (_run(rig, duration, nodes) for nodes in (_NODES, (*_NODES, "monitor")))
+    ratios = {
+        f"pressure to command, {name}, with the monitor, of that without [-]":
+            watched[f"pressure to command, {name} [ms]"] / alone[f"pressure to command, {name} [ms]"]
+        for name in ("median", "99 %")
+    }  # fmt: skip
+    return {**alone, **{name: value for name, value in watched.items() if name.startswith("monitor")}, **ratios}
+
+
+def _run(rig: str, duration: float, names: Sequence[str]) -> dict[str, float]:
+    from pam_antagonist.nodes.client import ReferenceClient
+
+    path = str(Path(rig).resolve()) if rig.endswith((".yaml", ".yml")) else rig
+    nodes = {name: {"rig": path, **_OF.get(name, {})} for name in (*names[1:], names[0])}
+    with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as folder:
+        try:
+            with running(Path(folder), nodes) as processes:
+                with ReferenceClient() as watch:
+                    processes.wait(watch.missing)
+                time.sleep(_SETTLE)
+                taken = {node: processes.running[node] for node in names}
+                before = {node: _taken(process) for node, process in taken.items()}
+                begin = time.monotonic()
+                while (elapsed := time.monotonic() - begin) < duration:
+                    processes.check()
+                    time.sleep(min(0.5, duration - elapsed))
+                after = {node: _taken(process) for node, process in taken.items()}
+        except ProcessFailed as error:
+            raise BadInput(f"pipeline: {error}") from None
+        recording = read_bag(Path(folder) / "bag")
+    found = account(recording, load_rig(rig).sample_period)
+    if found is None or found.expected == 0:
+        raise BadInput("pipeline: the recording lacks a stage of the pipeline")
+    arrivals = recording.received_ns["pressure_1"]
+    lag = arrivals.log_ns - arrivals.stamp_ns
+    tenth = max(1, len(lag) // 10)
+    # The quickest deliveries of the first and of the last tenth: a busy machine delays samples, it does not drift.
+    first, last = (float(np.percentile(part, 1.0)) for part in (lag[:tenth], lag[-tenth:]))
+    out = {
+        "pressure to command, median [ms]": found.latency.median,
+        "pressure to command, 99 % [ms]": found.latency.p99,
+        "pressure to command, largest [ms]": found.latency.largest,
+        "samples expected": float(found.expected),
+        "samples lost": float(sum(found.lost.values())),
+        "samples late": float(found.late),
+        "messages out of order": float(sum(found.out_of_order.values())),
+        "drift against the machine's clock [ms]": (last - first) * 1e-6,
+    }
+    for node in names:
+        (memory, cpu), (now, spent) = before[node], after[node]
+        out[f"{node}, resident memory [MB]"] = now
+        out[f"{node}, growth of it [MB]"] = now - memory
+        out[f"{node}, share of a core [%]"] = 100.0 * (spent - cpu) / elapsed
+    return out
+
+
+def _taken(process: Process) -> tuple[float, float]:
+    """Resident memory of a process [MB], and processor time that it has taken [s]."""
+    files = Path(f"/proc/{process.popen.pid}")
+    pages = int((files / "statm").read_text().split()[1])
+    fields = (files / "stat").read_text().rsplit(")", 1)[1].split()
+    ticks = int(fields[11]) + int(fields[12])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, ticks / os.sysconf("SC_CLK_TCK")
 
 
 main = common.command(parser, _main)

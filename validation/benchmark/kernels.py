@@ -72,22 +72,12 @@ class _Case:
 
     def filter(self) -> None:
         """Predict and update."""
+        tuning = self.tuning
         _filter_steps(
-            self.pressure,
-            self.voltage,
-            self.states[0].copy(),
-            np.diag(self.tuning.initial),
-            np.zeros((STATES, self.considered)),
-            self.parameter_sets,
-            self.rig.sample_period,
-            np.array(self.tuning.process),
-            np.array(self.tuning.measurement),
-            self.tuning.kappa,
-            self.effects,
-            self._work,
-            np.empty(2),
-            np.empty((2, 2)),
-        )
+            self.pressure, self.voltage, self.states[0].copy(), np.diag(tuning.initial),
+            np.zeros((STATES, self.considered)), self.parameter_sets, self.rig.sample_period, np.array(tuning.process),
+            np.array(tuning.measurement), tuning.kappa, self.effects, self._work, np.empty(2), np.empty((2, 2)),
+        )  # fmt: skip
 
     def sample(self) -> None:
         """The whole sample: time, gate, predict, update, torque and its covariance, σ, stiffness."""
@@ -97,10 +87,8 @@ class _Case:
     def live(self) -> None:
         """The same, one call from Python a sample."""
         self.estimator.reset()
-        step = self.estimator.step_in_place
-        for stamp, (p1, p2), (u1, u2) in zip(
-            self.stamps.tolist(), self.pressure.tolist(), self.voltage.tolist(), strict=True
-        ):
+        step, columns = self.estimator.step_in_place, (self.stamps, self.pressure, self.voltage)
+        for stamp, (p1, p2), (u1, u2) in zip(*(column.tolist() for column in columns), strict=True):
             step(stamp, p1, p2, u1, u2)
 
 

@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pam_antagonist.hardware.line_faults import FaultOrders
 from pam_antagonist.nodes.processes import PARENT_VARIABLE
@@ -23,21 +23,13 @@ from pam_antagonist.nodes.spin import hurry
 _LOOK = 2e-4  # [s]
 
 
-class Order(NamedTuple):
-    """What is to be done to the messages of a topic."""
-
-    kind: str  # ``drop``, ``double`` or ``late``; empty: pass everything on again
-    value: float  # share of messages [-], or delay [s]
-    topic: str
-
-
-def parse_order(text: str) -> Order:
-    """An order as it comes through the pipe."""
+def parse_order(text: str) -> tuple[str, str, float]:
+    """Topic of an order; what is to be done to its messages: ``drop``, ``double``, ``late`` or nothing; how much."""
     if text.startswith("-"):
-        return Order("", 0.0, text[1:])
+        return text[1:], "", 0.0
     head, topic = text.removeprefix("+").split()
     kind, _, number = head.partition("=")
-    return Order(kind, float(number or 0.0), topic)
+    return topic, kind, float(number or 0.0)
 
 
 class Line:
@@ -46,11 +38,11 @@ class Line:
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
         self._waiting: deque[tuple[float, Any]] = deque()
-        self.order = Order("", 0.0, "")
+        self.order = "", 0.0  # share of messages [-], or delay [s]
 
     def put(self, message: Any, now: float) -> None:
         """Take a message at a time [s]."""
-        kind, value, _ = self.order
+        kind, value = self.order
         if kind == "drop" and self._random.random() < value:
             return
         due = now + value if kind == "late" else now
@@ -83,17 +75,17 @@ def main(argv: list[str]) -> int:
     lines = {name: Line(seed) for seed, name in enumerate(names)}
     ways = []
     for name in names:
-        package, _, kind = TOPICS[name].type.split("/")
-        message = getattr(importlib.import_module(f"{package}.msg"), kind)
+        package, _, of = TOPICS[name].type.split("/")
+        message = getattr(importlib.import_module(f"{package}.msg"), of)
         topic = TOPICS[name].relative
         out = node.create_publisher(message, f"relayed/{topic}", qos.STREAM)
-        ways.append((lines[name], node.create_subscription(message, topic, _nothing, qos.STREAM, raw=True), out))
+        ways.append((lines[name], node.create_subscription(message, topic, lambda _: None, qos.STREAM, raw=True), out))
     hurry()
     try:
         while rclpy.ok() and not (parent and os.getppid() != parent):
             for text in orders.take():
-                order = parse_order(text)
-                lines[order.topic].order = order
+                topic, kind, value = parse_order(text)
+                lines[topic].order = kind, value
             now = time.monotonic()
             for line, subscription, out in ways:
                 with subscription.handle:
@@ -109,10 +101,6 @@ def main(argv: list[str]) -> int:
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
-
-
-def _nothing(_message: bytes) -> None:
-    """Nobody is woken up."""
 
 
 if __name__ == "__main__":

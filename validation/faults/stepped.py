@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import mmap
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from pam_antagonist.__main__ import main as run
@@ -37,15 +37,11 @@ class Step:
         self._values[0] = value
 
 
-def stepped(now_ns: Callable[[PamNode], int], step: Step) -> Callable[[PamNode], int]:
-    """The time of a node's clock, with the step in it."""
-    return lambda node: now_ns(node) + step.ns
-
-
 def main(argv: Sequence[str]) -> int:
     """Run a node; the result is its exit status."""
     node, path, *arguments = argv
-    PamNode.now_ns = stepped(PamNode.now_ns, Step(Path(path)))  # type: ignore[method-assign, assignment]
+    now_ns, step = PamNode.now_ns, Step(Path(path))
+    PamNode.now_ns = lambda node: now_ns(node) + step.ns  # type: ignore[method-assign, assignment]
     return run([node, *arguments])
 
 

@@ -1,28 +1,124 @@
-"""The paper's experiments: one table of them, and one way to run them and to put their numbers beside the paper's."""
+"""The paper's experiments: what makes each, what its values say, and one way to run them.
+
+Titles, questions and the numbers beside the paper's stand in ``experiments.yaml``.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
+import yaml
 from joblib import Parallel, delayed
+from matplotlib.figure import Figure
 
+from pam_antagonist.control.command import PI_MODES
+from pam_antagonist.estimation import metrics
 from pam_antagonist.report.document import percent
-from validation.paper import control, estimates, figures, live, model, muscles
-from validation.paper.virtual import JOINT, TUNINGS, UNITS, VirtualRig
+from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND
+from validation.paper import estimates, live, model
+from validation.paper.virtual import JOINT, TUNINGS, UNITS, Floats, VirtualRig, measured_of
+
+_COLORS = {"model": MODEL, "published": SECOND, "default": ESTIMATE}
+_EVERY = 20
+"""Of so many samples one is drawn."""
+
+
+def _panels(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(9.0, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, sharex="col" if rows > 1 else False, squeeze=False)
+
+
+def _time(rig: VirtualRig, count: int) -> Floats:
+    return np.asarray(np.arange(count) * rig.declared.sample_period)
+
+
+def _spreads(axes: Any, values: pd.DataFrame, rows: Sequence[tuple[str, str]]) -> None:
+    """A row of points for each name, a point a virtual rig, and a bar at their median."""
+    for k, (_, name) in enumerate(rows):
+        one = 100.0 * values[name]
+        axes.plot(one, np.full(len(one), k), "o", color=MODEL, alpha=0.5, markersize=4)
+        axes.plot([one.median()] * 2, [k - 0.3, k + 0.3], color=ESTIMATE, linewidth=2.5)
+    axes.set_yticks(range(len(rows)), [label for label, _ in rows], fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlabel("ℚ [%]: a point is a virtual rig, the bar their median", fontname="DejaVu Sans")
+
+
+def offline_figures(rig: VirtualRig, values: pd.DataFrame) -> dict[str, Figure]:
+    """Signal and error over the profile."""
+    out = {}
+    for quantity, joint in JOINT.items():
+        figure, ((signal,), (error,)) = _panels(2, 1, 5.0)
+        measured = measured_of(getattr(rig, joint), quantity)
+        x = _time(rig, len(measured))[::_EVERY]
+        signal.plot(x, measured[::_EVERY], color=MEASURED, label="measured")
+        for method, color in _COLORS.items():
+            value = getattr(rig.track(joint, method), quantity)
+            signal.plot(x, value[::_EVERY], color=color, label=estimates.LABELS[method], linewidth=0.9)
+            error.plot(x, (value - measured)[::_EVERY], color=color, linewidth=0.9)
+        half = metrics.interval_half_width(getattr(rig.track(joint, "default"), f"{quantity}_variance"))[::_EVERY]
+        error.fill_between(x, -half, half, color=ESTIMATE, alpha=0.2, label="95 % interval of default")
+        signal.set_ylabel(f"{quantity} [{UNITS[quantity]}]")
+        error.set(xlabel="Time [s]", ylabel=f"error [{UNITS[quantity]}]")
+        signal.legend(ncols=4, fontsize=8, loc="upper right")
+        error.legend(fontsize=8, loc="upper right")
+        out[quantity] = figure
+    return out
+
+
+def models_figure(rig: VirtualRig, values: pd.DataFrame) -> dict[str, Figure]:
+    """ℚ of each model on each rig, both tunings."""
+    figure, ((axes,),) = _panels(1, 1, 4.0)
+    rows = [
+        (f"{label} · {tuning}", f"{label}, tuning {tuning}, ℚ")
+        for label in estimates.MODELS.values()
+        for tuning in TUNINGS
+    ]
+    _spreads(axes, values, rows)
+    axes.set_xscale("log")
+    return {"models": figure}
+
+
+def steps_figure(rig: VirtualRig, values: pd.DataFrame) -> dict[str, Figure]:
+    """Reference, measurement and estimate of either mode with tuning default."""
+    figure, pairs = _panels(1, 2, 3.2)
+    for axes, mode in zip(pairs[0], PI_MODES, strict=True):
+        wanted, measured, estimated = live.closed_loop(rig, mode, "default")
+        x = _time(rig, len(wanted))
+        for line, color, label in ((measured, MEASURED, "measured"), (estimated, ESTIMATE, "estimate")):
+            axes.plot(x[::_EVERY], line[::_EVERY], color=color, label=label)
+        axes.plot(x, wanted, "k--", linewidth=0.9, label="reference")
+        unit = "°" if math.isclose(live.SCALE[mode], math.degrees(1.0)) else "N m"
+        axes.set(xlabel="Time [s]", ylabel=f"{mode.name.lower()} [{unit}]")
+    pairs[0][0].legend(fontsize=8, loc="upper right")
+    return {"steps": figure}
+
+
+_THREE = "𝕀, 𝕄, ℚ"
+_TABLE_3 = ["proposed", "linear", "simple", "tondu", "none"]
+_PERFORMANCE = {"angle": 0.9475, "torque": 0.95}
 
 
 class Row(NamedTuple):
-    """A number beside the paper's."""
+    """One value or three beside the paper's."""
 
-    what: str  # name of the value that the experiment gives
-    unit: str  # of both; ``%`` for fractions, which are shown a hundred times as large
-    paper: float | None = None
-    why: str = ""  # on the difference
+    what: str
+    names: tuple[str, ...]  # of the values that the experiment gives
+    units: tuple[str, ...]  # ``%`` for fractions, which are shown a hundred times as large
+    paper: tuple[float | None, ...]
+    why: str  # on the difference
+
+
+def _row(what: str, unit: str, paper: Any, why: str) -> Row:
+    if not what.endswith(_THREE):
+        return Row(what, (what,), (unit,), (paper,), why)
+    names = tuple(what.replace(_THREE, sign) for sign in _THREE.split(", "))
+    return Row(what, names, (unit, unit, "%"), tuple(paper or (None,) * 3), why)
 
 
 class Experiment(NamedTuple):
@@ -36,46 +132,6 @@ class Experiment(NamedTuple):
     figures: Callable[[VirtualRig, pd.DataFrame], dict[str, Any]] = lambda rig, values: {}
     once: bool = False  # whether it is made with the first seed only
     live: bool = False  # whether it starts ROS 2 nodes
-
-
-_OFFLINE = {
-    ("angle", "model"): (1.053, 3.50, 0.0887),
-    ("angle", "published"): (0.838, 2.42, 0.0613),
-    ("torque", "model"): (0.162, 0.494, 0.1023),
-    ("torque", "published"): (0.108, 0.238, 0.0494),
-}
-_OFFLINE_WHY = {
-    "model": "The mismatches were chosen so that ℚ is near the paper's.",
-    "published": "With this Q the filter's joint creeps where the real one sticks (docs/explanation/model.md, "
-    "correction 11).",
-    "default": "The paper has no such tuning: small process noise, parameters considered uncertain.",
-    "told": "The rig file holds the hysteresis, and says by how much each group of parameters is off.",
-}
-_ONLINE = {"angle": (1.16, 3.06, 0.0791), "torque": (0.0899, 0.299, 0.0601)}
-_TABLE_3 = {"proposed": 0.0791, "linear": 0.192, "simple": 0.0990, "tondu": 0.0983, "none": 0.113}
-_TABLE_3_WHY = {
-    "proposed": "The paper's value is that of its online run; here the error that the tuning itself brings dominates.",
-    "linear": "A state-space model from 60 s of random steps. The paper gives neither the data of its own nor its "
-    "order.",
-    "simple": "The constant as printed is too large for this joint, whichever unit is taken.",
-    "tondu": "The paper's constants, taken in N m and rad/s; the print leaves the units out.",
-    "none": "Without friction nothing holds the filter's joint where the real one sticks.",
-}
-_TABLE_4 = {"linear": 0.0601, "hildebrandt": 0.135, "sarosi": 0.106, "polynomial": 0.193}
-_PERFORMANCE = {"angle": 0.9475, "torque": 0.95}
-
-
-def _signs(unit: str) -> tuple[tuple[str, str], ...]:
-    return ("𝕀", unit), ("𝕄", unit), ("ℚ", "%")
-
-
-def _offline_rows() -> tuple[Row, ...]:
-    return tuple(
-        Row(f"{quantity}, {label}, {sign}", unit, (_OFFLINE.get((quantity, method)) or (None,) * 3)[k],
-            _OFFLINE_WHY[method])
-        for quantity in JOINT for method, label in estimates.LABELS.items()
-        for k, (sign, unit) in enumerate(_signs(UNITS[quantity]))
-    )  # fmt: skip
 
 
 def _offline_said(values: pd.DataFrame) -> list[str]:
@@ -94,12 +150,11 @@ def _angle_said(values: pd.DataFrame) -> list[str]:
     out = []
     for tuning in TUNINGS:
         ratio = values[[f"{estimates.MODELS[name]}, tuning {tuning}, ℚ" for name in _TABLE_3]]
-        ratio.columns = list(_TABLE_3)
+        ratio.columns = _TABLE_3
         best = int((ratio.idxmin(axis=1) == "proposed").sum())
-        order = " < ".join(ratio.median().sort_values().index)
         out.append(f"Tuning {tuning}, by ℚ: the proposed model, the paper's best, is the best on {best} of "
-                   f"{len(ratio)} "
-                   f"rigs. Order of the medians: {order}.")  # fmt: skip
+                   f"{len(ratio)} rigs. Order of the medians: {' < '.join(ratio.median().sort_values().index)}."
+                   )  # fmt: skip
     return out
 
 
@@ -111,149 +166,33 @@ def _control_said(values: pd.DataFrame) -> list[str]:
     ]  # fmt: skip
 
 
-def _kappa_rows() -> tuple[Row, ...]:
-    near = "Near the supply's pressure a small error of pressure is a large one of open rate; it matters little there."
-    supply = "The supply pressure, which the virtual rig has about 2 % off."
-    why = {("found", "median"): supply, ("found", "largest"): near}
-    return tuple(
-        Row(f"error of the {name} open rate, {word}", "-", None, why.get((name, word), "The declared mismatch."))
-        for word in ("median", "largest") for name in ("found", "declared")
-    )  # fmt: skip
-
-
-def _influence_rows() -> tuple[Row, ...]:
-    falls = "The guideline says that it falls."
-    slower = f"{falls} The term −k_2 V̇ P/V works against every change of pressure that moves the joint."
-    back = "It fails for a joint that comes back from beyond: dry friction holds it anywhere in a band."
-    return (
-        Row("steady pressures, largest change", "Pa", 0.0, "The proposition holds; this is the rest of the transient."),
-        Row("transient parameters: steady angle, largest change", "°", 0.0, "It holds for a joint from one side."),
-        Row("transient parameters: angle after a pulse, largest change", "°", 0.0, back),
-        *(Row(f"{name} up by half: size of the steady ψ", "°", None, "The guideline says that it decreases.")
-          for name in model.STEADY),
-        *(Row(f"{name} up by half: time of ψ to 90 %", "s", None, slower if name == "k_2" else falls)
-          for name in ("A_0", "k_1", "k_2")),
-    )  # fmt: skip
-
-
-def _online_rows() -> tuple[Row, ...]:
-    quick = "A compiled kernel on today's processor, called from Python for each sample."
-    return (
-        *(Row(f"{quantity}, live, {sign}", unit, _ONLINE[quantity][k], "One virtual rig against one real one.")
-          for quantity in JOINT for k, (sign, unit) in enumerate(_signs(UNITS[quantity]))),
-        *(Row(f"{quantity}, {what}", unit) for quantity in JOINT
-          for what, unit in (("estimates that a replay repeats bit by bit", "%"), ("samples lost", "-"))),
-        Row("angle, time of a filter's step, mean", "ms", 0.346, quick),
-    )  # fmt: skip
-
-
-def _table_3_rows() -> tuple[Row, ...]:
-    models = {**_TABLE_3, "simple_fitted": None, "tondu_fitted": None}
-    rows = [
-        Row(f"{estimates.MODELS[name]}, tuning {tuning}, ℚ", "%", paper if tuning == "published" else None,
-            _TABLE_3_WHY[name] if paper and tuning == "published" else "")
-        for name, paper in models.items() for tuning in TUNINGS
-    ]  # fmt: skip
-    return (*rows, *(Row(f"factor of the fitted constants, {name}", "-") for name in ("simple", "tondu")))
-
-
-_FITTED = "Fitted to the rig's own static test; the paper does not say to what its coefficients were fitted."
-_LEFT = "What is left is the error of the estimate, which the loop cannot see."
-_BY_EYE = "One rig, one run, as in the paper, which reads the steady state from a figure by eye."
-EXPERIMENTS: dict[str, Experiment] = {
-    "static": Experiment(
-        "Static characteristics",
-        "Force at six lengths and eleven pressures, each length from both sides, with hysteresis and 0.5 N of noise: a "
-        "line at each length (6), then slope and intercept against length (7). Errors are the largest of three points.",
-        (Row("fitted map", "N", None, "Hysteresis averages out: both ways are measured. The paper shows a picture."),
-         Row("declared map", "N", None, "The declared mismatch: a force map is off by 2 % as a whole, about 1 N.")),
-        muscles.static,
-    ),
-    "kappa": Experiment(
-        "The valve curve κ(u)",
-        "13 voltages, each held for 25 s on both valves; the curve follows by the paper's three steps.",
-        _kappa_rows(), model.kappa,
-    ),
-    "influence": Experiment(
-        "Proposition 1 and the influence of parameters",
-        "One parameter of the declared model at a time is 1.5 times as large. The model is driven to the same voltages "
-        "by a step, slowly (over 120 s), and by pulses beyond them.",
-        _influence_rows(), model.influence, once=True,
-    ),
-    "profile": Experiment(
-        "Input profile and the 18 subsystems",
-        "130 s of steps of both valves, with the joint free. The paper shows its own as a picture; this one is ours.",
-        (Row("length", "s", 130.0, "The same."),
-         Row("lowest pressure", "kPa", 200.0, "Set by voltage, so it depends on the rig's valves."),
-         Row("highest pressure", "kPa", 700.0, "Bounded by the supply: 710 kPa, 2 % off here."),
-         Row("subsystems visited, of 18", "-", None, "The paper names 18 and does not say which its run visits.")),
-        model.profile,
-    ),
-    "offline": Experiment(
-        "Offline estimation",
-        "The profile with the joint free (angle) and locked at 0° (torque). The model alone is given the voltages and "
-        "the first pressures, the filter the voltages and all pressures.",
-        _offline_rows(), estimates.offline, _offline_said, figures.offline,
-    ),
-    "online": Experiment(
-        "Online estimation",
-        "Plant, estimator and recorder as processes at 1 kHz: 130 s with the joint free, 62 s with it locked. The live "
-        "filter has tuning published.",
-        _online_rows(), live.online, once=True, live=True,
-    ),
-    "compare_angle": Experiment(
-        "Comparison of models: angle",
-        "The first 62 s of the profile with the joint free. Each model in the same filter; the linear one in its own "
-        "stationary Kalman filter. All see the pressures only. The plant follows the proposed law of friction, which "
-        "favours it; the linear model and the fitted constants come from data of the rig that they are tried on.",
-        _table_3_rows(), estimates.compare_angle, _angle_said, figures.compare_angle,
-    ),
-    "compare_torque": Experiment(
-        "Comparison of force maps: torque",
-        "The first 62 s of the profile with the joint locked. Each form of the contraction force is fitted to the same "
-        "static test of the rig's muscles and runs in the same filter. The virtual muscles follow (6), so this cannot "
-        "tell which form real ones follow ([a measured map](evidence/force_map.md) can).",
-        tuple(Row(f"{muscles.FORMS[name]}, tuning published, ℚ", "%", paper, _FITTED)
-              for name, paper in _TABLE_4.items()),
-        muscles.compare_torque,
-    ),
-    "control": Experiment(
-        "Sensor-less control",
-        "Steps within ±20° (joint free) and ±2 N m (locked) with the paper's PI gains on the estimate, in one process. "
-        "Steady is the last 20 % of each step.",
-        tuple(Row(f"steady-state performance, {name}, tuning {tuning}", "%", paper if tuning == "published" else None,
-                  _LEFT) for name, paper in _PERFORMANCE.items() for tuning in TUNINGS),
-        control.control, _control_said, figures.control,
-    ),
-    "control_live": Experiment(
-        "Sensor-less control, live",
-        "The same steps with plant, estimator (tuning default) and controller as processes.",
-        tuple(Row(f"steady-state performance, {name}", "%", paper, _BY_EYE) for name, paper in _PERFORMANCE.items()),
-        live.control, once=True, live=True,
-    ),
-}  # fmt: skip
+_HOW: dict[str, dict[str, Any]] = {
+    "static": {"of_seed": model.static},
+    "kappa": {"of_seed": model.kappa},
+    "influence": {"of_seed": model.influence, "once": True},
+    "profile": {"of_seed": model.profile},
+    "offline": {"of_seed": estimates.offline, "said": _offline_said, "figures": offline_figures},
+    "online": {"of_seed": live.online, "once": True, "live": True},
+    "compare_angle": {"of_seed": estimates.compare_angle, "said": _angle_said, "figures": models_figure},
+    "compare_torque": {"of_seed": estimates.compare_torque},
+    "control": {"of_seed": live.control, "said": _control_said, "figures": steps_figure},
+    "control_live": {"of_seed": live.control_live, "once": True, "live": True},
+}
+_ABOUT = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+EXPERIMENTS = {
+    name: Experiment(about["title"], about["question"], tuple(_row(*row) for row in about["rows"]), **_HOW[name])
+    for name, about in _ABOUT.items()
+}
 """In the order of the page."""
 
 
-@dataclass(frozen=True)
-class Done:
-    """Experiments that were made: values by experiment, a row a seed, and what each took [s]."""
+def run(
+    names: Sequence[str], seeds: Sequence[int], jobs: int, short: bool, folder: Path
+) -> tuple[dict[str, pd.DataFrame], dict[str, float]]:
+    """Make experiments: those that repeat with all seeds at once, then the others with the first seed.
 
-    seeds: Sequence[int]
-    values: dict[str, pd.DataFrame]
-    seconds: dict[str, float]
-
-    def compared(self, name: str) -> pd.DataFrame:
-        """Numbers beside the paper's: median, least and largest over the virtual rigs."""
-        rows = EXPERIMENTS[name].rows
-        found = self.values[name].reindex(columns=[row.what for row in rows])
-        spread = found.agg(["median", "min", "max", "count"]).T
-        return spread.assign(paper=[row.paper for row in rows], unit=[row.unit for row in rows],
-                             why=[row.why for row in rows])  # fmt: skip
-
-
-def run(names: Sequence[str], seeds: Sequence[int], jobs: int, short: bool, folder: Path) -> Done:
-    """Make experiments: those that repeat with all seeds at once, then the others with the first seed."""
+    Returns values by experiment, a row a seed, and what it took [s].
+    """
     values: dict[str, pd.DataFrame] = {}
     seconds: dict[str, float] = {}
     repeated = [name for name in EXPERIMENTS if name in names and not EXPERIMENTS[name].once]
@@ -270,7 +209,7 @@ def run(names: Sequence[str], seeds: Sequence[int], jobs: int, short: bool, fold
         result = one.of_seed(rig, folder, short) if one.live else one.of_seed(rig)
         values[name] = pd.DataFrame([result], index=[seeds[0]])
         seconds[name] = time.perf_counter() - begin
-    return Done(seeds, {name: values[name] for name in EXPERIMENTS if name in values}, seconds)
+    return {name: values[name] for name in EXPERIMENTS if name in values}, seconds
 
 
 def of_seed(names: Sequence[str], seed: int) -> dict[str, dict[str, float]]:

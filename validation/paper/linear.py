@@ -42,8 +42,6 @@ class LinearModel:
     scale: Floats  # their standard deviations
     gain: Floats  # (n, 2)
     angle_gain: Floats  # of the angle on the pressures' innovation (2,)
-    angle_variance: float  # of the filtered angle, in squares of its scale
-    innovation: Floats  # covariance of the pressures' innovations (2, 2)
 
 
 def averaged(values: Floats) -> Floats:
@@ -66,8 +64,7 @@ def identify(angle: Floats, pressure: Floats, voltage: Floats) -> LinearModel:
 
     def error(order: int) -> float:
         model = _realised(y[:split], u[:split], order, middle, scale)
-        value, _ = _filter(model, y[:, _PRESSURES], u)
-        return metrics.rmse((value - y[:, _ANGLE])[split:])
+        return metrics.rmse((_filter(model, y[:, _PRESSURES], u) - y[:, _ANGLE])[split:])
 
     return _realised(y, u, min(_ORDERS, key=error), middle, scale)
 
@@ -92,12 +89,11 @@ def _realised(y: Floats, u: Floats, order: int, middle: Floats, scale: Floats) -
     a[:3], b[:3], k[:3] = c, d, np.eye(3)
     b[3:5, :2] = np.eye(2)
     a[5:, :-5] = np.eye(n - 5)
-    gain, angle_gain, variance, innovation = _stationary(a, c, k, noise)
-    return LinearModel(order, a, b, c, d, middle, scale, gain, angle_gain, variance, innovation)
+    return LinearModel(order, a, b, c, d, middle, scale, *_stationary(a, c, k, noise))
 
 
-def _stationary(a: Floats, c: Floats, k: Floats, noise: Floats) -> tuple[Floats, Floats, float, Floats]:
-    """The filter of the pressures alone: gain (n, 2), the angle's gain (2,) and variance, innovations' covariance."""
+def _stationary(a: Floats, c: Floats, k: Floats, noise: Floats) -> tuple[Floats, Floats]:
+    """The filter of the pressures alone: gain (n, 2), and the angle's gain (2,)."""
     seen = c[_PRESSURES]
     q, r, s = k @ noise @ k.T, noise[_PRESSURES, _PRESSURES], k @ noise[:, _PRESSURES]
     # The recursion itself: the shift of old samples in A makes the usual solvers of its fixed point fail.
@@ -113,42 +109,32 @@ def _stationary(a: Floats, c: Floats, k: Floats, noise: Floats) -> tuple[Floats,
         if settled:
             break
     with_angle = c[_ANGLE] @ p @ seen.T + noise[_ANGLE, _PRESSURES]
-    angle_gain = np.linalg.solve(innovation, with_angle)
-    variance = float(c[_ANGLE] @ p @ c[_ANGLE] + noise[_ANGLE, _ANGLE] - angle_gain @ with_angle)
-    return np.asarray(gain), np.asarray(angle_gain), variance, innovation
+    return np.asarray(gain), np.asarray(np.linalg.solve(innovation, with_angle))
 
 
-def _filter(model: LinearModel, pressure: Floats, voltage: Floats) -> tuple[Floats, Floats]:
-    """Scaled angle (M,) and the pressures' innovations (M, 2)."""
+def _filter(model: LinearModel, pressure: Floats, voltage: Floats) -> Floats:
+    """Scaled angle (M,)."""
     u = np.hstack([voltage, np.ones((len(voltage), 1))])
-    x = np.zeros(len(model.a))
-    angle, innovation = np.empty(len(u)), np.empty((len(u), 2))
+    angle = np.empty(len(u))
     # A joint that has stood at the first sample's values for long.
-    first = np.concatenate([[0.0], pressure[0]])
-    first[_ANGLE] = -model.middle[_ANGLE] / model.scale[_ANGLE]
-    x[:] = np.tile(np.concatenate([first, voltage[0]]), model.order)
+    rest = -model.middle[_ANGLE] / model.scale[_ANGLE]
+    x = np.tile(np.concatenate([[rest], pressure[0], voltage[0]]), model.order)
     for t in range(len(u)):
         predicted = model.c @ x + model.d @ u[t]
-        innovation[t] = pressure[t] - predicted[_PRESSURES]
-        angle[t] = predicted[_ANGLE] + model.angle_gain @ innovation[t]
-        x = model.a @ x + model.b @ u[t] + model.gain @ innovation[t]
-    return angle, innovation
+        innovation = pressure[t] - predicted[_PRESSURES]
+        angle[t] = predicted[_ANGLE] + model.angle_gain @ innovation
+        x = model.a @ x + model.b @ u[t] + model.gain @ innovation
+    return angle
 
 
-def estimate(model: LinearModel, pressure: Floats, voltage: Floats) -> tuple[Floats, float, Floats]:
-    """The angle from pressures (N, 2) and voltages (N, 2) alone.
+def estimate(model: LinearModel, pressure: Floats, voltage: Floats) -> Floats:
+    """The angle (N,) from pressures (N, 2) and voltages (N, 2) alone.
 
-    Returns the angle at all N samples, straight between the middles of the averages (which looks ahead by up to 20
-    ms: to the linear model's advantage), its variance, and the normalised innovations squared of the averages.
+    It goes straight between the middles of the averages, which looks ahead by up to 20 ms: to the linear model's
+    advantage.
     """
     y = (averaged(pressure) - model.middle[1:3]) / model.scale[1:3]
     u = (averaged(voltage) - model.middle[3:]) / model.scale[3:]
-    value, innovation = _filter(model, y, u)
-    value = value * model.scale[_ANGLE] + model.middle[_ANGLE]
+    value = _filter(model, y, u) * model.scale[_ANGLE] + model.middle[_ANGLE]
     middles = (np.arange(len(value)) + 0.5) * STEP - 0.5
-    nis = np.einsum("ti,ij,tj->t", innovation, np.linalg.inv(model.innovation), innovation)
-    return (
-        np.interp(np.arange(len(pressure)), middles, value),
-        model.angle_variance * float(model.scale[_ANGLE]) ** 2,
-        nis,
-    )
+    return np.asarray(np.interp(np.arange(len(pressure)), middles, value))

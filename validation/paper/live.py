@@ -1,47 +1,94 @@
-"""The live nodes around a virtual rig at 1 kHz: estimation and sensor-less control, recorded and judged."""
+"""Sensor-less control in one process, and the live nodes around a virtual rig at 1 kHz: recorded and judged."""
 
 from __future__ import annotations
 
 import math
-import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from pam_antagonist.control.command import PI_MODES, Mode
+from pam_antagonist.control.pi import PiController
 from pam_antagonist.control.tracking import held, tracking
 from pam_antagonist.design.exploration import Planned
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.nodes.processes import Processes, free_domain, ros_arguments
+from pam_antagonist.nodes.processes import Processes
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.replays.accounting import STAGES
 from pam_antagonist.replays.live import compare_with_live
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.simulation.excitation import PAPER_DURATION
-from validation.paper.control import CONDITION, SCALE, references
 from validation.paper.estimates import COMPARED_S
-from validation.paper.virtual import JOINT, Floats, VirtualRig, filtered, judged, modelled
+from validation.paper.virtual import JOINT, TUNINGS, Floats, VirtualRig, filtered, judged
+from validation.pipeline import running
+
+SCALE = {Mode.ANGLE: math.degrees(1.0), Mode.TORQUE: 1.0}
+CONDITION = {Mode.ANGLE: "free", Mode.TORQUE: "locked"}
+_REST_S = 2.0
+_STEP_S = {Mode.ANGLE: 9.0, Mode.TORQUE: 4.5}
+_VALUES = {Mode.ANGLE: (20.0, -20.0, 0.0, 10.0), Mode.TORQUE: (2.0, -2.0, 0.0, 1.0)}
+"""Within ±20° and ±2 N m, as in the paper."""
+
+
+def references(mode: Mode, short: bool = False) -> tuple[list[tuple[float, float]], float]:
+    """Steps: time [s] and value [rad or N m]; and the length of the experiment [s]."""
+    values = _VALUES[mode][:2] if short else _VALUES[mode]
+    steps = [(_REST_S + k * _STEP_S[mode], value / SCALE[mode]) for k, value in enumerate(values)]
+    return [(0.0, 0.0), *steps], _REST_S + len(values) * _STEP_S[mode]
+
+
+def closed_loop(rig: VirtualRig, mode: Mode, tuning: str) -> tuple[Floats, Floats, Floats]:
+    """The loop in one process: the classes that the nodes run. Reference, measurement, estimate (N,), in ° or N m."""
+    declared, joint = rig.declared, CONDITION[mode]
+    steps, seconds = references(mode)
+    plant, estimator = rig.plant(joint), Estimator(declared, tuning, joint)
+    controller = PiController(sample_period=declared.sample_period)
+    at = np.arange(round(seconds / declared.sample_period)) * declared.sample_period
+    times, values = np.array(steps).T
+    wanted = values[np.searchsorted(times, at, side="right") - 1]
+    shown = np.empty((len(at), 2))
+    voltage, name = controller.safe_voltage, mode.name.lower()
+    period_ns = round(declared.sample_period * 1e9)
+    for k, reference in enumerate(wanted.tolist()):
+        sample = plant.step(voltage)
+        row = estimator.step((k + 1) * period_ns, *sample.pressure, *sample.voltage)
+        assert row is not None  # every sample is newer than the one before
+        shown[k] = sample.angle if mode is Mode.ANGLE else sample.torque, row[name]
+        voltage, _ = controller.step(mode, reference, float(row[name]))
+    return wanted * SCALE[mode], *(shown * SCALE[mode]).T
+
+
+def control(rig: VirtualRig) -> dict[str, float]:
+    """Steady-state performance of either mode with both tunings."""
+    out = {}
+    for mode in PI_MODES:
+        for tuning in TUNINGS:
+            wanted, measured, _ = closed_loop(rig, mode, tuning)
+            stamps = np.arange(len(wanted), dtype=np.int64) * round(rig.declared.sample_period * 1e9)
+            found = tracking(stamps, wanted, measured)
+            out[f"steady-state performance, {mode.name.lower()}, tuning {tuning}"] = found.performance
+    return out
+
 
 TUNING = {"estimation": "published", "control": "default"}
 SECONDS = {"angle": PAPER_DURATION, "torque": COMPARED_S}
 """Lengths of live runs [s]: the whole profile, and the part of it with its extremes."""
-_SHORT_S, _DRAIN, _LOOP, _COMMAND_TIMEOUT = 30.0, 0.3, 0.05, 0.5
+_SHORT_S, _LOOP, _COMMAND_TIMEOUT = 30.0, 0.05, 0.5
 
 
 @contextmanager
 def _pipeline(rig: VirtualRig, folder: Path, joint: str, tuning: str, controlled: bool) -> Iterator[Processes]:
     """Everything but who gives commands or references; the bag is in ``folder/bag`` afterwards."""
     folder.mkdir(parents=True)
-    write_rig(
-        rig.actual, folder / "virtual_rig.yaml", ["What the plant was; its parameters are scattered in addition."]
-    )
+    about = ["What the plant was; its parameters are scattered in addition."]
+    write_rig(rig.actual, folder / "virtual_rig.yaml", about)
     write_rig(rig.declared, folder / "declared_rig.yaml", ["What the estimator was given."])
-    declared: dict[str, object] = {"rig": str((folder / "declared_rig.yaml").resolve())}
+    declared = {"rig": str((folder / "declared_rig.yaml").resolve())}
     condition: dict[str, object] = {"joint": "free"} if joint == "free" else {"joint": "locked", "lock_angle": 0.0}
     plant: dict[str, object] = {
         **condition, "rig": str((folder / "virtual_rig.yaml").resolve()), "seed": rig.seed,
@@ -50,22 +97,10 @@ def _pipeline(rig: VirtualRig, folder: Path, joint: str, tuning: str, controlled
     if not controlled:
         # A driver that stalls with the machine must not put the safe voltages on the valves in the middle of a step.
         plant["command_timeout"] = _COMMAND_TIMEOUT
-    # A ROS domain of its own, so that two pipelines cannot hear each other.
-    os.environ.setdefault("ROS_DOMAIN_ID", str(free_domain()))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with Processes(folder) as processes:
-        processes.start("record", ["--out", str(folder / "bag")])
-        processes.start("estimator", ros_arguments({**declared, **condition, "tuning": tuning}, {}))
-        if controlled:
-            processes.start("controller", ros_arguments(declared, {}))
-        processes.start("plant", ros_arguments(plant, {}))
-        try:
-            yield processes
-        finally:
-            # From the source to the sink, so that every sample that was sent is estimated and recorded.
-            processes.stop("plant")
-            time.sleep(_DRAIN)
-            processes.stop(*(("controller",) if controlled else ()), "estimator", "record")
+    nodes: dict[str, Mapping[str, object]] = {"estimator": {**declared, **condition, "tuning": tuning}}
+    nodes |= {"controller": declared} if controlled else {}
+    with running(folder, {**nodes, "plant": plant}) as processes:
+        yield processes
 
 
 def _read(folder: Path) -> Recording:
@@ -133,24 +168,13 @@ def judge(recording: Recording, rig: Rig, quantity: str, joint: str) -> dict[str
     compared = compare_with_live(estimate, run)
     assert part.angle is not None and part.torque is not None  # the plant publishes both
     signals = np.column_stack([part.pressure, part.voltage, part.angle, part.torque])
-    whole = np.isfinite(signals).all(axis=1)
-    complete = Recording(
-        path=part.path, stamp_ns=part.stamp_ns[whole], pressure=part.pressure[whole], voltage=part.voltage[whole],
-        angle=part.angle[whole], torque=part.torque[whole],
-    )  # fmt: skip
-    step = step_times(rig, complete, joint)
-    out = {"samples": float(len(complete)),
-           "estimates that a replay repeats bit by bit": compared.equal / compared.compared,
-           "samples lost": float(_lost(recording)),
-           "time of a filter's step, mean": float(step.mean()),
-           "time of a filter's step, 99 %": float(np.quantile(step, 0.99)),
-           "time of a filter's step, largest": float(step.max())}  # fmt: skip
-    tracks = {"live": filtered(rig, complete, TUNING["estimation"], joint),
-              "replayed with tuning default": filtered(rig, complete, "default", joint),
-              "model alone": modelled(rig, complete, joint)}  # fmt: skip
-    for name, track in tracks.items():
-        out |= {f"{name}, {key}": value for key, value in judged(track, complete, rig, quantity).items()}
-    return out
+    complete = part.take(np.flatnonzero(np.isfinite(signals).all(axis=1)))
+    live = judged(filtered(rig, complete, TUNING["estimation"], joint), complete, rig, quantity)
+    return {"samples": float(len(complete)),
+            "estimates that a replay repeats bit by bit": compared.equal / compared.compared,
+            "samples lost": float(_lost(recording)),
+            "time of a filter's step, mean": float(step_times(rig, complete, joint).mean()),
+            **{f"live, {key}": value for key, value in live.items()}}  # fmt: skip
 
 
 def _lost(recording: Recording) -> int:
@@ -173,7 +197,7 @@ def step_times(rig: Rig, recording: Recording, joint: str) -> Floats:
     return np.array(took) * 1e-6
 
 
-def control(rig: VirtualRig, folder: Path, short: bool) -> dict[str, float]:
+def control_live(rig: VirtualRig, folder: Path, short: bool) -> dict[str, float]:
     """Steady-state performance of either mode, live."""
     out = {}
     for mode in PI_MODES:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.schema import Curve, Valve
 from pam_antagonist.simulation import excitation
 from pam_antagonist.simulation.plant import SCATTER_GROUPS, Plant
+from validation.sensors import recorded
 
 Floats = NDArray[np.float64]
 DECLARED, PROFILE = "shin2022", "paper"
@@ -33,7 +33,7 @@ METHODS = ("model", *TUNINGS, "told")
 UNITS = {"angle": "°", "torque": "N m"}
 JOINT = {"angle": "free", "torque": "locked"}
 """What is judged, and the joint's condition for it (the paper's)."""
-_FIRST_STAMP_NS, _SUBSTEPS = 10**18, 4
+_SUBSTEPS = 4
 _NOISE_STREAM = {"free": 1, "locked": 2}
 _IDENTIFICATION_S, _IDENTIFICATION_SEED = 60.0, 10_000
 
@@ -58,7 +58,6 @@ class Track(NamedTuple):
 
     angle: Floats  # [°]
     torque: Floats  # [N m]
-    pressure: Floats  # (N, 2) [Pa]
     angle_variance: Floats | None = None
     torque_variance: Floats | None = None
     nis: Floats | None = None
@@ -71,13 +70,13 @@ def filtered(rig: Rig, recording: Recording, tuning: str, joint: str, samples: i
     estimator = Estimator(rig, tuning, joint)
     rows = estimator.run(recording.stamp_ns[part], recording.pressure[part], recording.voltage[part]).rows
     variance = rows["covariance"][:, 0, 0] * degree**2, rows["covariance"][:, 2, 2]
-    return Track(rows["angle"] * degree, rows["torque"], rows["pressure"], *variance, rows["nis"], rows["innovation"])
+    return Track(rows["angle"] * degree, rows["torque"], *variance, rows["nis"], rows["innovation"])
 
 
-def modelled(rig: Rig, recording: Recording, joint: str, samples: int | None = None) -> Track:
+def modelled(rig: Rig, recording: Recording, joint: str) -> Track:
     """The model alone: it is given the voltages and the first pressures."""
-    run = simulate_model(rig, recording.voltage[slice(samples)], recording.pressure[0], joint)
-    return Track(np.degrees(run.angle), run.torque, run.pressure)
+    run = simulate_model(rig, recording.voltage, recording.pressure[0], joint)
+    return Track(np.degrees(run.angle), run.torque)
 
 
 def measured_of(recording: Recording, quantity: str) -> Floats:
@@ -87,7 +86,7 @@ def measured_of(recording: Recording, quantity: str) -> Floats:
 
 
 def judged(track: Track, recording: Recording, rig: Rig, quantity: str) -> dict[str, float]:
-    """The paper's 𝕀, 𝕄 and ℚ of an estimate, and of a filter its 95 % interval, NEES and NIS."""
+    """The paper's 𝕀, 𝕄 and ℚ of an estimate, and of a filter the share in its 95 % interval, and NIS."""
     value = getattr(track, quantity)
     measured = measured_of(recording, quantity)[: len(value)]
     error, variance = value - measured, getattr(track, f"{quantity}_variance")
@@ -95,7 +94,6 @@ def judged(track: Track, recording: Recording, rig: Rig, quantity: str) -> dict[
     out = {"𝕀": metrics.rmse(error), "𝕄": metrics.max_error(error), "ℚ": metrics.estimation_ratio(error, measured)}
     if variance is not None:
         out["in 95 %"] = metrics.coverage(error, variance, reading)
-        out["NEES"] = metrics.nees(error, variance, reading)
     if track.nis is not None and track.innovation is not None:
         out["NIS"] = metrics.nis_consistency(track.nis, track.innovation).mean
     return out
@@ -104,11 +102,8 @@ def judged(track: Track, recording: Recording, rig: Rig, quantity: str) -> dict[
 class VirtualRig:
     """The virtual rig of a seed with its recordings; what is asked for twice is computed once.
 
-    Attributes:
-        declared: what estimators and models are given.
-        actual: what the plant is built from; its parameters are scattered in addition.
-        seed: of everything random in it.
-        size: of the mismatches.
+    Estimators and models are given the rig `declared`. The plant is built from `actual`; its parameters are scattered
+    in addition.
     """
 
     def __init__(self, seed: int, size: Mismatch | None = None, seconds: float | None = None) -> None:
@@ -143,23 +138,10 @@ class VirtualRig:
     def record(self, voltage: Floats, joint: str = "free") -> Recording:
         """What the sensors of this rig show."""
         states, torque, _ = self.run(voltage, joint)
+        pressure = dynamics.readings(states[:, 2:4], self.plant(joint).parameters)
         rng = np.random.default_rng([self.seed, _NOISE_STREAM[joint]])
-        sensors = self.actual.sensors
-
-        def shown(values: Floats, std: float, step: float) -> Floats:
-            noisy = values + std * rng.standard_normal(values.shape)
-            return np.round(noisy / step) * step if step > 0.0 else noisy
-
-        readings = dynamics.readings(states[:, 2:4], self.plant(joint).parameters)
-        spans = np.rint(np.arange(1, len(voltage) + 1) * self.actual.sample_period * 1e9)
-        return Recording(
-            path=Path("virtual_rig") / f"seed_{self.seed}_{joint}",
-            stamp_ns=_FIRST_STAMP_NS + spans.astype(np.int64),
-            pressure=shown(readings, sensors.pressure_std, sensors.pressure_step),
-            voltage=voltage,
-            angle=shown(states[:, 0], sensors.angle_std, sensors.angle_step),
-            torque=shown(torque, sensors.torque_std, sensors.torque_step),
-        )
+        name = f"virtual_rig/seed_{self.seed}_{joint}"
+        return recorded(name, self.actual, voltage, states[:, 0], pressure, torque, rng)
 
     @cached_property
     def told(self) -> Rig:
@@ -168,20 +150,14 @@ class VirtualRig:
         The hysteresis stands in it at its mean size; each group of parameters is as uncertain as it is scattered. Valve
         curves are left out: a rig file has no uncertainty for them.
         """
-        size, mean = self.size, self.size.amplitude
-        groups = enumerate(SCATTER_GROUPS, 1)
-        return self.declared.replaced(
-            name=f"{self.declared.name}_told",
-            effects={
-                **self.declared.effects,
-                "hysteresis": {"amplitude_1": mean, "amplitude_2": mean, "width": size.width},
-            },
+        size, mean, declared = self.size, self.size.amplitude, self.declared
+        loop = {"amplitude_1": mean, "amplitude_2": mean, "width": size.width}
+        directions = {f"group_{k}": {name: size.parameters * declared.value(name) for name in group}
+                      for k, group in enumerate(SCATTER_GROUPS, 1)}  # fmt: skip
+        return declared.replaced(
+            name=f"{declared.name}_told", effects={**declared.effects, "hysteresis": loop}, directions=directions,
             uncertainty={f"effects.hysteresis.amplitude_{i}": size.spread * mean for i in (1, 2)},
-            directions={
-                f"group_{k}": {name: size.parameters * self.declared.value(name) for name in group}
-                for k, group in groups
-            },
-        )
+        )  # fmt: skip
 
     @property
     def voltage(self) -> Floats:
@@ -206,15 +182,13 @@ class VirtualRig:
 
     def track(self, joint: str, method: str) -> Track:
         """One of ``METHODS`` over the profile."""
-        key = joint, method
-        if key not in self._tracks:
+        if (joint, method) not in self._tracks:
             recording: Recording = getattr(self, joint)
-            if method == "model":
-                self._tracks[key] = modelled(self.declared, recording, joint)
-            else:
-                rig, tuning = (self.told, "default") if method == "told" else (self.declared, method)
-                self._tracks[key] = filtered(rig, recording, tuning, joint)
-        return self._tracks[key]
+            rig, tuning = (self.told, "default") if method == "told" else (self.declared, method)
+            self._tracks[joint, method] = (
+                modelled(rig, recording, joint) if method == "model" else filtered(rig, recording, tuning, joint)
+            )
+        return self._tracks[joint, method]
 
 
 def _off(valve: Valve, spread: float, rng: np.random.Generator) -> Valve:

@@ -25,21 +25,13 @@ _RATE = 100.0
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint, split.
+    """A joint, split."""
 
-    Attributes:
-        name: of ``NAMES``.
-        rig: as its laboratory describes it.
-        fit: recordings that may be fitted, those that show most first.
-        held: recordings that are held out, each with the time from which on it counts [s].
-        also: further signals.
-    """
-
-    name: str
-    rig: Rig
-    fit: tuple[Recording, ...]
-    held: tuple[tuple[Recording, float], ...]
-    also: tuple[str, ...] = ()
+    name: str  # of ``NAMES``
+    rig: Rig  # as its laboratory describes it
+    fit: tuple[Recording, ...]  # recordings that may be fitted, those that show most first
+    held: tuple[tuple[Recording, float], ...]  # that are held out, each with the time from which on it counts [s]
+    also: tuple[str, ...] = ()  # further signals
 
     @property
     def seconds(self) -> float:
@@ -56,37 +48,34 @@ def joint(name: str, data: Path, scratch: Path) -> Joint:
     """A joint of ``NAMES``: the last third of each recording is held out where no whole one is."""
     found = at_hand.joint(name, data, scratch)
     rig = load_rig(found.rig, regulators=True)
-    fit = [_read(path, rig) for path in found.recordings]
+
+    def read(path: Path) -> Recording:
+        recording = read_bag(path)
+        return recording if recording.signals else recording.driven_by(rig.drive)
+
+    fit = [read(path) for path in found.recordings]
     if found.held_out:
-        return Joint(name, rig, tuple(fit), tuple((_read(path, rig), 1.0) for path in found.held_out))
+        return Joint(name, rig, tuple(fit), tuple((read(path), 1.0) for path in found.held_out))
     ends = [(1.0 - _KEPT) * one.duration_s for one in fit]
     begin = 0.0 if name == ARM else WARM_UP
     held = (fit[0].slice(ends[0] - begin, np.inf), begin)
     return Joint(name, rig, tuple(one.slice(0.0, end) for one, end in zip(fit, ends, strict=True)), (held,), found.also)
 
 
-def _read(path: Path, rig: Rig) -> Recording:
-    recording = read_bag(path)
-    return recording if recording.signals else recording.driven_by(rig.drive)
+def held_on(signals: Floats) -> Floats:
+    """Signals (N, F) in which a value that is missing is the one before."""
+    return signals[np.maximum.accumulate(np.where(np.isfinite(signals).all(axis=1), np.arange(len(signals)), 0))]
 
 
 @dataclass(frozen=True)
 class Course:
-    """Signals of a recording at the soft sensors' rate.
+    """Signals of a recording at the soft sensors' rate."""
 
-    Attributes:
-        inputs: pressures, what drives the joint, further signals (N, F).
-        angle: (N,) [rad].
-        counts: which samples count (N,).
-        first: of the episode that each sample belongs to (N,).
-        period: of a sample [s].
-    """
-
-    inputs: Floats
-    angle: Floats
-    counts: NDArray[np.bool_]
-    first: NDArray[np.intp]
-    period: float
+    inputs: Floats  # pressures, what drives the joint, further signals (N, F)
+    angle: Floats  # (N,) [rad]
+    counts: NDArray[np.bool_]  # which samples count (N,)
+    first: NDArray[np.intp]  # of the episode that each sample belongs to (N,)
+    period: float  # of a sample [s]
 
 
 def course(recording: Recording, rig: Rig, begin_s: float = 0.0) -> Course:
@@ -94,11 +83,9 @@ def course(recording: Recording, rig: Rig, begin_s: float = 0.0) -> Course:
     every = max(1, round(1.0 / _RATE / rig.sample_period))
     assert recording.angle is not None
     further = [signal.values for signal in recording.signals.values()]
-    signals = np.column_stack([recording.pressure / 1e5, recording.voltage, recording.angle, *further])
-    # A value that is missing is the one before.
-    at = np.maximum.accumulate(np.where(np.isfinite(signals).all(axis=1), np.arange(len(signals)), 0))
+    signals = held_on(np.column_stack([recording.pressure / 1e5, recording.voltage, recording.angle, *further]))
     spans = len(signals) // every
-    means = signals[at][: spans * every].reshape(spans, every, -1).mean(axis=1)
+    means = signals[: spans * every].reshape(spans, every, -1).mean(axis=1)
     inputs = np.delete(means, 4, axis=1)
     inputs[:, 2:4] /= 1e5 if rig.drive == "regulator" else 1.0
     begins = np.zeros(1, int) if recording.episode_ns is None else np.searchsorted(

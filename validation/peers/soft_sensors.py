@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from validation.peers.joints import Course, Floats
 _SEED = 0
 _POINTS = 500
 """Points of a Gaussian process, drawn from what may be fitted."""
-_LAGS_S = tuple(np.arange(0.0, 0.51, 0.04))
+LAGS_S = tuple(np.arange(0.0, 0.51, 0.04))
 _GP_LAGS_S = (0.0, 0.1, 0.3)
 _EPOCHS, _BATCH, _WINDOW_S, _HIDDEN = 60, 16, 2.0, 64
 _PENALTIES = tuple(10.0 ** np.arange(-6.0, 3.0))
@@ -30,60 +30,57 @@ class Sensed:
 Sensor = Callable[[Sequence[Course], Sequence[Course]], Sensed]
 
 
-def linear(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
-    """Least squares from the two pressures of now."""
-    return _ridge(fit, held, lambda one: one.inputs[:, :2], (0.0,))
-
-
-def lagged(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
-    """Ridge regression from half a second of all inputs; the penalty is chosen on the last fifth."""
-    return _ridge(fit, held, lambda one: _late(one, _LAGS_S), _PENALTIES)
-
-
-def _late(one: Course, lags_s: Sequence[float]) -> Floats:
+def late(one: Course, lags_s: Sequence[float]) -> Floats:
     """Inputs of now and of earlier; before an episode begins they are as at its begin."""
     at = np.arange(len(one.angle))
     return np.column_stack([one.inputs[np.maximum(at - round(lag / one.period), one.first)] for lag in lags_s])
 
 
-def _ridge(
-    fit: Sequence[Course], held: Sequence[Course], features: Callable[[Course], Floats], penalties: Sequence[float]
-) -> Sensed:
-    x, y = np.vstack([features(one) for one in fit]), np.concatenate([one.angle for one in fit])
-    scale = x.std(axis=0) + 1e-9
+def least_squares(
+    lags_s: Sequence[float] = (0.0,), penalties: Sequence[float] = (0.0,), pressures_alone: bool = False
+) -> Sensor:
+    """Ridge regression from inputs of now and of earlier; the penalty is chosen on the last fifth."""
 
-    def solved(rows: slice, penalty: float) -> tuple[Floats, float]:
-        middle, offset = x[rows].mean(axis=0), float(y[rows].mean())
-        z = (x[rows] - middle) / scale
-        gram = z.T @ z + penalty * len(z) * np.eye(z.shape[1])
-        weights = np.linalg.lstsq(gram, z.T @ (y[rows] - offset), rcond=1e-12)[0] / scale
-        return weights, offset - float(middle @ weights)
+    def features(one: Course) -> Floats:
+        return late(replace(one, inputs=one.inputs[:, :2]) if pressures_alone else one, lags_s)
 
-    def error(penalty: float) -> float:
-        first = int(0.8 * len(y))
-        weights, offset = solved(slice(first), penalty)
-        return float(np.mean((x[first:] @ weights + offset - y[first:]) ** 2))
+    def sensor(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
+        x, y = np.vstack([features(one) for one in fit]), np.concatenate([one.angle for one in fit])
+        scale = x.std(axis=0) + 1e-9
 
-    best = penalties[0] if len(penalties) == 1 else min(penalties, key=error)
-    weights, offset = solved(slice(None), best)
-    return Sensed([features(one) @ weights + offset for one in held], None, len(weights) + 1)
+        def solved(rows: slice, penalty: float) -> tuple[Floats, float]:
+            middle, offset = x[rows].mean(axis=0), float(y[rows].mean())
+            z = (x[rows] - middle) / scale
+            gram = z.T @ z + penalty * len(z) * np.eye(z.shape[1])
+            weights = np.linalg.lstsq(gram, z.T @ (y[rows] - offset), rcond=1e-12)[0] / scale
+            return weights, offset - float(middle @ weights)
+
+        def error(penalty: float) -> float:
+            first = int(0.8 * len(y))
+            weights, offset = solved(slice(first), penalty)
+            return float(np.mean((x[first:] @ weights + offset - y[first:]) ** 2))
+
+        best = penalties[0] if len(penalties) == 1 else min(penalties, key=error)
+        weights, offset = solved(slice(None), best)
+        return Sensed([features(one) @ weights + offset for one in held], None, len(weights) + 1)
+
+    return sensor
+
+
+linear = least_squares(pressures_alone=True)
+lagged = least_squares(LAGS_S, _PENALTIES)
 
 
 def gaussian_process(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
     """A Gaussian process from the inputs at three times, by scikit-learn."""
-    x, y = np.vstack([_late(one, _GP_LAGS_S) for one in fit]), np.concatenate([one.angle for one in fit])
+    x, y = np.vstack([late(one, _GP_LAGS_S) for one in fit]), np.concatenate([one.angle for one in fit])
     sensor = Process(x, y)
-    said = [sensor(_late(one, _GP_LAGS_S)) for one in held]
+    said = [sensor(late(one, _GP_LAGS_S)) for one in held]
     return Sensed([mean for mean, _ in said], [std for _, std in said], min(len(x), _POINTS) * x.shape[1])
 
 
 class Process:
-    """A Gaussian process of scikit-learn, with a length for each feature, in the features' own scales.
-
-    Attributes:
-        gp: fitted to features and values that have a mean of 0 and a variance of 1.
-        scales: means and standard deviations of features and of values.
-    """
+    """A Gaussian process of scikit-learn, with a length for each feature, in the features' own scales."""
 
     def __init__(self, x: Floats, y: Floats, points: int = _POINTS) -> None:
         from sklearn.gaussian_process import GaussianProcessRegressor

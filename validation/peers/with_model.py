@@ -1,38 +1,40 @@
-"""Peers that use the model: an extended Kalman filter, filterpy's UKF, and ours before and after close_loop."""
+"""Peers that use the model: other filters, laws fitted to what a step of it leaves, and ours."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import savgol_filter
 
-from pam_antagonist import BadInput, Recording, Rig, diagnose, load_rig, replay
+from pam_antagonist import BadInput, Recording, Rig, diagnose, identify, load_rig, replay
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model.effects import ADDED_STATES
+from pam_antagonist.model.parameters import BASE_STATES
 from pam_antagonist.recording.corrections import Corrections
-from validation.peers.joints import Floats, Joint
+from validation.peers.joints import Floats, Joint, held_on
+from validation.peers.soft_sensors import Process
 
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of an angle on held-out samples."""
-
-    rmse_deg: float  # of all samples together
-    coverage: float | None  # share of the samples in their 95 % interval; None where there is none
-    alone_deg: float | None = None  # of the model alone, from its inputs only; None where it was not run
+_STEP, _SMOOTH_S, _GP_POINTS = 0.01, 0.05, 300
+_SCALE = np.array([0.1, 0.5, 1e5, 1e5])
+Errors = dict[str, "float | None"]
+Law = Callable[[Floats], Floats]
+"""From features (N, 6) to rates of velocity and pressures beside the model's (N, 3), in their scales."""
 
 
 def errors(pieces: Sequence[tuple[Floats, Floats, Floats | None]]) -> Errors:
-    """Errors of several recordings together: measured, estimated, and its standard deviation where there is one."""
+    """Errors of several recordings together: measured, estimated, and its standard deviation where there is one.
+
+    Returns the RMS error of the angle [deg], and the share of the samples in their 95 % interval.
+    """
     apart = np.concatenate([estimated - measured for measured, estimated, _ in pieces])
     stds = [std for _, _, std in pieces if std is not None]
     inside = float(np.mean(np.abs(apart) <= 1.96 * np.concatenate(stds))) if stds else None
-    return Errors(float(np.degrees(np.sqrt(np.mean(apart**2)))), inside)
+    return {"rmse_deg": float(np.degrees(np.sqrt(np.mean(apart**2)))), "coverage": inside}
 
 
 def corrected(recording: Recording, rig: Rig) -> Recording:
@@ -41,7 +43,7 @@ def corrected(recording: Recording, rig: Rig) -> Recording:
 
 
 def ours(joint: Joint, rig: Rig) -> Errors:
-    """Our filter with a rig, and the model alone."""
+    """Our filter with a rig, and the model alone (``alone_deg``)."""
     pieces, alone = [], []
     for recording, begin in joint.held:
         done = replay(corrected(recording, rig), rig, begin_s=begin)
@@ -52,9 +54,8 @@ def ours(joint: Joint, rig: Rig) -> Errors:
         pieces.append((measured[known], done.run.rows["angle"][known], std[known]))
         angle = done.report.model_alone.angle
         alone.append((len(measured), np.nan if angle is None else angle.rmse))
-    found = errors(pieces)
     squares = sum(count * rmse**2 for count, rmse in alone) / sum(count for count, _ in alone)
-    return Errors(found.rmse_deg, found.coverage, float(np.sqrt(squares)) if np.isfinite(squares) else None)
+    return {**errors(pieces), "alone_deg": float(np.sqrt(squares)) if np.isfinite(squares) else None}
 
 
 def extended(joint: Joint) -> tuple[Rig, str, int]:
@@ -66,8 +67,7 @@ def extended(joint: Joint) -> tuple[Rig, str, int]:
         with tempfile.TemporaryDirectory() as folder:
             found.save(Path(folder) / "found", figures=False)
             rig = load_rig(Path(folder) / "found" / found.next_rig, regulators=True)
-    changed = int(np.sum(rig.parameters() != joint.rig.parameters()))
-    return rig, ", ".join(names), changed
+    return rig, ", ".join(names), int(np.sum(rig.parameters() != joint.rig.parameters()))
 
 
 def arm(joint: Joint) -> tuple[float, float, int, str]:
@@ -77,11 +77,8 @@ def arm(joint: Joint) -> tuple[float, float, int, str]:
     return first, last, len(found.found.values), ", ".join(found.effects)
 
 
-Filter = Callable[["Model", Recording], tuple[Floats, Floats]]
-
-
 class Model:
-    """The model of a rig as other filters need it: a step of a sample, start, and covariances."""
+    """The model of a rig as others need it: a step of a sample, start, and covariances."""
 
     def __init__(self, rig: Rig, recording: Recording) -> None:
         self._p, tuning, dt = rig.parameters(), rig.tuning("default"), rig.sample_period
@@ -101,12 +98,16 @@ class Model:
         self.measurement = np.diag(tuning.measurement)
         self.kappa, self.period = tuning.kappa, dt
 
-    def advance(self, x: Floats, u: Floats) -> Floats:
-        """The state after a sample."""
+    def advance(self, x: Floats, u: Floats, samples: int = 1) -> Floats:
+        """The state after some samples."""
         out = x.copy()
-        for _ in range(self._parts):
+        for _ in range(samples * self._parts):
             integration.rk4_step(out, u, self._p, self._step, out)
         return out
+
+
+Filter = Callable[[Model, Recording], tuple[Floats, Floats]]
+"""From a recording to angles (N,) and their standard deviations (N,) [rad]."""
 
 
 def extended_kalman(model: Model, recording: Recording) -> tuple[Floats, Floats]:
@@ -157,3 +158,78 @@ def filtered(joint: Joint, rig: Rig, how: Filter) -> Errors:
         counts = (given.stamp_ns - given.stamp_ns[0] >= begin * 1e9) & np.isfinite(given.angle)
         pieces.append((given.angle[counts], angle[counts], std[counts]))
     return errors(pieces)
+
+
+# Laws fitted to residual equations. The corrected model runs freely from the voltages, as the model alone of ours does.
+
+
+def base(joint: Joint) -> Rig:
+    """The rig that identify finds: no effects are looked for."""
+    if joint.rig.drive != "valve":
+        raise BadInput("residual equations: expected a joint with valves")
+    return identify(joint.fit, joint.rig, jobs=1).rig
+
+
+def free_run(joint: Joint, rig: Rig, fitted: Callable[[Floats, Floats], tuple[Law, int]]) -> tuple[Errors, int]:
+    """Error of the angle in free runs with a law that was fitted, and how many numbers the law has."""
+    every = max(1, round(_STEP / rig.sample_period))
+    seconds = every * rig.sample_period
+
+    def prepared(recording: Recording) -> tuple[Model, Floats, Floats, Floats]:
+        """The base model; states, voltages and stamps at the steps' ends; the velocity by a smoothing derivative."""
+        given = corrected(recording, rig)
+        model = Model(rig, given)
+        if len(model.start) != BASE_STATES:
+            raise BadInput("residual equations: expected a model without states of effects")
+        assert given.angle is not None
+        signals = held_on(np.column_stack([given.angle, given.pressure, given.voltage]))
+        window = max(5, 2 * round(_SMOOTH_S / rig.sample_period / 2) + 1)
+        velocity = savgol_filter(signals[:, 0], window, 2, deriv=1, delta=rig.sample_period)
+        smooth = savgol_filter(signals[:, :3], window, 2, axis=0)
+        x, rows = np.column_stack([smooth[:, 0], velocity, smooth[:, 1:]]), slice(every - 1, None, every)
+        return model, x[rows], signals[rows, 3:], (given.stamp_ns - given.stamp_ns[0])[rows]
+
+    xs, ys = [], []
+    for recording in joint.fit:
+        model, x, u, _ = prepared(recording)
+        after = np.array([model.advance(one, drive, every) for one, drive in zip(x[:-1], u[1:], strict=True)])
+        xs.append(_features(x[:-1], u[1:]))
+        ys.append(((x[1:] - after) / seconds / _SCALE)[:, 1:])
+    law, numbers = fitted(np.vstack(xs), np.vstack(ys))
+    pieces: list[tuple[Floats, Floats, Floats | None]] = []
+    low, high = np.array([-np.pi, -50.0, 5e4, 5e4]), np.array([np.pi, 50.0, 1.5e6, 1.5e6])
+    for recording, begin in joint.held:
+        model, x, u, stamps = prepared(recording)
+        run = np.empty_like(x)
+        run[0] = x[0]
+        for k in range(1, len(x)):
+            extra = np.clip(law(_features(run[k - 1 : k], u[k : k + 1]))[0], -1e3, 1e3)
+            after = model.advance(run[k - 1], u[k], every) + np.concatenate([[0.0], extra]) * seconds * _SCALE
+            run[k] = np.clip(after, low, high)
+        counts = stamps >= begin * 1e9
+        pieces.append((x[counts, 0], run[counts, 0], None))
+    return errors(pieces), numbers
+
+
+def _features(x: Floats, u: Floats) -> Floats:
+    return np.column_stack([x / _SCALE, u])
+
+
+def sindy(x: Floats, y: Floats) -> tuple[Law, int]:
+    """PySINDy: polynomials of second degree, sequentially thresholded least squares."""
+    import pysindy
+
+    library = pysindy.PolynomialLibrary(degree=2)
+    columns = np.asarray(library.fit_transform(pysindy.AxesArray(x, {"ax_sample": 0, "ax_coord": 1})))
+    size = columns.std(axis=0) + 1e-9
+    optimizer = pysindy.STLSQ(threshold=0.05 * float(y.std(axis=0).max()), alpha=1e-3)
+    optimizer.fit(columns / size, y)
+    weights = np.asarray(optimizer.coef_).T / size[:, None]
+    powers = np.asarray(library.powers_)
+    return lambda z: np.prod(z[:, None, :] ** powers, axis=2) @ weights, int(np.count_nonzero(weights))
+
+
+def gaussian(x: Floats, y: Floats) -> tuple[Law, int]:
+    """A Gaussian process for each rate."""
+    parts = [Process(x, y[:, k], _GP_POINTS) for k in range(y.shape[1])]
+    return lambda z: np.column_stack([part.mean(z) for part in parts]), min(len(x), _GP_POINTS) * (x.shape[1] + 3)

@@ -1,4 +1,10 @@
-"""``rehearse_new_rigs``: rigs of ``new_rig``, each commissioned on a joint drawn from the file's own priors."""
+"""Commission twelve rigs of new_rig, unattended, each on a joint that is drawn from the priors of its file.
+
+DIR keeps a folder for each rig. A rig that has an outcome is not done again.
+
+examples:
+  {run} rehearse_new_rigs --out rehearsed
+"""
 
 from __future__ import annotations
 
@@ -6,6 +12,7 @@ import argparse
 import json
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,27 +24,15 @@ from pam_antagonist.cli.demo import found_gains
 from pam_antagonist.control.model_law import ModelGains
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import read_bag
-from pam_antagonist.report import terminal
-from pam_antagonist.report.document import Table, markdown
+from pam_antagonist.report.document import Table, Text
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.simulation.plant import Plant
-from pam_antagonist.strict_json import write_json
+from validation import frame
 from validation.battery.scores import interval
 
-_DESCRIPTION = """\
-Commission twelve rigs of new_rig, unattended, each on a joint that is drawn from the priors of its file.
-
-DIR keeps a folder for each rig. A rig that has an outcome is not done again.
-"""
-_EXAMPLES = """\
-examples:
-  {run} rehearse_new_rigs --out rehearsed
-"""
 _MOVES_S = 40.0
 """[s] Of the quick moves, at the end of their recording."""
-_SEED = 1
-"""Of the sensors' noise."""
 
 
 def _valve(kind: str, muscle: str, valve: str, more: str) -> str:
@@ -82,12 +77,12 @@ def written(name: str, path: Path) -> Rig:
 
 def parser() -> common.Parser:
     """The arguments."""
-    out = common.Parser("rehearse_new_rigs", _DESCRIPTION, _EXAMPLES)
+    out = common.Parser("rehearse_new_rigs", __doc__)
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the results; may exist")
     out.add_argument("--rig", action="append", metavar="NAME", help="this rig only; may be given several times")
     draw = "draw of the joints, from 0 (default: 0); may be given several times"
     out.add_argument("--seed", action="append", type=int, metavar="N", help=draw)
-    out.add_argument("--docs", type=Path, metavar="FILE", help="write the table as Markdown; FILE is replaced")
+    frame.add_docs(out, "the table")
     return out
 
 
@@ -97,35 +92,27 @@ def _main(arguments: argparse.Namespace) -> int:
         for number, name in enumerate(DESCRIBED):
             if arguments.rig and name not in arguments.rig:
                 continue
-            folder = arguments.out / f"{name}_{draw}"
-            if not (folder / "outcome.json").exists():
-                outcome = {"draw": draw, **rehearsed(name, len(DESCRIBED) * draw + number, folder)}
-                write_json(folder / "outcome.json", outcome)
-            found.append(json.loads((folder / "outcome.json").read_text(encoding="utf-8")))
-    if arguments.docs is not None:
-        common.write_text(arguments.docs, "\n".join([*markdown(table(found)), "", summary(found)]) + "\n")
-    print(terminal.table(table(found), indent=""), summary(found), sep="\n\n")
+            folder, seed = frame.made(arguments.out / f"{name}_{draw}"), len(DESCRIBED) * draw + number
+            kept = frame.kept(folder / "outcome.json", partial(rehearsed, name, seed, folder))
+            found.append({"draw": draw, **kept})
+    frame.show([table(found), *map(Text, summary(found))], arguments)
     return common.DONE
 
 
 def rehearsed(name: str, seed: int, folder: Path) -> dict[str, Any]:
     """Commission a rig, and what came of it."""
-    folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "truth.yaml").exists():
         write_rig(drawn(written(name, folder / "rig.yaml"), seed), folder / "truth.yaml")
     out = folder / "commissioned"
     given = ["--rig", str(folder / "rig.yaml"), "--plant", str(folder / "truth.yaml"), "--out", str(out)]
     status = commission.main([*given, "--mismatch", "0", "--source", "rehearsal", "--unattended"])
     steps = json.loads((out / "state.json").read_text(encoding="utf-8"))["steps"]
+    failed = (step["said"] for step in steps.values() if not step["done"])
     outcome = {
-        "rig": name,
-        "status": status,
-        "said": next(
-            (step["said"] for step in steps.values() if not step["done"]), steps.get("identify", {}).get("said", "")
-        ),
+        "rig": name, "status": status, "said": next(failed, steps.get("identify", {}).get("said", "")),
         "rig_s": sum(step.get("rig_s", 0.0) for step in steps.values()),
         "beyond_deg": _beyond(out) if steps.get("quick", {}).get("done") else None,
-    }
+    }  # fmt: skip
     return {**outcome, **(controlled(folder) if status == common.DONE else {})}
 
 
@@ -142,18 +129,13 @@ def _beyond(out: Path) -> float:
 
 def controlled(folder: Path) -> dict[str, Any]:
     """Steps of the angle, as a demo asks for them, on the joint with the rig and the gains that came out."""
-    rig, joint = (
-        load_rig(folder / name, regulators=True) for name in (Path("commissioned", "rig.yaml"), Path("truth.yaml"))
-    )
+    rig, joint = (load_rig(folder / name, regulators=True) for name in ("commissioned/rig.yaml", "truth.yaml"))
     given = found_gains(str(folder / "commissioned" / "parameters.yaml"))
     gains = ModelGains(given["pressure_bandwidth"], given["model_integral"], given["approach"])
     # The rig's angle is what the encoder shows, less its zero.
-    held = held_angles(rig, Plant(joint, seed=_SEED), gains, rig.calibration.encoder_zero)
-    return {
-        "angle_error_deg": math.degrees(held.error),
-        "allowed_deg": math.degrees(held.allowed),
-        "step_deg": math.degrees(held.largest),
-    }
+    held = held_angles(rig, Plant(joint, seed=1), gains, rig.calibration.encoder_zero)
+    angles = {"angle_error_deg": held.error, "allowed_deg": held.allowed, "step_deg": held.largest}
+    return {name: math.degrees(angle) for name, angle in angles.items()}
 
 
 def table(outcomes: Sequence[dict[str, Any]]) -> Table:
@@ -169,15 +151,14 @@ def table(outcomes: Sequence[dict[str, Any]]) -> Table:
     return Table(header, tuple(rows))
 
 
-def summary(outcomes: Sequence[dict[str, Any]]) -> str:
+def summary(outcomes: Sequence[dict[str, Any]]) -> list[str]:
     """How many came to the end and held their angles, and why the others did not."""
     ended = [one for one in outcomes if one["status"] == common.DONE]
     held = [one for one in ended if one["angle_error_deg"] <= one["allowed_deg"]]
     low, high = interval(len(held), len(outcomes)) or (0.0, 1.0)
     said = [f"{len(ended)} of {len(outcomes)} come to the end, {len(held)} hold their angles within what is allowed: "
             f"{len(held) / len(outcomes):.0%}, by Clopper and Pearson {low:.0%} to {high:.0%} (95 %)."]  # fmt: skip
-    said += [f"{one['rig']}, draw {one['draw']}: {one['said']}" for one in outcomes if one not in ended]
-    return "\n".join(said)
+    return said + [f"{one['rig']}, draw {one['draw']}: {one['said']}" for one in outcomes if one not in ended]
 
 
 main = common.command(parser, _main)

@@ -13,23 +13,27 @@ import pytest
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.emulator import LOG_HEADER
 from pam_antagonist.strict_json import plain
-from validation.faults import table
-from validation.faults.catalogue import FAULTS
-from validation.faults.causes import at_device
-from validation.faults.command import chosen
-from validation.faults.command import main as command
-from validation.faults.fault import Fault, Observed, Outcome, Recovery, Status, Valves, Wanted, judge
-from validation.faults.relay import Line, Order
-from validation.faults.valve_log import (
+from validation.faults import command
+from validation.faults.catalogue import FAULTS, at_device
+from validation.faults.relay import Line
+from validation.faults.verdict import (
     BRIDGE_SAFE,
     CONTROLLER_SAFE,
+    Fault,
+    Outcome,
+    Recovery,
     Row,
+    Status,
     ValveLog,
+    Valves,
+    Wanted,
     first_obeyed,
+    judge,
     safe_since,
     share_safe,
     wrong_voltages,
 )
+from validation.frame import in_markdown
 
 MS = 1_000_000
 ON = (6.0, 5.0)
@@ -41,15 +45,15 @@ GOES_ON = Fault("on", "", at_device("flip=0.01"), Valves.CONTROLLED, (), Recover
 SAYS = Status(150 * MS, "bridge: safety", 2, "stopped: so", {})
 
 
-def seen(*rows: tuple[float, tuple[float, float]], **changes: Any) -> Observed:
+def seen(*rows: tuple[float, tuple[float, float]], **changes: Any) -> dict[str, Any]:
     """A fault at 100 ms that is over at 200 ms, and cleared at 300 ms."""
-    usual: dict[str, Any] = {"cleared_ns": 300 * MS, "statuses": (SAYS,), **changes}
     log = [Row(round(at * MS), "voltage", voltage, False) for at, voltage in ((0, ON), *rows)]
-    return Observed(100 * MS, 200 * MS, end_ns=400 * MS, rows=log, **usual)
+    times = {"begin_ns": 100 * MS, "over_ns": 200 * MS, "cleared_ns": 300 * MS}
+    return {**times, "rows": log, "statuses": (SAYS,), **changes}
 
 
 def test_a_stop_in_time_that_lasts_until_it_is_cleared_holds() -> None:
-    outcome = judge(STOP, seen((121, BRIDGE_SAFE), (310, ON)))
+    outcome = judge(STOP, **seen((121, BRIDGE_SAFE), (310, ON)))
     assert outcome.held, outcome.failures
     assert (outcome.safe_ms, outcome.by, outcome.wrong) == (pytest.approx(21.0), "bridge", 0)
     assert outcome.control_s == pytest.approx(0.01)
@@ -70,18 +74,18 @@ def test_a_stop_in_time_that_lasts_until_it_is_cleared_holds() -> None:
         (seen((121, BRIDGE_SAFE), (310, ON), statuses=(SAYS._replace(part="plant: safety"),)), "no status of"),
     ],
 )
-def test_what_does_not_hold_is_said(observed: Observed, words: str) -> None:
-    outcome = judge(STOP, observed)
+def test_what_does_not_hold_is_said(observed: dict[str, Any], words: str) -> None:
+    outcome = judge(STOP, **observed)
     assert not outcome.held
     assert any(words in failure for failure in outcome.failures), outcome.failures
 
 
 def test_control_through_a_fault() -> None:
-    outcome = judge(GOES_ON, seen((120, BRIDGE_SAFE), (140, ON), cleared_ns=None))
+    outcome = judge(GOES_ON, **seen((120, BRIDGE_SAFE), (140, ON), cleared_ns=None))
     assert outcome.held
     assert outcome.share_safe == pytest.approx(0.2)
     assert (outcome.safe_ms, outcome.control_s) == (None, 0.0)
-    outcome = judge(GOES_ON, seen((120, BRIDGE_SAFE), (210, ON), cleared_ns=None))
+    outcome = judge(GOES_ON, **seen((120, BRIDGE_SAFE), (210, ON), cleared_ns=None))
     assert not outcome.held and "80 % of the time" in outcome.failures[0]
 
 
@@ -92,7 +96,7 @@ def test_a_count_has_to_grow_during_the_fault() -> None:
 
     def counted(*counts: tuple[int, int]) -> Outcome:
         said = [Status(at * MS, "estimator: samples", 0, "", {"duplicate messages": str(n)}) for at, n in counts]
-        return judge(fault, seen(cleared_ns=None, statuses=said))
+        return judge(fault, **seen(cleared_ns=None, statuses=said))
 
     assert counted((50, 3), (150, 4)).held
     assert not counted((50, 3), (150, 3)).held
@@ -110,34 +114,36 @@ def test_every_line_of_the_matrix_can_be_made_and_has_expectations() -> None:
 
 
 def test_table_page_and_json_tell_what_failed() -> None:
-    good = judge(STOP, seen((121, BRIDGE_SAFE), (310, ON)))
-    bad = judge(STOP, seen((163, BRIDGE_SAFE), (310, ON)))
-    assert table.line(good).split()[:2] == ["yes", "stop"] and "safe after 21 ms, by the bridge" in table.line(good)
-    assert table.line(bad).startswith("NO") and "safe voltages after 63 ms, expected" in table.line(bad)
-    assert table.summary([good, bad]) == "1 of 2 as expected; safe voltages after 63 ms at most"
-    page = "\n".join(table.matrix([good, bad]))
+    good = judge(STOP, **seen((121, BRIDGE_SAFE), (310, ON)))
+    bad = judge(STOP, **seen((163, BRIDGE_SAFE), (310, ON)))
+    assert command.line(good).split()[:2] == ["yes", "stop:"] and "safe after 21 ms, by the bridge" in command.line(
+        good
+    )
+    assert command.line(bad).startswith("NO") and "safe voltages after 63 ms, expected" in command.line(bad)
+    assert command.summary([good, bad]) == "1 of 2 as expected; safe voltages after 63 ms at most"
+    page = in_markdown(command.matrix([good, bad]))
     assert page.count("| stop |") == 2 and "**not as expected**: safe voltages after 63 ms" in page
     widths = {line.count("|") for line in page.splitlines() if line.startswith("|")}
     assert widths == {5}
-    content = json.loads(json.dumps(plain(table.content([good, bad]))))
+    content = json.loads(json.dumps(plain(command.content([good, bad]))))
     assert [entry["held"] for entry in content["faults"]] == [True, False]
     assert not math.isnan(content["faults"][0]["safe_ms"])
 
 
 def test_faults_are_chosen_by_name_in_the_order_of_the_table() -> None:
     names = [FAULTS[3].name, FAULTS[0].name]
-    assert chosen(FAULTS, names) == [FAULTS[0], FAULTS[3]]
-    assert chosen(FAULTS, None) == list(FAULTS)
+    assert command.chosen(FAULTS, names) == [FAULTS[0], FAULTS[3]]
+    assert command.chosen(FAULTS, None) == list(FAULTS)
     with pytest.raises(BadInput, match="'bridge kiled': expected one of estimator killed"):
-        chosen(FAULTS, ["bridge kiled"])
+        command.chosen(FAULTS, ["bridge kiled"])
 
 
 def test_the_list_names_every_fault(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rclpy")
-    assert command(["--list"]) == 0
+    assert command.main(["--list"]) == 0
     said = capsys.readouterr().out
     assert all(f"{fault.name}  " in said and fault.what in said for fault in FAULTS)
-    assert command(["--only", "nothing"]) == 2
+    assert command.main(["--only", "nothing"]) == 2
     assert capsys.readouterr().err.startswith("error: --only 'nothing'")
 
 
@@ -145,7 +151,7 @@ def test_what_a_relay_does_to_messages() -> None:
     line = Line(0)
 
     def through(kind: str, value: float, now: float) -> list[int]:
-        line.order = Order(kind, value, "")
+        line.order = kind, value
         for k in range(1000):
             line.put(k, now)
         return list(line.due(now))
@@ -155,7 +161,7 @@ def test_what_a_relay_does_to_messages() -> None:
     kept = through("drop", 0.2, 2.0)
     assert 700 < len(kept) < 900 and kept == sorted(set(kept))
     assert through("late", 0.1, 3.0) == []
-    line.order = Order("", 0.0, "")
+    line.order = "", 0.0
     line.put(-1, 3.05)  # in order again, but behind those that wait
     assert list(line.due(3.09)) == []
     assert list(line.due(3.11)) == [*range(1000), -1]
@@ -164,15 +170,15 @@ def test_what_a_relay_does_to_messages() -> None:
 def test_the_table_as_json_on_standard_output(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = pytest.importorskip("validation.faults.run", exc_type=ImportError)
+    run = pytest.importorskip("validation.faults.bench", exc_type=ImportError)
 
     def made(faults: list[Fault], rig: str, done: Any) -> list[Outcome]:
-        outcome = judge(faults[0], seen((121, BRIDGE_SAFE), (310, ON)))
+        outcome = judge(faults[0], **seen((121, BRIDGE_SAFE), (310, ON)))
         done(outcome)
         return [outcome]
 
     monkeypatch.setattr(run, "run_faults", made)
-    assert command(["--only", "bridge killed", "--json", "-"]) in (0, 1)
+    assert command.main(["--only", "bridge killed", "--json", "-"]) in (0, 1)
     printed = capsys.readouterr()
     assert "bridge killed" in str(json.loads(printed.out)) and "bridge killed" in printed.err
 
@@ -221,9 +227,7 @@ def test_share_of_safe_time() -> None:
 @pytest.mark.parametrize("voltage", [(10.0, 0.0), (6.0, 6.0), (0.0, 0.0), (9.0, 2.0), (float("nan"), 5.0)])
 def test_a_voltage_that_nobody_can_have_meant_is_wrong(voltage: tuple[float, float]) -> None:
     rows = [*ROWS, row(90, voltage)]
-    assert wrong_voltages(ROWS, 0, 100 * MS) == []
-    assert len(wrong_voltages(rows, 0, 100 * MS)) == 1
-    assert wrong_voltages(rows, 0, 89 * MS) == []
+    assert (wrong_voltages(ROWS, 0), wrong_voltages(rows, 0), wrong_voltages(rows, 91 * MS)) == (0, 1, 0)
 
 
 def test_log_is_read_while_it_is_written(tmp_path: Path) -> None:

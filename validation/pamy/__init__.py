@@ -1,1 +1,0 @@
-"""The measured arm: what ``close_loop`` makes of 2,400 episodes of a real joint, beside models without physics."""
