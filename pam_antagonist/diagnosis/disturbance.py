@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.diagnosis import findings, thresholds
 from pam_antagonist.diagnosis.findings import Findings
-from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
 from pam_antagonist.diagnosis.models import (
     Model,
     Residuals,
@@ -31,7 +31,7 @@ from pam_antagonist.diagnosis.models import (
     share_of,
 )
 from pam_antagonist.diagnosis.result import FoundEffect, Size
-from pam_antagonist.diagnosis.search import search
+from pam_antagonist.diagnosis.search import CatalogueEffect, search
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.likelihood import in_mean_squares
@@ -279,49 +279,65 @@ def _smooth(torque: Floats, trial: Trial) -> Floats:
     return np.asarray(np.convolve(torque, np.ones(width) / width, mode="same"))
 
 
-class Disturbed(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Disturbed(TriedCandidate):
     """Recordings with a disturbance as an input."""
 
-    model: Model
-    noises: tuple[float, ...]  # size of a random walk like it, one a recording; 0 where there is none
-    left: tuple[int, ...]  # recordings above noise in which no disturbance can show
-    effect: FoundEffect  # what a report says of it
+    noises: tuple[float, ...] = ()  # size of a random walk like it, one a recording; 0 where there is none
+    left: tuple[int, ...] = ()  # recordings above noise in which no disturbance can show
+    found: FoundEffect | None = None  # what a report says of it
+
+
+class DisturbanceTorque(CatalogueEffect):
+    """A torque that comes and goes, in every recording above noise that can show one, if it explains all of these."""
+
+    @override
+    def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
+        work.progress("looking for a disturbance torque")
+        model = now.model
+        noisy = [
+            r for r, (e, fitted) in enumerate(model.pairs) if np.max(e.times_noise(fitted.residual)) >= thresholds.CLEAN
+        ]
+        every = in_threads(estimate, (model.pairs[r] for r in noisy), model.jobs)
+        seen = {r: one for r, one in zip(noisy, every, strict=True) if one is not None}
+        if not seen or not all(one.explains for one in seen.values()):
+            return []
+        gained, experiments, fits = 0.0, list(model.experiments), list(model.fits)
+        for r, one in seen.items():
+            experiment, fitted = model.pairs[r]
+            experiments[r], fits[r] = one.experiment, one.fitted
+            gain = cost_of(experiment, fitted.point, fitted.residual, fitted.scale)
+            gain -= cost_of(experiment, one.fitted.point, one.fitted.residual, fitted.scale)
+            gained += fitted.scale.share * gain - price(fitted, thresholds.PARAMETERS_OF_EPISODE * one.episodes)
+        noise = float(np.sqrt(np.mean([one.noise**2 for one in seen.values()])))
+        spread = float(np.ptp([one.noise for one in seen.values()])) / 2.0
+        # Relative error of a root mean square over n episodes: 1/√(2 n).
+        std = max(spread, noise / np.sqrt(2.0 * sum(one.episodes for one in seen.values())))
+        share = min((one.shares[0] for one in seen.values() if one.shares[0] is not None), default=None)
+        there = tuple(model.experiments[r].trial.name for r in seen)
+        size = {"noise": Size(noise, std, "N m/s^0.5")}
+        return [
+            Disturbed(
+                DISTURBANCE, number, np.nan, gained,
+                model=replace(model, experiments=tuple(experiments), fits=tuple(fits)),
+                noises=tuple(seen[r].noise if r in seen else 0.0 for r in range(len(fits))),
+                left=tuple(r for r in noisy if r not in seen),
+                found=FoundEffect(DISTURBANCE, None, size, gained, share, there),
+            )
+        ]  # fmt: skip
+
+    @override
+    def is_worth_taking(self, tried: TriedCandidate) -> bool:
+        return tried.standing >= thresholds.DISTURBANCE_BESIDE
 
 
 _Explanation = tuple[Model, Findings]
 """A model of all recordings with a disturbance, with effects beside it where there are any, and what a report says."""
 
 
-def disturbed(model: Model, work: Work) -> Disturbed | None:
-    """The torque of each recording above noise that can show one, if it explains all of these; else None."""
-    work.progress("looking for a disturbance torque")
-    noisy = [
-        r for r, (e, fitted) in enumerate(model.pairs) if np.max(e.times_noise(fitted.residual)) >= thresholds.CLEAN
-    ]
-    every = in_threads(estimate, (model.pairs[r] for r in noisy), model.jobs)
-    seen = {r: one for r, one in zip(noisy, every, strict=True) if one is not None}
-    if not seen or not all(one.explains for one in seen.values()):
-        return None
-    gained, experiments, fits = 0.0, list(model.experiments), list(model.fits)
-    for r, one in seen.items():
-        experiment, fitted = model.pairs[r]
-        experiments[r], fits[r] = one.experiment, one.fitted
-        gain = cost_of(experiment, fitted.point, fitted.residual, fitted.scale)
-        gain -= cost_of(experiment, one.fitted.point, one.fitted.residual, fitted.scale)
-        gained += fitted.scale.share * gain - price(fitted, thresholds.PARAMETERS_OF_EPISODE * one.episodes)
-    noise = float(np.sqrt(np.mean([one.noise**2 for one in seen.values()])))
-    spread = float(np.ptp([one.noise for one in seen.values()])) / 2.0
-    # Relative error of a root mean square over n episodes: 1/√(2 n).
-    std = max(spread, noise / np.sqrt(2.0 * sum(one.episodes for one in seen.values())))
-    share = min((one.shares[0] for one in seen.values() if one.shares[0] is not None), default=None)
-    there = tuple(model.experiments[r].trial.name for r in seen)
-    size = {"noise": Size(noise, std, "N m/s^0.5")}
-    return Disturbed(
-        replace(model, experiments=tuple(experiments), fits=tuple(fits)),
-        tuple(seen[r].noise if r in seen else 0.0 for r in range(len(fits))),
-        tuple(r for r in noisy if r not in seen),
-        FoundEffect(DISTURBANCE, None, size, gained, share, there),
-    )
+def _asked(model: Model, work: Work) -> Disturbed | None:
+    found = DisturbanceTorque().propose(Ranking(model, model), 1, work)
+    return found[0] if found and isinstance(found[0], Disturbed) else None
 
 
 def instead_of_effects(found: Ranking, work: Work) -> _Explanation | None:
@@ -333,13 +349,13 @@ def instead_of_effects(found: Ranking, work: Work) -> _Explanation | None:
 
     `found`: by the search for effects, whose model did not explain enough.
     """
-    first = disturbed(found.base, work)
-    if first is not None and not first.left:
+    first = _asked(found.base, work)
+    if first is not None and not first.left and first.model is not None:
         beside = search(first.model, Work(work.progress), first=found.base).model
         return _explanation(first, first.model, beside, found.base)
     apart = None if first is None else _effects_elsewhere(found.base, first.left, work)
     effects, known = (found.model, ()) if first is None or apart is None else (apart, first.left)
-    second = disturbed(effects, work) if effects.effects else None
+    second = _asked(effects, work) if effects.effects else None
     if second is None:
         return None
     others = [[r] for r in second.left if r not in known]
@@ -350,18 +366,21 @@ def instead_of_effects(found: Ranking, work: Work) -> _Explanation | None:
 
 def beside_effects(effects: Model, work: Work) -> _Explanation | None:
     """A disturbance beside effects that are the explanation already, if the evidence for it is strong; else None."""
-    found = disturbed(effects, work)
-    strong = found is not None and found.effect.delta_bic >= thresholds.DISTURBANCE_BESIDE
-    return _beside_effects(found, effects) if found is not None and strong else None
+    found = _asked(effects, work)
+    if found is None or not DisturbanceTorque().is_worth_taking(found):
+        return None
+    return _beside_effects(found, effects)
 
 
 def _beside_effects(found: Disturbed, effects: Model) -> _Explanation:
     """A disturbance that was found beside effects, and these where they are still needed."""
+    assert found.model is not None
     return _explanation(found, recalibrated(found.model.experiments, effects), found.model, effects)
 
 
 def _explanation(found: Disturbed, base: Model, model: Model, recorded: Model) -> _Explanation:
     """A disturbance, and the effects of a model beside it that are needed, in the recordings as they were made."""
+    assert found.found is not None
     beside = Findings((), {}, [])
     if model.effects:
         model = findings.backward_elimination(base, model)
@@ -372,8 +391,8 @@ def _explanation(found: Disturbed, base: Model, model: Model, recorded: Model) -
         for fitted, noise in zip(model.fits, found.noises, strict=True)
     )
     return Model(recorded.experiments, fits, (*model.effects, DISTURBANCE)), Findings(
-        tuple(sorted((*beside.effects, found.effect), key=lambda effect: -effect.delta_bic)),
-        {**beside.values, _NOISE: found.effect.parameters["noise"].value},
+        tuple(sorted((*beside.effects, found.found), key=lambda effect: -effect.delta_bic)),
+        {**beside.values, _NOISE: found.found.parameters["noise"].value},
         [*beside.contradictions, _NOTE],
     )
 
