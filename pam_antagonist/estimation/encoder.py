@@ -28,7 +28,7 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, merged
-from pam_antagonist.estimation import start, ukf
+from pam_antagonist.estimation import push, ukf
 from pam_antagonist.estimation.possible import FURTHEST
 from pam_antagonist.estimation.stamps import PATIENCE
 from pam_antagonist.model import dynamics
@@ -66,7 +66,7 @@ _MOVING = 4.0
 _EXACT = 0.2
 """[s] An encoder with declared noise cannot read the same bits for so long."""
 
-_pushed, _widen = start.jumped, start.widen
+_pushed, _widen = push.jumped, push.widen
 _update_angle, _derivative, _pressure_behind = ukf.update_angle, dynamics.derivative, dynamics.pressure_behind
 
 

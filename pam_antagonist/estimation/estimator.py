@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation import encoder, possible, stamps, start, ukf
+from pam_antagonist.estimation import encoder, possible, push, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation import memory as memories
 from pam_antagonist.estimation.memory import ESTIMATE_DTYPE, Checkpoint, Counts, FilterIdentity, Settings, make_memory
@@ -224,7 +224,7 @@ class Estimator:
     @property
     def estimates_external_torque(self) -> bool:
         """Whether the rig has the external torque as a state."""
-        return start.EXTERNAL_TORQUE in self._added
+        return push.EXTERNAL_TORQUE in self._added
 
     @property
     def encoder_complaint(self) -> str:

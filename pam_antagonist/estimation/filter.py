@@ -19,7 +19,7 @@ arrival:
 * both pressures as in the last sample, of sensors that are slower than the samples: prediction only
   (:mod:`~pam_antagonist.estimation.stamps`);
 * a measured angle, where the filter uses one: see :mod:`~pam_antagonist.estimation.encoder`;
-* an innovation beyond the declared ``onset`` of pushes: see :mod:`~pam_antagonist.estimation.start`;
+* an innovation beyond the declared ``onset`` of pushes: see :mod:`~pam_antagonist.estimation.push`;
 * an innovation beyond the gate (Mahalanobis distance): the pressure with the larger normalised innovation is left out,
   then the other one if it is beyond the gate as well. After ``PATIENCE`` such samples in a row the filter is
   taken to be wrong, not the sensor, and the pressures are used again.
@@ -35,7 +35,7 @@ import math
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, merged
-from pam_antagonist.estimation import bridge, encoder, stamps, start, ukf
+from pam_antagonist.estimation import bridge, encoder, push, stamps, start, ukf
 from pam_antagonist.estimation.memory import (
     COUNTERS,
     GAP,
@@ -64,10 +64,10 @@ _VERDICT, _WITHOUT, _PATIENCE = encoder.VERDICT, encoder.WITHOUT, stamps.PATIENC
 _innovate, _update, _torque_moments = ukf.innovate, ukf.update, ukf.torque_moments
 _forces, _torque_slope, _start = dynamics.forces, dynamics.torque_slope, start.start
 _subsystem, _pressure_behind = dynamics.subsystem, dynamics.pressure_behind
-_EXTERNAL_TORQUE = SLOT_OF[start.EXTERNAL_TORQUE]
+_EXTERNAL_TORQUE = SLOT_OF[push.EXTERNAL_TORQUE]
 _REGULATED = SLOT_OF["regulator_rate_1"]
 _examine, _correct_angle = encoder.examine, encoder.correct
-_jumped, _widen = start.jumped, start.widen
+_jumped, _widen = push.jumped, push.widen
 _propagate, _over_gap = bridge.propagate, bridge.over_gap
 _repeats, _forget = stamps.repeats, stamps.forget
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over

@@ -1,4 +1,4 @@
-"""Start of the filter: state and covariance from a first sample; and of pushes: covariance when a torque jumps.
+"""Start of the filter: state and covariance from a first sample.
 
 A joint with valves starts at rest under its first pressures, with the variances of the tuning. If the external torque d
 has a declared prior, d may hold the joint away from its angle of rest: ψ = ψ_0 + d/K, with the joint's stiffness K.
@@ -13,19 +13,6 @@ the charge. The tuning has the variances of ψ, s_i and e_i *before* the sample.
 every other one, equations (23) and (24), which correlates angle and drift. The joint may slide in either direction or
 stick. So an estimated external torque starts in the middle of the band of friction, with the band's width as its
 uncertainty.
-
-A push begins and ends suddenly. A random walk is a poor model of it: to follow a jump, its noise must be so large that
-the filter's joint at rest leaves its friction, and the filter then takes this motion for a push. Here the external
-torque d hardly changes during a push, and jumps now and then. A jump shows within milliseconds: the normalised
-innovation then exceeds the declared ``onset``, in standard deviations.
-
-The change Δd then has the variance s² of the prior. It began at a time t ago, between 0 and ``_NOTICED``, and has moved
-the joint since then by (8), without stiffness and friction:
-
-    Δψ̇ = Δd t/J,   Δψ = Δd t²/(2 J).
-
-So the covariance gains s² E[g gᵀ] with g = (t²/(2 J), t/J, 1) for angle, velocity and d, and t even over this interval.
-The next updates find the push within some 10 ms.
 """
 
 from __future__ import annotations
@@ -37,21 +24,15 @@ import numpy as np
 from pam_antagonist._jit import in_place
 from pam_antagonist.estimation import ukf
 from pam_antagonist.model import dynamics, equilibrium
-from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND, VELOCITY
+from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, SECOND
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.external_torque import UNBOUNDED
-from pam_antagonist.model.parameters import BASE_STATES, CHARGE, INDEX, INERTIA, LOCKED, SLOT_OF, STIFFNESS
+from pam_antagonist.model.parameters import BASE_STATES, CHARGE, INDEX, LOCKED, SLOT_OF, STIFFNESS
 
-EXTERNAL_TORQUE = CATALOGUE[DISTURBANCE].states[0].name
-"""Name of the state that is the external torque."""
-_AT = SLOT_OF[EXTERNAL_TORQUE]
-_ONSET, _PRIOR = INDEX["effects.external_torque.onset"], INDEX["effects.external_torque.prior"]
+_AT = SLOT_OF[CATALOGUE[DISTURBANCE].states[0].name]
+_PRIOR = INDEX["effects.external_torque.prior"]
 _NEAR = 1e-5
 """[rad] Step to either side for the slope of a closed chamber's pressure."""
-_NOTICED = 0.005
-"""[s] A push of 0.3 N m moves the pressures of the paper's joint by five times their noise in 6 ms, 1 N m in 3 ms."""
-_COUNTED = 0.5
-"""Part of the velocity's new variance above which this jump has been added already: it is not added twice."""
 _start_angle, _make_steady, _closed = equilibrium.start_angle, equilibrium.make_steady, equilibrium.closed_pressure
 _pressure_behind, _chamber, _update = dynamics.pressure_behind, dynamics.chamber_pressure, ukf.update
 _torque_slope, _torque_needed, _sliding_friction = (
@@ -134,30 +115,3 @@ def _start_external_torque(x, covariance, p):
         x[at] = _torque_needed(x, 0.0, 0.0, p)
         band = _sliding_friction(x, 1.0, p) - _sliding_friction(x, 0.0, p)
         covariance[at, at] = max(covariance[at, at], band * band / 3.0)
-
-
-@in_place
-def jumped(distance, p):
-    """Whether an innovation is so improbable that a push must have begun or ended."""
-    return p[_AT] > 0.0 and p[LOCKED] == 0.0 and distance > p[_ONSET] * p[_ONSET]
-
-
-@in_place
-def widen(covariance, p):
-    """Add the variance of a push that has just begun or ended, in place. `covariance`: P (n, n)."""
-    at, variance = int(p[_AT]), p[_PRIOR] * p[_PRIOR]
-    unit = _NOTICED / p[INERTIA]
-    of_velocity = variance * unit * unit / 3.0
-    if covariance[VELOCITY, VELOCITY] > _COUNTED * of_velocity:
-        return
-    with_angle, with_velocity = variance * unit * _NOTICED / 6.0, variance * unit / 2.0
-    both = variance * unit * unit * _NOTICED / 8.0
-    covariance[ANGLE, ANGLE] += variance * unit * unit * _NOTICED * _NOTICED / 20.0
-    covariance[VELOCITY, VELOCITY] += of_velocity
-    covariance[at, at] += variance
-    covariance[ANGLE, VELOCITY] += both
-    covariance[VELOCITY, ANGLE] += both
-    covariance[ANGLE, at] += with_angle
-    covariance[at, ANGLE] += with_angle
-    covariance[VELOCITY, at] += with_velocity
-    covariance[at, VELOCITY] += with_velocity
