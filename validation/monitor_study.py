@@ -1,7 +1,7 @@
 """Let the monitor watch simulated joints under sensor-less control, faster than real time.
 
-They move by steps and are at rest, with pressures alone and with an encoder: nothing wrong for hours, then each effect
-that can come, after 90 s.
+The joints move by steps or rest, with pressures alone or with an encoder. First nothing is wrong for hours. Then each
+effect that can come begins after 90 s of a run of its own.
 
 A joint's parameters differ from the rig file by a percent. A size of n noises moves the pressure or the angle that it
 moves most by n standard deviations of a sample, root mean square over a minute of the moving joint under the same

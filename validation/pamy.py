@@ -1,4 +1,4 @@
-"""Apply close_loop to the recording of a real arm, beside models without physics; show drift and regulators.
+"""Apply close_loop to a real arm's recording, compare it with models without physics, show drift and regulators.
 
 FILE is the CSV of docs/pamy.md, which is not part of this package. Other files with the same columns can be
 used as well. Writes DIR/report.html and DIR/report.json, and with --docs what the page shows. It takes some minutes.

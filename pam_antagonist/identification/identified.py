@@ -274,8 +274,7 @@ def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
             out.append(
                 ParameterEntry(
                     item.name, item.start, value, stds[item.name], _relative(item.start, value),
-                    item.std * abs(item.start) if item.positive else item.std,
-                    value if item.name in fit.at_bounds else None, not reason, reason,
+                    item.prior_std, value if item.name in fit.at_bounds else None, not reason, reason,
                     recording_that_shows(item.name) if reason else None, unit_of_unknown(rig, item),
                 )
             )  # fmt: skip

@@ -40,8 +40,8 @@ ASSUMED = (
 )
 """What an identification of a sealed joint takes as given."""
 DRIFT_TIME = "effects.pressure_sensor.drift_time"
-_LEAST_NOISE = (1.0, 1e-4)
-"""[Pa, N m] Least sizes of the errors."""
+_LEAST_PRESSURE, _LEAST_TORQUE = 1.0, 1e-4
+"""[Pa], [N m] Least sizes of the errors."""
 _EVALUATIONS = 20
 _LEAST_RANGE = np.radians(1.0)
 _FEWEST_BLOCKS = 100
@@ -136,7 +136,7 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
         return np.array([equilibrium.closed_pressure(muscle, at, p) for at in angle]) - shown
 
     directions = chamber_directions(start, number)
-    values, std, residual = _fitted(start, directions, errors, (-np.inf, -np.inf), (0.1, 1e-3), _LEAST_NOISE[0])
+    values, std, residual = _fitted(start, directions, errors, (-np.inf, -np.inf), (0.1, 1e-3), _LEAST_PRESSURE)
     volume = f"muscle_{number}.volume.d2"
     return SealedStage(
         f"closed chamber of muscle {number}",
@@ -176,7 +176,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         return np.concatenate(parts)
 
     lowest, sizes = [-0.999] * len(names) + [-np.inf], [0.3] * len(names) + [5.0]
-    values, std, residual = _fitted(rig, directions, errors, lowest, sizes, _LEAST_NOISE[1])
+    values, std, residual = _fitted(rig, directions, errors, lowest, sizes, _LEAST_TORQUE)
     spread = {name: rig.value(name) * std[k] for k, name in enumerate(names)}
     spread |= {f"muscle_{number}.force.w2": std[-1] for number in (1, 2)}
     return SealedStage(

@@ -1,7 +1,8 @@
 """Unknown numbers of a rig with their priors and bounds, and the fit that finds them.
 
 A positive number is unknown by its logarithm, so that no fit makes it negative. All unknowns are in standard deviations
-of their priors. A fit stays inside the bounds of the rig file's schema.
+of their priors; those without a prior are in usual sizes of a change. A fit stays inside the bounds of the rig file's
+schema.
 """
 
 from __future__ import annotations
