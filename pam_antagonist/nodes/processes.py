@@ -20,7 +20,7 @@ PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
 """Environment variable with the id of the parent process; a node ends with it, even if the parent is killed."""
 
 PRIORITY_VARIABLE = "PAM_ANTAGONIST_PRIORITY"
-"""Environment variable with the real-time priority (1 to 99) that a node requests."""
+"""Environment variable with the real-time priority (1 to 99) that a node requests; 0: none."""
 
 _START_LIMIT = 300.0  # [s] longest time to start, including compiling on a busy machine
 _KILL_AFTER = 5.0  # [s] time for a process to end before it is killed
@@ -55,13 +55,35 @@ class Process:
 
 
 def free_domain() -> int:
-    """An unused ROS domain on this machine; two pipelines in one domain would receive each other's messages."""
+    """An unused ROS domain on this machine; two pipelines in one domain would receive each other's messages.
+
+    It is kept until this process asks again: nodes take a second to open their ports, and others look for a domain too.
+    """
     domains = list(range(1, _DOMAINS + 1))
     random.shuffle(domains)
     for domain in domains:
-        if not _busy(domain):
+        if not _busy(domain) and _kept(domain):
             return domain
     raise ProcessFailed(f"each of the ROS domains 1 to {_DOMAINS} is in use on this machine; set ROS_DOMAIN_ID")
+
+
+_KEPT: dict[int, socket.socket] = {}
+"""The last domain that this process was given, and a name on this machine that stands for it."""
+
+
+def _kept(domain: int) -> bool:
+    """Keep a domain by a name that ends with the process, even if it is killed; False: another process has it."""
+    if domain not in _KEPT:
+        name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            name.bind(f"\0pam_antagonist domain {domain}")
+        except OSError:
+            name.close()
+            return False
+        while _KEPT:  # by now its nodes have their ports, or have ended
+            _KEPT.popitem()[1].close()
+        _KEPT[domain] = name
+    return True
 
 
 def busy_domains() -> list[int]:
@@ -130,8 +152,8 @@ class Processes:
         """Start an executable. `name`: of the executable, such as ``plant``; the first argument of the module."""
         log = self._logs / f"{name}.log"
         priority = _RECORDER_PRIORITY if name == "record" else _PRIORITY
-        ours = {PARENT_VARIABLE: str(os.getpid()), PRIORITY_VARIABLE: str(priority)}
-        env = {**os.environ, **ours, **(environment or {})}
+        usual = {PRIORITY_VARIABLE: str(priority)}  # the user's own setting comes first
+        env = {**usual, **os.environ, PARENT_VARIABLE: str(os.getpid()), **(environment or {})}
         with log.open("wb") as output:
             popen = subprocess.Popen(
                 [sys.executable, "-m", module, name, *arguments],
