@@ -22,6 +22,7 @@ COMMANDS: dict[str, Command] = {
         "validation.monitor_study:main", "measure what the monitor finds, how late, and how often it alarms for nothing"
     ),
     "pamy": Command("validation.pamy:main", "apply close_loop to the recording of a real arm with regulators"),
+    "broken": Command("validation.broken:main", "break behaviours in a copy, count how many the tests notice"),
     "faults": Command(
         "validation.faults.command:main",
         "make every fault in a running pipeline and report what the valves did",
