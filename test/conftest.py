@@ -25,6 +25,8 @@ from pam_antagonist.simulation import excitation
 hypothesis.settings.register_profile("project", deadline=None)
 hypothesis.settings.load_profile("project")
 
+pytest_plugins = ["durations"]
+
 SLOW_S = 10  # of a test that is marked slow without saying how slow [s]
 FIRST_NS = 1_700_000_000_000_000_000
 
@@ -33,8 +35,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What takes longest begins first: of two processes, none is left with a long file at the end."""
     seconds: Counter[Path] = Counter()
     for item in items:
-        if (slow := item.get_closest_marker("slow")) is not None:
-            seconds[item.path] += slow.args[0] if slow.args else SLOW_S
+        for marker in (item.get_closest_marker("slow"), item.get_closest_marker("thorough")):
+            if marker is not None:
+                seconds[item.path] += marker.args[0] if marker.args else SLOW_S
     items.sort(key=lambda item: -seconds[item.path])
 
 

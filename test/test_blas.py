@@ -108,6 +108,7 @@ def test_a_kernel_of_its_own_is_not_copied_into_those_that_call_it(tmp_path: Pat
     assert done.stdout == "6.0 False\n"
 
 
+@pytest.mark.slow(4)
 def test_a_kernel_is_compiled_once_for_each_state_of_its_code(tmp_path: Path) -> None:
     module = tmp_path / "lab_law.py"
     path = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"

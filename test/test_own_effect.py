@@ -105,7 +105,7 @@ def starts(run: Run) -> list[subprocess.CompletedProcess[str]]:
     return [run("-c", FIRST) for _ in range(2)]
 
 
-@pytest.mark.slow(60)
+@pytest.mark.thorough(80)
 def test_at_a_first_start_all_that_fits_need_is_compiled_by_processes_of_their_own(
     starts: list[subprocess.CompletedProcess[str]],
 ) -> None:
@@ -147,13 +147,13 @@ print("followed")
 """
 
 
-@pytest.mark.slow(25)
+@pytest.mark.thorough(45)
 @pytest.mark.usefixtures("starts")
 def test_the_filter_estimates_a_state_of_the_lab_s_own(run: Run) -> None:
     assert good(run("-c", FILTER)) == "followed\n"
 
 
-@pytest.mark.slow(25)
+@pytest.mark.thorough(30)
 @pytest.mark.usefixtures("starts")
 def test_close_loop_finds_the_effect_by_its_name(lab: Path, run: Run) -> None:
     good(run("-m", "pam_antagonist", "simulate", "--rig", "end_stop.yaml", "--out", "bag", *STEPS))
@@ -190,7 +190,7 @@ print(cache_dir(), joint_torque(0.0, 0.2, 0.0, 0.2, None, p))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough(7)
 def test_a_change_of_the_file_is_noticed(tmp_path: Path) -> None:
     install(tmp_path, {"end_stop": FILES["end_stop"]})
     (tmp_path / "end_stop.yaml").write_text(RIG.format(effects="end_stop: {stiffness: 8.0}"), encoding="utf-8")

@@ -203,7 +203,7 @@ def workspace(clone: Path) -> Path:
     return clone
 
 
-@pytest.mark.slow
+@pytest.mark.thorough(5)
 def test_colcon_puts_files_where_ros_looks(workspace: Path) -> None:
     install = workspace / "install"
     scripts = sorted(path.name for path in (install / "pam_antagonist/lib/pam_antagonist").iterdir())
@@ -222,7 +222,7 @@ def test_colcon_puts_files_where_ros_looks(workspace: Path) -> None:
     }
 
 
-@pytest.mark.slow
+@pytest.mark.thorough(4)
 def test_built_executables_run_and_find_their_rigs(workspace: Path, tmp_path: Path) -> None:
     sourced = "source install/local_setup.bash && "
     script = "install/pam_antagonist/lib/pam_antagonist"
@@ -282,7 +282,7 @@ def _files_of_requirements(name: str, extra: str) -> set[Path]:
     return paths
 
 
-@pytest.mark.slow
+@pytest.mark.thorough(9)
 def test_pip_installation_replays_without_ros(plain_python: Path, tmp_path: Path) -> None:
     environment = {"PATH": os.defpath, "HOME": str(tmp_path)}
     # Machine code is kept by what it is made of, wherever the package lies: here it need not be compiled once more.
@@ -311,7 +311,7 @@ def test_pip_installation_replays_without_ros(plain_python: Path, tmp_path: Path
     assert "Plotly" in (tmp_path / "result/report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough(4)
 def test_pip_puts_one_command_on_the_path(plain_python: Path, tmp_path: Path) -> None:
     there = {path.name for path in plain_python.parent.iterdir()}
     assert "pam" in there and not there & set(COMMANDS)

@@ -85,7 +85,7 @@ def test_what_was_interrupted_wants_resume(leaking, tmp_path, refused):
     refused(main, [str(leaking), "--rig", "shin2022", "--out", str(tmp_path / "o")], "--resume")
 
 
-@pytest.mark.slow
+@pytest.mark.slow(4)
 def test_an_interrupted_run_goes_on_to_the_same_report(leaking, done, tmp_path, monkeypatch, capsys):
     out = tmp_path / "o"
     arguments = [str(leaking), "--rig", "shin2022", "--out", str(out), "--jobs", "1", "--no-figures"]

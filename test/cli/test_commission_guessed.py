@@ -71,7 +71,7 @@ def test_beyond_a_limit_a_rehearsal_lets_the_air_out(tmp_path):
     assert np.all(recording.voltage[-20:] == command) and recording.pressure[-1].max() < recording.pressure.max() - 5e3
 
 
-@pytest.mark.slow(15)
+@pytest.mark.thorough(24)
 def test_a_guess_becomes_a_controlled_joint(tmp_path):
     """With regulators; the tutorial's rig, which the tests of the pages commission, has valves."""
     rig = guess(tmp_path, "regulators")
@@ -118,7 +118,7 @@ HEAVY = (
 )
 
 
-@pytest.mark.slow(5)
+@pytest.mark.slow(4)
 def test_gains_with_which_a_heavy_joint_swings_are_not_taken(tmp_path):
     assert new_rig.main(["--out", str(tmp_path / "rig.yaml"), *HEAVY.split()]) == 0
     rig = load_rig(tmp_path / "rig.yaml").replaced(uncertainty={}, directions={})  # as if it were identified

@@ -86,6 +86,7 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     return out
 
 
+@pytest.mark.slow(6)
 def test_each_step_goes_on_after_ctrl_c(stopped, tmp_path, capsys):
     out = tmp_path / "commissioned"
     kinds = ("wiring", "free", "locked", "identified", "found", "apart", "found_again")

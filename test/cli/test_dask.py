@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 from pam_antagonist.cli import close_loop, identify, simulate
 from pam_antagonist.cli.recordings import connected
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough(20)
 
 distributed = pytest.importorskip("distributed", reason="Dask is an option: pip install 'pam_antagonist[dask]'")
 

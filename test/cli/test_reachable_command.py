@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from pam_antagonist.cli.reachable import main
 
 
+@pytest.mark.thorough(6)
 def test_the_table_and_the_page_hold_the_set(tmp_path, capsys):
     out = tmp_path / "reach"
     assert main(["--rig", "shin2022", "--out", str(out)]) == 0

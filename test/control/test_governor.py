@@ -59,6 +59,7 @@ def wanted(degrees: float, stiffness: float = math.nan) -> Wanted:
     return Wanted(mode, math.radians(degrees), stiffness=stiffness)
 
 
+@pytest.mark.slow(4)
 def test_limits_are_kept_that_the_law_alone_violates():
     """Without the governor, the law has the box of other limits: its references reach beyond these."""
     rng = np.random.default_rng(5)

@@ -30,6 +30,7 @@ def distance(rig: Rig, rival: str, voltage: np.ndarray, plan: Plan) -> float:
     return question.distance
 
 
+@pytest.mark.thorough(9)
 def test_a_design_tells_more_than_steps_of_the_same_length(rig: Rig) -> None:
     found = told_apart(rig, "leak", ["pressure_sensor"], Limits.of(rig))
     plan = found.plan
@@ -81,6 +82,7 @@ def test_the_report_of_close_loop_says_what_is_undecided(rig: Rig, tmp_path: Pat
             excite.undecided(tmp_path)
 
 
+@pytest.mark.thorough(9)
 def test_where_no_motion_tells_it_says_which_sensor_would(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip

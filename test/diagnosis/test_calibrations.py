@@ -116,7 +116,11 @@ def test_a_zero_to_which_the_base_parameters_have_bent_is_found(rig, zero, names
         assert calibrations.found(chosen, Model(experiments, (replace(fitted, point=nothing),))) == ()
 
 
-@pytest.mark.parametrize("wrong", [{"encoder_zero": np.radians(2.0)}, {"delay_pressure": 0.05}])
+@pytest.mark.slow(5)
+@pytest.mark.parametrize(
+    "wrong",
+    [pytest.param({"encoder_zero": np.radians(2.0)}, marks=pytest.mark.thorough(8)), {"delay_pressure": 0.05}],
+)
 def test_a_calibration_is_found_however_large_it_is(rig, recorded, wrong) -> None:
     """Base parameters bend so far to it that a fit from there does not come back; pressures begin in motion."""
     trial = make_trial(
@@ -131,6 +135,7 @@ def test_a_calibration_is_found_however_large_it_is(rig, recorded, wrong) -> Non
     assert {found.name: found.value} == {name: pytest.approx(value, rel=0.06) for name, value in wrong.items()}
 
 
+@pytest.mark.slow(5)
 def test_an_effect_and_a_calibration_beside_it_are_both_named(rig, recorded) -> None:
     recording = misread(recorded("leak", 1, "seeping", 15.0, seconds=22.0), delay_voltage=0.03)
     found = diagnose([recording], rig, joint="locked", jobs=1, profiles=False, estimator=False)

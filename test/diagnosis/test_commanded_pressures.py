@@ -16,7 +16,7 @@ from pam_antagonist.recording import write_bag
 RIG = load_rig("shin2022_regulators", regulators=True)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(4)
 def test_creep_is_found_where_regulators_drive_the_joint() -> None:
     creeping = RIG.replaced(effects={**RIG.effects, "creep": {"share_1": 0.06, "share_2": 0.06, "time": 4.0}})
     recording = simulate(creeping, duration=24.0, mismatch=0.01, seed=5, joint="locked", path="locked")

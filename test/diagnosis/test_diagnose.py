@@ -304,7 +304,7 @@ def kept(tmp_path_factory) -> Checkpoint:
     return Checkpoint(tmp_path_factory.mktemp("kept"))
 
 
-@pytest.mark.slow(15)
+@pytest.mark.slow(4)
 def test_pressures_alone_say_so(rig, recorded, kept) -> None:
     bare = dataclasses.replace(
         recorded("valve_offset", 2, "shift and gain", 15.0, seconds=24.0), angle=None, torque=None

@@ -85,6 +85,7 @@ def tied() -> Recording:
     return joint(by_signal=6e-5)
 
 
+@pytest.mark.slow(8)
 def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp_path: Path) -> None:
     result = pam_antagonist.diagnose(tied, "regulator_joint", also=["decoy", "other"])
     assert isinstance(result, EpisodesDiagnoseResult)
@@ -110,6 +111,7 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
 
 
+@pytest.mark.slow(8)
 def test_nothing_is_found_where_friction_is_constant_but_that() -> None:
     episodes = PressureDriven.of(joint(by_signal=0.0, seed=2), RIG, ["decoy", "other"])
     searched = search(episodes, held_out(len(episodes), 1.0 / 3.0).pool, lambda text: None)
@@ -117,6 +119,7 @@ def test_nothing_is_found_where_friction_is_constant_but_that() -> None:
     assert list(searched.model.effects) == ["effects.friction.coulomb"]
 
 
+@pytest.mark.thorough(13)
 def test_of_few_episodes_nothing_is_named_that_is_hardly_more_than_noise() -> None:
     """What this simulation's own steps leave is explained by creep, to half; readings are no better than that."""
     count = 24
@@ -129,6 +132,7 @@ def test_of_few_episodes_nothing_is_named_that_is_hardly_more_than_noise() -> No
     assert [item.name for item in searched.tried if item.taken][0].startswith("friction")
 
 
+@pytest.mark.thorough(9)
 def test_a_signal_that_goes_with_another_one_is_not_told_apart_from_it(tied: Recording) -> None:
     other = tied.signals["other"]
     noise = 2e3 * np.random.default_rng(7).standard_normal(len(tied))
@@ -148,6 +152,7 @@ def test_a_signal_that_goes_with_another_one_is_not_told_apart_from_it(tied: Rec
     assert any("friction that grows with other" in text and "friction that grows with alike" in text for text in said)
 
 
+@pytest.mark.thorough(10)
 def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
     """Coulomb friction grows from 4 to 12 rad/s²; the stiffness stays."""
     episodes = PressureDriven.of(joint(by_signal=0.0, coulomb=np.linspace(4.0, 12.0, EPISODES), seed=6), RIG)
@@ -174,6 +179,7 @@ def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
     assert first.low / inertia < 4.5 < first.high / inertia
 
 
+@pytest.mark.thorough(17)
 def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: Path, capsys: Any) -> None:
     tied = tied.slice(0.0, 3.0 * 40 - 1.0)
     write_bag(tmp_path / "bag", tied)
@@ -262,6 +268,7 @@ def test_neighbouring_episodes_are_drawn_together() -> None:
     assert drawn(400).shape == (1000, 400)
 
 
+@pytest.mark.thorough(25)
 def test_a_torque_that_no_effect_of_the_catalogue_follows_becomes_a_learned_law(tmp_path: Path) -> None:
     """A torque grows from 0 to 7 rad/s² within each episode, by the time since its start."""
     recording = joint(by_signal=0.0, coulomb=2.0, seed=8, by_time=10.0)

@@ -59,6 +59,7 @@ def registered(tmp_path: Path, monkeypatch) -> Iterator[None]:
     sys.modules.pop("mine", None)
 
 
+@pytest.mark.thorough(18)
 @pytest.mark.usefixtures("registered")
 def test_a_hypothesis_of_another_package_wins_where_it_is_right(rig, recorded) -> None:
     sound = recorded(seconds=20.0)

@@ -79,6 +79,7 @@ def _noting(function: Any, results: list[Any]) -> Any:
     return noted
 
 
+@pytest.mark.thorough(33)
 def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange: Course) -> None:
     assert exchange.learned[0].places[0].name == "exchange"
     assert [effect.name for effect in exchange.result.effects] == ["learned"]
@@ -88,6 +89,7 @@ def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange:
     assert law.value(1e5) == pytest.approx(1.2e-6, rel=0.1)
 
 
+@pytest.mark.thorough(1)
 def test_the_simulation_with_the_law_leaves_little_but_noise(exchange: Course) -> None:
     search = exchange.learned[0]
     assert search.found is not None
@@ -95,6 +97,7 @@ def test_the_simulation_with_the_law_leaves_little_but_noise(exchange: Course) -
     assert np.all(search.found.excess[0, :2] < 1.2)
 
 
+@pytest.mark.thorough(1)
 def test_errors_are_those_before_the_law_and_those_with_it(exchange: Course) -> None:
     before, after = exchange.diagnoses
     assert exchange.result.errors.as_configured == before.errors.as_configured
@@ -107,6 +110,7 @@ def test_errors_are_those_before_the_law_and_those_with_it(exchange: Course) -> 
     assert exchange.result.next_rig == "rig_extended.yaml"
 
 
+@pytest.mark.thorough(1)
 def test_a_report_has_place_argument_and_table_of_a_law(exchange: Course) -> None:
     report = exchange.result.to_json()
     assert report["verdict"] == "effect"
@@ -125,6 +129,7 @@ def test_a_report_has_place_argument_and_table_of_a_law(exchange: Course) -> Non
     assert "Learned law: the flow from muscle 1 to muscle 2 depends on P1 - P2" in page
 
 
+@pytest.mark.thorough(1)
 def test_an_effect_that_leaves_a_clear_excess_does_not_end_the_search(exchange: Course) -> None:
     assert leaves_excess(exchange.like("thermal"))
     assert not leaves_excess(exchange.diagnoses[1])
@@ -132,6 +137,7 @@ def test_an_effect_that_leaves_a_clear_excess_does_not_end_the_search(exchange: 
     assert not leaves_excess(dataclasses.replace(exchange.like("leak"), effects=(events,)))
 
 
+@pytest.mark.thorough(1)
 def test_a_torque_that_comes_and_goes_alone_may_be_a_law(exchange: Course) -> None:
     pushed = exchange.like("external_torque")
     assert leaves_excess(pushed)
@@ -152,6 +158,7 @@ def test_a_law_of_a_rate_leaves_a_held_joint_as_it_is() -> None:
     assert Group("force_1", "length_rate").law(np.array([-1.0, 1.0]), np.array([2.0, 6.0])).value(0.0) == 0.0
 
 
+@pytest.mark.thorough(1)
 @pytest.mark.parametrize(("name", "names"), [("leak", ["leak", "learned"]), ("thermal", ["learned"])])
 def test_an_effect_that_acts_where_the_law_does_names_it(exchange: Course, name: str, names: Sequence[str]) -> None:
     found = joined(exchange.like(name), exchange.diagnoses[1], exchange.learned[0])
@@ -162,6 +169,7 @@ def test_an_effect_that_acts_where_the_law_does_names_it(exchange: Course, name:
     assert said in found.sentence
 
 
+@pytest.mark.thorough(1)
 def test_a_law_has_the_name_of_one_effect(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(learned_law, "like", lambda *_args: ("valve_offset", "leak"))
     (first,) = exchange.like("leak").effects
@@ -172,6 +180,7 @@ def test_a_law_has_the_name_of_one_effect(exchange: Course, monkeypatch: pytest.
     assert ": leak, in another form" in found.sentence
 
 
+@pytest.mark.thorough(1)
 def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,6 +191,7 @@ def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
     assert "does not hold on data that no fit used" in found.sentence
 
 
+@pytest.mark.thorough(1)
 def test_a_law_that_cannot_be_tried_is_said(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
     first = exchange.diagnoses[0]
 
@@ -196,6 +206,7 @@ def test_a_law_that_cannot_be_tried_is_said(exchange: Course, monkeypatch: pytes
     assert found.verdict == first.verdict == "unexplained"
 
 
+@pytest.mark.thorough(1)
 def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,6 +221,7 @@ def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
     assert before == [None, exchange.diagnoses[0].recalibrated]
 
 
+@pytest.mark.thorough(5)
 def test_a_second_law_is_found_beside_the_first() -> None:
     law = learn([recorded(EXCHANGE, COGGING, duration=24.0)], with_law(rig(), EXCHANGE), SEEN).law
     assert law is not None
@@ -217,7 +229,7 @@ def test_a_second_law_is_found_beside_the_first() -> None:
     assert law.value(0.0) - law.value(0.1) == pytest.approx(0.1, rel=0.2)
 
 
-@pytest.mark.slow(20)
+@pytest.mark.slow(6)
 def test_a_law_is_found_with_regulators_and_without_a_torque_meter() -> None:
     known = load_rig("shin2022_regulators", regulators=True).replaced(sample_period=0.004)
     true = simulate(with_law(known, ENGAGING), duration=24.0, mismatch=0.01, seed=8)
@@ -227,6 +239,7 @@ def test_a_law_is_found_with_regulators_and_without_a_torque_meter() -> None:
     assert found.value(0.05) - found.value(0.25) == pytest.approx(ENGAGING.value(0.05) - ENGAGING.value(0.25), rel=0.3)
 
 
+@pytest.mark.thorough(5)
 def test_recordings_are_corrected_by_the_error_of_an_encoder() -> None:
     true = recorded(duration=24.0)
     assert true.angle is not None

@@ -67,7 +67,7 @@ def diagnosed(recording: Recording, rig: Rig) -> Diagnosis:
     return diagnose([recording], rig, profiles=False, estimator=False)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(4)
 def test_friction_and_a_leak_of_one_muscle_are_found_with_their_sizes(recorded, joint) -> None:
     found = diagnosed(recorded({"friction": {"coulomb": 0.2}, "leak": {"area_1": 8e-12}}), joint)
     assert found.verdict == "effect"
@@ -117,7 +117,7 @@ def test_a_wide_hysteresis_is_not_called_friction(recorded, joint) -> None:
 RUBBING = Law("friction", (-0.1, 0.0, 0.1), (0.0, 0.1, 0.2), None, "angle")
 
 
-@pytest.mark.slow(20)
+@pytest.mark.thorough(16)
 def test_friction_in_a_form_that_nobody_wrote_is_learned(recorded, joint) -> None:
     recording = recorded({"friction": {"coulomb": 0.1}}, seconds=24.0, law=RUBBING)
     found = with_laws([recording], joint, profiles=False, estimator=False)
@@ -209,7 +209,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @measured_only
-@pytest.mark.slow(25)
+@pytest.mark.slow(10)
 def test_the_measured_joint(measured: Path, tmp_path: Path, capsys) -> None:
     """Fitted on the first two thirds of a real recording, judged on the rest."""
     out = tmp_path / "found"
@@ -267,6 +267,7 @@ def test_no_fit_sees_the_last_third(measured: Path, joint: Rig) -> None:
 
 
 @measured_only
+@pytest.mark.slow(4)
 def test_the_measured_joint_has_one_answer_wherever_it_is_split(measured: Path, joint: Rig) -> None:
     """What is held out at the end judges a report's errors; all splits together judge what was found."""
     share = 0.5

@@ -30,7 +30,7 @@ def closed(rig: Rig, trials: list[Recording], folder: Path) -> dict[str, Any]:
     return json.loads((out / "report.json").read_text())  # type: ignore[no-any-return]
 
 
-@pytest.mark.slow(30)
+@pytest.mark.thorough(28)
 def test_a_supply_that_droops_is_named(tmp_path: Path) -> None:
     guessed = described(0.01)
     true = drawn(guessed, 3).with_value("effects.supply_droop.stiffness", 4e8)
@@ -48,7 +48,7 @@ def test_a_supply_that_droops_is_named(tmp_path: Path) -> None:
     assert "supply_droop" in load_rig(tmp_path / "out" / "rig_extended.yaml").effects
 
 
-@pytest.mark.slow(30)
+@pytest.mark.slow(16)
 def test_a_leak_of_a_known_rig_is_found_in_short_trials(tmp_path: Path) -> None:
     rig = load_rig("shin2022").with_value("sample_period", 0.01)
     true = rig.with_value("effects.leak.area_1", 3e-8)

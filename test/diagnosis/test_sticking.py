@@ -40,6 +40,7 @@ def test_friction_that_falls_with_speed_is_found(asked) -> None:
     assert at_rest == pytest.approx(0.108, rel=0.1)
 
 
+@pytest.mark.slow(4)
 def test_friction_of_another_form_is_found(asked) -> None:
     found = asked("friction", "hess and soom", 10.0)
     assert found is not None
@@ -50,7 +51,7 @@ def test_exchanged_air_is_not_called_friction(asked) -> None:
     assert asked("exchange", "chambers exchange air", 8.0) is None
 
 
-@pytest.mark.slow(15)
+@pytest.mark.thorough(19)
 def test_cogging_is_learned_as_a_torque_by_the_angle(recorded, experiment_of) -> None:
     experiment = along_motion(experiment_of(recorded("cogging", None, "cogging", 16.0, "free", 40.0), "free"))
     assert isinstance(experiment, MeasuredMotion)

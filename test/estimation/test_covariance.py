@@ -79,6 +79,7 @@ def _coverage(estimate: np.ndarray, variance: np.ndarray, measured: np.ndarray, 
     return float(np.mean(np.abs(estimate - measured) <= 1.96 * np.sqrt(variance + sensor_std**2)))
 
 
+@pytest.mark.slow(4)
 def test_intervals_cover_the_truth_of_scattered_plants() -> None:
     """Honest on the whole: over plants scattered by 1 %, not on each of them."""
     angle, torque = [], []

@@ -107,6 +107,7 @@ def test_a_push_that_sets_in_is_found_within_milliseconds_and_nobody_is_no_push(
     np.testing.assert_array_equal(locked.rows["covariance"][:, 1, 1], 0.0)
 
 
+@pytest.mark.thorough(18)
 def test_an_encoder_tells_a_push_and_the_angle() -> None:
     recording = driven("moving", pushed=0.8)
     assert recording.external_torque is not None and recording.angle is not None

@@ -126,6 +126,7 @@ def test_equals_filterpy_with_added_states(effects, order, seconds) -> None:
     assert all(np.ptp(values) > 0.0 for values in run.added.values())
 
 
+@pytest.mark.slow(5)
 def test_consider_parameters_equal_an_augmented_filter() -> None:
     """filterpy's sigma points and transform on the augmented vector [θ, x], with Schmidt's gain."""
     rig = load_rig("shin2022")

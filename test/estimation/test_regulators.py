@@ -34,6 +34,7 @@ def test_the_filter_tells_the_angle_with_and_without_measured_pressures(recordin
         assert np.mean(inside) > 0.85
 
 
+@pytest.mark.slow(7)
 def test_without_measured_pressures_the_covariance_is_as_honest_as_with_them() -> None:
     """Twenty joints that differ by 1 % from the rig file, as docs/how-to/regulators.md reports them."""
     found = []

@@ -113,6 +113,7 @@ def test_a_check_compares_each_episode_from_its_own_start() -> None:
     assert any("counts the wrong way round" in item.text for item in backwards.findings if item.status == "wrong")
 
 
+@pytest.mark.slow(6)
 def test_identify_writes_a_rig_with_the_regulators_that_it_found(tmp_path: Path, capsys: Any) -> None:
     write_bag(tmp_path / "bag", commanded(dead_time=0))
     options = ["--rig", "regulator_joint", "--out", str(tmp_path / "out")]
@@ -138,6 +139,7 @@ def test_a_joint_that_does_not_move_is_refused() -> None:
         identify_episodes(still, 1.0 / 3.0)
 
 
+@pytest.mark.slow(4)
 def test_an_impossible_optimum_is_no_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setattr(of_episodes, "unphysical", lambda rig: "gas: these constants give no finite flow")
     write_bag(tmp_path / "bag", commanded(dead_time=0))

@@ -42,7 +42,7 @@ def record(joint: str, seed: int, area: float = 1.0) -> Recording:
     )  # fmt: skip
 
 
-@pytest.mark.slow(8)
+@pytest.mark.slow(4)
 def test_true_values_come_back_within_their_errors() -> None:
     result = identify([record("free", 1), record("locked", 1)], RIG)
     found = result.found

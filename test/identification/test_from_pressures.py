@@ -103,7 +103,7 @@ def test_the_report_has_the_numbers_and_the_rig_is_one_that_replay_takes(
     assert again["ukf"]["angle"]["rmse_deg"] < 1.2 * numbers["held_out"][0]["errors_deg"]["identified"]
 
 
-@pytest.mark.slow(15)
+@pytest.mark.thorough(7)
 def test_a_start_far_away_comes_to_the_same_error(trials: list[Recording]) -> None:
     force = RIG.muscle_1.force
     far = RIG.replaced(
@@ -114,7 +114,7 @@ def test_a_start_far_away_comes_to_the_same_error(trials: list[Recording]) -> No
     assert found_in(trials[:2], far).pooled("identified") < 0.1
 
 
-@pytest.mark.slow(8)
+@pytest.mark.thorough(11)
 def test_regulators_whose_sensors_are_slower_than_the_log() -> None:
     rig = described(0.02, regulators=True)
     true = drawn(rig, 5)
@@ -131,7 +131,7 @@ def test_regulators_whose_sensors_are_slower_than_the_log() -> None:
     assert any("the sensor is slower than the log" in note for note in result.notes)
 
 
-@pytest.mark.slow(6)
+@pytest.mark.thorough(20)
 def test_a_long_recording_and_a_locked_joint_whose_torque_is_measured() -> None:
     free, locked = recorded(TRUE, 30.0, 1), recorded(TRUE, 8.0, 2, "locked")
     result = found_in([free, locked])
@@ -142,7 +142,7 @@ def test_a_long_recording_and_a_locked_joint_whose_torque_is_measured() -> None:
     assert result.joint.stds[gain] < found_in([free]).joint.stds[gain]
 
 
-@pytest.mark.slow(5)
+@pytest.mark.thorough(12)
 def test_gaps_of_every_signal_are_left_out(trials: list[Recording]) -> None:
     damaged = []
     for trial in trials[:4]:
@@ -160,7 +160,7 @@ def test_gaps_of_every_signal_are_left_out(trials: list[Recording]) -> None:
     assert result.pooled("identified") < 0.3
 
 
-@pytest.mark.slow(5)
+@pytest.mark.thorough(14)
 def test_a_log_of_20_hz() -> None:
     coarse = described(0.05)
     result = found_in([recorded(drawn(coarse, 3), 10.0, seed, fine=5) for seed in range(4)], coarse)
@@ -182,12 +182,12 @@ def _exchanged_voltages(trial: Recording) -> Recording:
     return replace(trial, voltage=trial.voltage[:, ::-1].copy())
 
 
-@pytest.mark.slow(4)
+@pytest.mark.slow(9)
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (_cylinder, "do not fit two muscles on one joint"),
-        (_exchanged_voltages, "the commands do not explain the pressures"),
+        pytest.param(_exchanged_voltages, "the commands do not explain the pressures", marks=pytest.mark.thorough(7)),
     ],
     ids=["cylinder", "exchanged voltages"],
 )
@@ -235,7 +235,7 @@ def test_too_little_is_refused_at_once(
         identify(change(trials[0]), RIG, joint="free")
 
 
-@pytest.mark.slow(4)
+@pytest.mark.thorough(10)
 def test_trials_without_commands_help_with_the_joint(trials: list[Recording]) -> None:
     silent = [replace(trial, voltage=np.full_like(trial.voltage, np.nan)) for trial in trials[:3]]
     result = found_in([*silent, trials[3]])
@@ -255,7 +255,7 @@ def test_what_is_frozen_stays_and_what_is_freed_moves(trials: list[Recording]) -
     assert result.rig.joint.shaft_radius != RIG.joint.shaft_radius
 
 
-@pytest.mark.slow(20)
+@pytest.mark.thorough(30)
 @pytest.mark.parametrize(("lab", "most"), [("elbow", 0.4), ("wrist", 1.0)])
 def test_recordings_of_other_laboratories(
     lab: str, most: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]

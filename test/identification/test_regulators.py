@@ -29,7 +29,7 @@ def recording() -> Recording:
     return recorded()
 
 
-@pytest.mark.slow(40)
+@pytest.mark.slow(4)
 def test_frequency_and_damping_are_found_with_error_bars() -> None:
     true = {"frequency_1": 44.0, "frequency_2": 70.0, "damping": 0.5}
     frozen = ["muscle_1", "muscle_2", "friction", "joint"]
@@ -48,12 +48,14 @@ def overdriven(**limits: float) -> Recording:
     return simulate(rig, for_rig(RIG, "steps", 30.0, 3), seed=3, mismatch=0.01)
 
 
+@pytest.mark.slow(7)
 @pytest.mark.parametrize(
     ("made", "expected"),
     [
-        (
+        pytest.param(
             lambda: recorded(largest_rate=1.2e6, dead_zone=4e3),
             {"regulator_lag.largest_rate": 1.2e6, "regulator_lag.dead_zone": 4e3},
+            marks=pytest.mark.thorough(6),
         ),
         (lambda: overdriven(lowest=110e3, highest=450e3), {"regulator_limits.highest": 450e3}),
     ],

@@ -198,6 +198,7 @@ def test_readings_that_drift_are_followed_with_an_honest_covariance(joint):
     assert np.std(run.added["reading_drift_1"] - drift[:, 0]) < 0.7 * size
 
 
+@pytest.mark.slow(9)
 def test_identify_takes_a_sealed_joint_through_the_same_command(joint, tmp_path, capsys):
     write_bag(tmp_path / "bag", recording_of(joint, seconds=20.0))
     write_rig(

@@ -65,6 +65,7 @@ def test_coefficients_come_back_from_exact_forces(form):
     assert found.left_out_rmse < 0.02 and worst(found, form) < 0.02
 
 
+@pytest.mark.slow(5)
 @pytest.mark.parametrize("form", FORMS)
 def test_intervals_hold_the_truth(form):
     hits, widths = [], []

@@ -10,6 +10,8 @@ import subprocess
 import sys
 import time
 
+from pam_antagonist.nodes.processes import free_domain
+
 RATE = 1000  # [1/s]
 SECONDS = 4.0
 LATE_S = 0.02  # round trip [s]
@@ -19,14 +21,19 @@ TRIES = 3
 
 def keeps_up() -> bool:
     """Whether pipelines can be tested here; says so."""
-    share = max(round_trips_in_time() for _ in range(TRIES))
+    share = 0.0
+    for _ in range(TRIES):
+        share = max(share, round_trips_in_time())
+        if share >= ENOUGH:
+            break
     print(f"This machine brings {share:.0%} of bare messages at 1 kHz back in time; {ENOUGH:.0%} are needed.")
     return share >= ENOUGH
 
 
 def round_trips_in_time() -> float:
     """Share of the messages of a timer at 1 kHz that two relays bring back in time."""
-    environment = {**os.environ, "ROS_DOMAIN_ID": "101", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    domain = str(free_domain())
+    environment = {**os.environ, "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     command = [sys.executable, __file__]
     relays = [subprocess.Popen([*command, "relay", f"way{k}", f"way{k + 1}"], env=environment) for k in range(2)]
     try:

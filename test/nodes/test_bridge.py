@@ -245,6 +245,7 @@ def test_inactive_bridge_lets_go_of_the_device(run: Run) -> None:
     assert (last.time_ns - begun) * 1e-6 < 1000.0  # the transition's own time; the goodbye is quicker than 20 ms
 
 
+@pytest.mark.slow(12)
 @pytest.mark.parametrize("which", ["run", "regulated"])
 def test_with_the_bridge_killed_the_device_is_safe_by_itself(which: str, request: pytest.FixtureRequest) -> None:
     run: Run = request.getfixturevalue(which)

@@ -29,6 +29,7 @@ REGULATORS = load_rig("shin2022_regulators", regulators=True)
 ASKED = 300e3
 
 
+@pytest.mark.thorough(10)
 def test_a_plan_is_driven_and_recorded_with_what_was_planned(tmp_path: Path, domain: None) -> None:
     out = tmp_path / "excited"
     assert excite.main(["--rig", "shin2022", "--out", str(out), "--duration", "6"]) == 0
@@ -42,6 +43,7 @@ def test_a_plan_is_driven_and_recorded_with_what_was_planned(tmp_path: Path, dom
     assert low - 3e3 < recording.pressure.min() and recording.pressure.max() < high + 3e3
 
 
+@pytest.mark.thorough(7)
 def test_it_ends_at_rest_where_a_limit_is_reached(tmp_path: Path, domain: None) -> None:
     rig = load_rig("shin2022")
     plan = designed(rig, Limits.of(rig), 8.0)
@@ -63,7 +65,8 @@ class Fill(Program):
         return (ASKED, vented(REGULATORS)[0]) if time < self.seconds else None
 
 
-@pytest.mark.parametrize("beyond", [False, True])
+@pytest.mark.slow(5)
+@pytest.mark.parametrize("beyond", [pytest.param(False, marks=pytest.mark.thorough(5)), True])
 def test_regulators_follow_a_program_and_let_the_air_out_beyond_a_limit(
     tmp_path: Path, domain: None, beyond: bool
 ) -> None:
@@ -83,6 +86,7 @@ def test_regulators_follow_a_program_and_let_the_air_out_beyond_a_limit(
         assert pressure[:, 0].max() == pytest.approx(ASKED, rel=0.1) and pressure[:, 1].max() < least + 20e3
 
 
+@pytest.mark.thorough(31)
 def test_a_fault_of_the_wiring_is_named_at_once_and_nothing_else_is_begun(tmp_path: Path, domain: None) -> None:
     words = "the valves (or their cables) are exchanged"
     link, out = tmp_path / "port", tmp_path / "commissioned"

@@ -97,6 +97,7 @@ def test_arguments_that_are_not_for_ros_are_refused_in_one_line(
     assert error.startswith("error: ") and words in error and error.count("\n") == 1
 
 
+@pytest.mark.slow(12)
 @pytest.mark.ros
 def test_signals_end_every_node_quickly_with_status_0(tmp_path: Path, domain: None) -> None:
     from probe import Probe

@@ -9,7 +9,7 @@ import pytest
 from validation.faults.catalogue import FAULTS
 from validation.faults.command import chosen
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.thorough(31)]
 
 # Tests of their own have a device that is unplugged, a second commander and clocks that are set.
 MOST_IMPORTANT = (

@@ -210,6 +210,7 @@ def test_stop_all_stops_every_joint_and_each_is_cleared_by_itself(robot: tuple[P
     probe.wait(1.0)
 
 
+@pytest.mark.slow(4)
 @pytest.mark.ros
 @pytest.mark.realtime
 def test_one_bag_holds_every_joint_and_is_replayed_joint_by_joint(

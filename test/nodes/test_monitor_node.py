@@ -58,6 +58,7 @@ def searched(node: Any) -> None:
     node._conclude(*done)
 
 
+@pytest.mark.slow(6)
 def test_what_cannot_be_searched_for_is_a_suspicion_and_no_finding(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     # Beside other work a search at the lowest priority takes minutes to start.
     given: list[int] = []

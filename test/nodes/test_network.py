@@ -104,6 +104,7 @@ def test_a_node_is_small(domain: None, monkeypatch: pytest.MonkeyPatch) -> None:
     assert float(done.stdout or "inf") < 2.5, done.stdout + done.stderr
 
 
+@pytest.mark.slow(5)
 @pytest.mark.ros
 def test_tools_of_this_machine_hear_the_nodes(tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tools that know nothing of this package, whatever their range is."""
@@ -122,6 +123,7 @@ def test_tools_of_this_machine_hear_the_nodes(tmp_path: Path, domain: None, monk
     assert heard == dict.fromkeys(tools, "heard")
 
 
+@pytest.mark.slow(4)
 @pytest.mark.ros
 @pytest.mark.parametrize(("range_", "addresses"), [("LOCALHOST", {"127.0.0.1"}), ("SUBNET", {"0.0.0.0"})])
 def test_where_nodes_listen_and_that_their_domain_is_not_free(

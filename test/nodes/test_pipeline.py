@@ -179,6 +179,7 @@ def test_recorder_says_what_it_recorded(run: Run) -> None:
     assert lines["/diagnostics"] >= 10
 
 
+@pytest.mark.thorough(9)
 def test_live_and_replay_agree_bit_by_bit_with_an_encoder(tmp_path: Path, module_domain: None) -> None:
     from pam_antagonist.nodes.client import ReferenceClient
 

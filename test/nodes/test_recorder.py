@@ -52,6 +52,7 @@ def publish(probe: Any, first: int, count: int) -> None:
         time.sleep(max(0.0, begin + (k - first + 1) * 1e-3 - time.monotonic()))
 
 
+@pytest.mark.slow(4)
 def test_a_full_disk_ends_the_recording_and_nothing_else(recording: tuple[Any, Process], tmp_path: Path) -> None:
     from pam_antagonist.recording import read_bag
 
@@ -73,6 +74,7 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(recording: tuple[Any, P
     assert list(kept.pressure[:300, 0]) == [4e5 + k for k in range(300)]
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize("recording", [["--max-duration", "0.5"]], indirect=True)
 def test_a_killed_recorder_leaves_its_files(recording: tuple[Any, Process], tmp_path: Path) -> None:
     from pam_antagonist.recording import read_bag

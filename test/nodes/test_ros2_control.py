@@ -89,6 +89,7 @@ def pipeline(tmp_path: Path, domain: None) -> Iterator[tuple[Processes, TopicSys
             yield processes, stack
 
 
+@pytest.mark.slow(4)
 def test_the_stack_moves_the_joint_and_nothing_that_dies_keeps_the_valves(
     pipeline: tuple[Processes, TopicSystem],
 ) -> None:

@@ -6,10 +6,8 @@ voltages of their own, which tells whose doing it is.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
-import os
 import signal
 import threading
 import time
@@ -30,12 +28,6 @@ CONTROLLER = ros_arguments({"safe_voltage": list(CONTROLLER_SAFE), "diagnostics_
 LIMIT_MS = 100.0  # twice what is asked for at a device: the thread that feeds the controller is none of its own
 
 
-def hurry() -> None:
-    """Ask for the priority of the nodes for this thread, which is to be as punctual as they are."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_RR, os.sched_param(2))
-
-
 class Feeder:
     """An estimator whose estimates are what the tests say, at 1 kHz."""
 
@@ -54,7 +46,6 @@ class Feeder:
     def _run(self) -> None:
         from pam_antagonist_msgs.msg import JointEstimate
 
-        hurry()
         while self._running:
             message = JointEstimate(angle=self.angle, nis=self.nis, flags=self.flags)
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._now() + self.shift_ns, 10**9)
@@ -168,6 +159,7 @@ def test_estimates_that_stay_away_do_not_latch(bench: Bench) -> None:
     bench.work()
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize("way", ["signal", "service of its life cycle"])
 def test_a_controller_that_is_told_to_end_leaves_safe_voltages_behind(bench: Bench, way: str) -> None:
     bench.work()

@@ -162,6 +162,7 @@ READS = """read_notes(sys.argv[1])
     read_bag(sys.argv[1], recover="recover" in sys.argv)"""
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize("recover", [[], ["recover"]] if DEEP else [[]], ids=["", "recover"][: 1 + DEEP])
 @pytest.mark.parametrize("name", BOMBS)
 def test_bombs(tmp_path: Path, name: str, recover: list[str]) -> None:

@@ -244,6 +244,7 @@ def test_every_flush_reaches_the_disk_with_whole_chunks(tmp_path: Path, monkeypa
 FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))\n"
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize(
     ("size", "limits"),
     [

@@ -64,6 +64,7 @@ def test_without_a_change_trends_are_as_rare_as_claimed_and_intervals_as_wide() 
     assert abs(np.sqrt(np.mean(spreads**2)) - 0.4) < 0.06
 
 
+@pytest.mark.slow(4)
 def test_identify_writes_the_log_book_beside_both_rig_files(rig_file: Path, tmp_path: Path) -> None:
     worn = load_rig(rig_file)
     for name in ("v1", "v2"):

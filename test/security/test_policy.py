@@ -176,6 +176,7 @@ def check_node(name: str, has: Rules) -> None:
     assert not allowed["topic", "publish"] - has["topic", "publish"] - optional
 
 
+@pytest.mark.thorough(22)
 @pytest.mark.ros
 def test_the_policy_allows_what_the_nodes_do(tmp_path: Path, auditor: Auditor) -> None:
     """The bridge has all of it without a device, for which it waits; its commander is the plant's."""

@@ -1,6 +1,7 @@
 """Every command on small recordings with all that may be wrong in them: none crashes, and none says what is not so.
 
-``SWEEP_COUNT`` and ``SWEEP_SEED`` draw more cases, and others: ``SWEEP_SEED=7 SWEEP_COUNT=500``.
+The first ten are part of every run. ``SWEEP_COUNT`` and ``SWEEP_SEED`` draw more cases, and others:
+``SWEEP_SEED=7 SWEEP_COUNT=500``.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ BLAMED = re.compile(r"(--[a-z][a-z-]*)(?: [^:\s]+)?: ")
 NO_NUMBER = re.compile(r"(?<![\w-])(nan|inf|-inf)(?![\w-])", re.IGNORECASE)
 RESULTS = "rmse_deg", "rmse_nm", "rmse_pa", "max_deg", "max_nm", "max_pa", "nis_mean", "value", "identified"
 """Keys of report.json whose numbers were asked for: JSON has null where one is not finite."""
+ALWAYS = 10
+CASES = [
+    pytest.param(case, marks=pytest.mark.slow(3) if k < ALWAYS else pytest.mark.thorough(3), id=str(case))
+    for k, case in enumerate(cases(COUNT, SEED))
+]
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +42,7 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
     return write_rigs(tmp_path_factory.mktemp("rigs"))
 
 
-@pytest.mark.slow(3)
-@pytest.mark.parametrize("case", cases(COUNT, SEED), ids=str)
+@pytest.mark.parametrize("case", CASES)
 def test_no_command_crashes_or_says_what_is_not_so(
     case: Case, rigs: dict[str, Rig], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -115,6 +115,7 @@ def test_recordings_are_like_those_of_a_laboratory() -> None:
     assert 1 <= (np.abs(np.diff(voltage, axis=0)).max(axis=1) > 0.05).sum() <= 20
 
 
+@pytest.mark.thorough(12)
 @pytest.mark.parametrize("size", [0.5, 16.0])
 @pytest.mark.parametrize("name", ["seeping", "dead time", "smooth pushes"])
 def test_sizes_are_exact(name: str, size: float) -> None:
@@ -319,6 +320,7 @@ def oracle(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return asked
 
 
+@pytest.mark.thorough(8)
 def test_it_goes_on_where_it_was_interrupted_and_refuses_another_battery(tmp_path: Path, oracle, capsys) -> None:
     def run(*arguments: object) -> int:
         words = ("--out", tmp_path / "out", "--duration", 21, "--jobs", 2, *arguments)
@@ -348,8 +350,8 @@ SMALL = (
 )
 
 
-@pytest.mark.slow
 # PAM_PROOF=1 takes all three, two minutes or three more.
+@pytest.mark.thorough(9)
 @pytest.mark.parametrize("case", SMALL if os.environ.get("PAM_PROOF") else SMALL[:1], ids=lambda case: case.name)
 def test_small_battery_with_the_real_diagnosis(case: Case) -> None:
     """Large effects and full recordings: what is missed here is missed on any rig."""

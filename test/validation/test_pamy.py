@@ -64,6 +64,7 @@ def _held(asked: np.ndarray, step: np.ndarray) -> np.ndarray:
     return np.column_stack(out)
 
 
+@pytest.mark.thorough(17)
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     options = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path / "pamy.md"), "--no-figures"]
     assert pamy.main([str(arm(tmp_path)), *options]) == 0

@@ -139,6 +139,7 @@ def test_page_and_numbers_are_written(written: Path) -> None:
     assert "## Static characteristics" in text and "| fitted map |" in text and "## Proposition 1" in text
 
 
+@pytest.mark.slow(4)
 def test_every_row_of_the_table_is_a_number_that_its_experiment_gives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,9 +159,9 @@ def test_every_row_of_the_table_is_a_number_that_its_experiment_gives(
     assert len(shown) == 2 and all((tmp_path / place).read_bytes().startswith(b"\x89PNG") for place in shown)
 
 
+@pytest.mark.thorough(11)
 @pytest.mark.ros
 @pytest.mark.realtime
-@pytest.mark.slow
 def test_the_live_estimate_is_the_replayed_one(tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     rig, seconds = VirtualRig(0, seconds=6.0), 6.0

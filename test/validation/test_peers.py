@@ -52,6 +52,7 @@ def free() -> joints.Joint:
     return joints.Joint("nothing", load_rig("shin2022"), (recording,), ((recording.slice(0.0, 2.0), 0.5),))
 
 
+@pytest.mark.thorough(7)
 def test_other_filters_are_near_ours(free: joints.Joint) -> None:
     ours = with_model.ours(free, free.rig)
     for how in (with_model.extended_kalman, with_model.filterpy_ukf):
