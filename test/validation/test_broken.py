@@ -41,16 +41,28 @@ def test_it_is_looked_for_beside_it_then_everywhere_and_mended(
     order = {"first": 1, "all": 2, "thorough": 3, "none": 4}
     asked: list[tuple[str, Sequence[str]]] = []
 
-    def fails(marks: str, tests: Sequence[str]) -> str:
+    def fails(marks: str, tests: Sequence[str], workers: bool) -> str:
         asked.append((marks, tests))
+        if tests == ["test_x"]:  # once more, mended
+            assert file.read_text("utf-8") == whole
+            return ""
         assert item.new in file.read_text("utf-8") and item.old not in file.read_text("utf-8")
         return "test_x" if len(asked) == order[failing] else ""
 
     monkeypatch.setattr(copy, "fails", fails)
     outcome = copy.noticed(item)
     assert (outcome["by"], outcome["test"]) == (by, "test_x" if by else "")
-    assert [tests for _, tests in asked] == [item.tests, (), ()][: order[failing]]
+    assert [tests for _, tests in asked] == [item.tests, (), ()][: order[failing]] + [["test_x"]] * bool(by)
     assert file.read_text("utf-8") == whole
+
+
+def test_a_test_that_fails_with_nothing_broken_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    item = broken.behaviours()[0]
+    monkeypatch.setattr(broken.subprocess, "run", _listing(broken.subprocess.run, item.file))
+    copy = broken.Copy(tmp_path)
+    monkeypatch.setattr(copy, "fails", lambda marks, tests, workers: "test_x")
+    with pytest.raises(BadInput, match="test_x fails with nothing broken as well"):
+        copy.noticed(item)
 
 
 def _listing(real, file: str):
