@@ -24,6 +24,7 @@ from pam_antagonist.nodes.health import Health, Level, Rate, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import ANGLE, Feed
 from pam_antagonist.nodes.parameters import ANGLE_SENSORS, SIMULATED_JOINT, Parameter
+from pam_antagonist.nodes.sources import SampleSources
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import Health as HealthMessage
@@ -115,6 +116,8 @@ class MonitorNode(PamNode):
         self._monitor = Monitor(rig, values["joint"], values["lock_angle"], encoder)
         self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=encoder)
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
+        names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
+        self._sources = SampleSources(self, names, self._feed.pairing)
         self._samples, self._rate, self._suspect, self._complaint = 0, Rate(), list[Finding](), ""
         self._health = self.create_publisher(HealthMessage, TOPICS["health"].relative, qos.LATCHED)
         self.announce(rig)
@@ -218,11 +221,13 @@ class MonitorNode(PamNode):
             values["suspicion"] = self._suspicion
         if findings:
             values |= {"nearest": findings[0].watched.name, "its evidence": f"{findings[0].evidence:.1f}"}
+        finding = self._sources.report(steady_ns)
         joint = judged(
             values,
             "as its rig file" if self._monitor.blocks.count else "not known yet",
+            (finding.level is Level.ERROR, Level.ERROR, finding.words),
             (self._found, Level.WARN, self._found),
-            (rate == 0.0 or not self._samples, Level.WARN, "no samples"),
+            (rate == 0.0 or not self._samples, Level.WARN, finding.words or "no samples"),
         )
         return {"joint": joint}
 

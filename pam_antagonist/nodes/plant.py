@@ -197,6 +197,7 @@ class PlantNode(PamNode):
         sampling = judged(
             values,
             "running",
+            (self.ages.clock_fails, Level.ERROR, f"no samples: {self.ages.clock_fails}"),
             (self._next is None, Level.WARN, "waits for the clock or for subscribers"),
             (jumped, Level.WARN, "the clock jumped: the samples went on from it"),
         )

@@ -98,7 +98,7 @@ def test_silence_gives_safe_voltages_in_the_order_of_stamps(loop: Loop) -> None:
     assert loop.commands == []  # nothing has come that could be missed
     loop.refer(0, 0.3)
     loop.run(angle=0.3)
-    loop.node._heard_ns, loop.node.now_ns = loop.now, lambda: loop.now + 25 * MS
+    loop.silent(25)
     loop.node._watch()
     loop.node._watch()
     loop.run(angle=0.1)
@@ -121,8 +121,7 @@ def test_an_inactive_controller_tells_its_health_and_can_be_cleared(loop: Loop) 
     loop.node.trigger_deactivate()
     assert loop.health("commands").level == 2
     assert loop.health("reference").values["publishers"] == "none"
-    loop.now += 10**9
-    loop.node.now_ns = lambda: loop.now  # the angle that was too large is long ago
+    loop.silent(1000)  # the angle that was too large is long ago
     assert asked(loop.node._clear)[0]
     loop.node.trigger_activate()
     assert loop.run(angle=0.1) == SAFE  # the reference from before does not count

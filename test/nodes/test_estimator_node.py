@@ -61,7 +61,7 @@ def test_diagnostics_are_named_after_node_and_part_and_tell_what_was_lost(node: 
     sent = node._diagnostics._publisher.publish = Sent(None)
     node._diagnose()
     (message,) = sent
-    parts = ["samples", "filter", "connections", "lifecycle"]
+    parts = ["samples", "filter", "time", "connections", "lifecycle"]
     assert [status.name for status in message.status] == [f"pam/estimator: {part}" for part in parts]
     assert all(status.hardware_id == "joint" for status in message.status)
     assert message.status[0].level == b"\x01"  # nothing has come yet
