@@ -88,6 +88,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     finished = False  # set when the node has finished, or was shut down by its lifecycle service
     active = configured = False
     members: Sequence[PamNode] = ()  # nodes in the same executor that start and end with this one
+    joint_namespaces: Sequence[str] = ()  # of the joints that this node has started
     deliver: Callable[..., None] | None = None  # the next node of the same process is called with each result
 
     def __init__(
@@ -106,6 +107,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
         self.about_rig: dict[str, str] = {}  # name and fingerprint of the rig for ``/diagnostics``
+        self._rig_in_use: tuple[str, ...] = ()  # the same for the log
         try:
             super().__init__(self.NAME, **{"namespace": DEFAULT_NAMESPACE, **options})
         except InvalidParameterTypeException as error:  # a parameter of ROS itself: use_sim_time
@@ -172,6 +174,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         """Publish the node's rig on the topic ``rig``, also for late subscribers, and its health from now on."""
         identity = RigIdentity.of(rig, self.get_name())
         self.create_publisher(String, RIG_TOPIC, qos.LATCHED).publish(String(data=identity.text()))
+        self._rig_in_use = (str(identity),)
         self.about_rig = {"rig": identity.name, "fingerprint of the rig": identity.fingerprint}
         self.start_diagnostics(self.values["joint_name"])
         return identity
@@ -266,7 +269,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         outcome = self._reach("active", self.activate, super().on_activate, state)
         self.active = outcome is TransitionCallbackReturn.SUCCESS
         if self.active:
-            self.get_logger().info("active")
+            self.get_logger().info(" with rig ".join(("active", *self._rig_in_use)))
         return outcome
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
