@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor
+from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor, limits, searches
 from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
@@ -132,6 +132,8 @@ class MonitorNode(PamNode):
             for place, (name, _) in self._inputs.items()
         }
         self.steady_timer(_POLL, self._poll)
+        if words := limits(self._rig, ANGLE in self._inputs):
+            self.get_logger().warning(words)
 
     @override
     def deactivate(self) -> None:
@@ -169,6 +171,9 @@ class MonitorNode(PamNode):
         if not findings or not self._alarms.due(findings, self._feed.newest_ns, time.monotonic()):
             return
         self._suspect, first = findings, findings[0]
+        if not searches(self._rig, ANGLE in self._inputs):
+            self._conclude(None, "")
+            return
         values = self.values
         began = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         folder = Path(values["folder"]).expanduser().absolute() / self.get_namespace().strip("/") / began
@@ -197,6 +202,8 @@ class MonitorNode(PamNode):
             self._found = said.sentence
             self._monitor.blocks.accept(said.finding)
             self._publish(said)
+        else:
+            self.get_logger().info(said.sentence)
 
     def _publish(self, said: Conclusion) -> None:
         item = said.finding.watched
@@ -216,9 +223,8 @@ class MonitorNode(PamNode):
         values: dict[str, object] = {
             "rate [Hz]": f"{rate:.1f}", "blocks": self._monitor.blocks.count, "jumps backwards": self._feed.jumps,
             "searching": self._search is not None, "last search": self._complaint or "no complaint",
+            "cannot": limits(self._rig, ANGLE in self._inputs) or "nothing", "suspicion": self._suspicion or "none",
         }  # fmt: skip
-        if self._suspicion:
-            values["suspicion"] = self._suspicion
         if findings:
             values |= {"nearest": findings[0].watched.name, "its evidence": f"{findings[0].evidence:.1f}"}
         finding = self._sources.report(steady_ns)
@@ -228,6 +234,7 @@ class MonitorNode(PamNode):
             (finding.level is Level.ERROR, Level.ERROR, finding.words),
             (self._found, Level.WARN, self._found),
             (rate == 0.0 or not self._samples, Level.WARN, finding.words or "no samples"),
+            (self._suspicion, Level.OK, self._suspicion),
         )
         return {"joint": joint}
 
