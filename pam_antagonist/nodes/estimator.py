@@ -15,7 +15,7 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.arrivals import listed
-from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged, too_slow
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VOLTAGES, Sample, SamplePairing
 from pam_antagonist.nodes.parameters import (
@@ -66,6 +66,7 @@ PARAMETERS = (
 
 
 _CHECKPOINT_PERIOD = 1.0  # [s]; at most this much at the start of a recording cannot be replayed bit for bit
+_LONGEST_QUEUE = 2.0  # [s] that samples may have waited on a computer that is too slow
 _CHECKS = 2  # checks for incomplete samples, within ``pairing_timeout``
 
 
@@ -208,7 +209,7 @@ class EstimatorNode(PamNode):
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         pairing, counts, nis = self._pairing.counts, self._estimator.counts, self._nis.take()
-        rate = self._rate.take(self._published, steady_ns)
+        rate, age = self._rate.take(self._published, steady_ns), self._latency.take()
         risen = self._rises.take(late=self._late, incomplete=pairing.incomplete, jumps=pairing.restarts)
         late, incomplete = risen["late"], risen["incomplete"]
         filtered = self._filter_rises.take(**vars(counts))
@@ -221,7 +222,7 @@ class EstimatorNode(PamNode):
             "messages too late for their sample": pairing.late,
             "duplicate messages": pairing.duplicates,
             "jumps backwards": pairing.restarts,
-            **self._latency.take().as_values("age", "ms", 1e6),
+            **age.as_values("age", "ms", 1e6),
         }
         consistency = {
             "NIS median (expected 1.4)": f"{nis.median:.3f}",
@@ -243,6 +244,7 @@ class EstimatorNode(PamNode):
                 (waits, Level.ERROR, f"the filter has not started: {waits}"),
                 (rate == 0.0 or self._published == 0, Level.WARN, finding.words or "no samples"),
                 (self.ages.trouble, Level.ERROR, f"every estimate is flagged LATE: {self.ages.trouble}"),
+                (age.median > self._max_age, Level.WARN, self._old(age.median * 1e-9)),
                 (late or incomplete, Level.WARN, some),
             ),
             "filter": judged(
@@ -252,6 +254,13 @@ class EstimatorNode(PamNode):
                 (many, Level.WARN, f"{outliers} pressures were too far from the expected ones"),
             ),
         }
+
+    def _old(self, age: float) -> str:
+        """Why the samples are old, in words. `age`: of half of them, at least [s]."""
+        period = self._rig.sample_period
+        if age > max(_LONGEST_QUEUE, qos.STREAM.depth * period):
+            return f"the samples are {age:.3g} s old: they are of a recording, or stamped by another clock"
+        return too_slow(1.0 / period, f"half of them are {age * 1e3:.0f} ms old or more")
 
     def _waits_for(self) -> str:
         """What the filter needs to start, in words; empty where it runs, or where no sample has come."""

@@ -121,7 +121,7 @@ class SampleSources:
             coming = listed([name for name in recent if name not in silent])
             why = f"{absent(self._node, silent)}; the {self._node.NAME} needs {listed(silent)} too"
             return f"without {silent}", Finding(Level.ERROR, f"messages of {coming} come, but {why}")
-        if not complete and (words := disagreement(recent)):
+        if 2 * complete < min(map(len, recent.values())) and (words := disagreement(recent)):
             return "stamps", Finding(Level.ERROR, words)
         if samples > complete:
             most = max(lacking, key=lambda name: lacking[name])
