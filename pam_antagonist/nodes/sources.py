@@ -100,8 +100,11 @@ class SampleSources:
         self._since_ns, before = steady_ns, self._kind
         self._kind, self._finding = self._judge()
         if self._kind and self._kind == before != self._logged:  # not what is soon over, as at a start
-            self._logged, logger = self._kind, self._node.get_logger()
-            (logger.error if self._finding.level is Level.ERROR else logger.warning)(self._finding.words)
+            self._logged = self._kind
+            if self._finding.level is Level.ERROR:  # two lines of code: rclpy allows each one severity
+                self._node.get_logger().error(self._finding.words)
+            else:
+                self._node.get_logger().warning(self._finding.words)
         return self._finding
 
     def _judge(self) -> tuple[str, Finding]:
