@@ -9,8 +9,10 @@ report of ``close_loop`` beside it, adds an entry to the rig's log book, and pri
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -108,11 +110,19 @@ def search(order: dict[str, object]) -> dict[str, object]:
         drive=rig.drive,
     )  # fmt: skip
     if folder is not None:
+        made = [one for one in (folder, *folder.parents) if not one.exists()]
         try:
+            # Beside the buffer at first: a search that is ended leaves nothing that is half written.
+            written = Path(str(order["buffer"])).with_name("bag")
+            write_bag(written, buffer, namespace=str(order["namespace"]))
             folder.mkdir(parents=True, exist_ok=True)
-            write_bag(folder / "buffer", buffer, namespace=str(order["namespace"]))
+            shutil.move(written, folder / "buffer")
         except (OSError, BadInput) as error:
             print(f"the buffer is not kept: {error}", file=sys.stderr)
+            shutil.rmtree(folder, ignore_errors=True)
+            for one in made[1:]:  # another joint's monitor may have written there
+                with contextlib.suppress(OSError):
+                    one.rmdir()
             folder = None
     begin = (int(order["begin_ns"]) - int(stamps[0])) * 1e-9  # type: ignore[call-overload]
     since = buffer.slice(max(begin, 0.0), buffer.duration_s)

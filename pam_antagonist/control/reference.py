@@ -179,6 +179,8 @@ class References:
         if mode is Mode.IMPEDANCE and not (math.isnan(damping) or 0.0 <= damping < math.inf):
             self.refuse(f"reference has damping {damping:g} N m s/rad, expected 0 or more, or NaN for none", mode)
             return
+        if not mode.has_stiffness:
+            stiffness = math.nan  # a message holds 0 where nobody has written one
         target, words = self._within(mode, value), self._limit_words(mode, value)
         if self._nearest is not None:
             try:
@@ -188,8 +190,7 @@ class References:
                 return
             words = words or out_of_reach
         self._take(mode, now_ns)
-        if mode.has_stiffness:
-            self.stiffness = stiffness
+        self.stiffness = stiffness
         if mode is Mode.IMPEDANCE:
             self._damping = 0.0 if math.isnan(damping) else damping
         self.limited = words

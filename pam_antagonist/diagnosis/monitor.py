@@ -248,6 +248,25 @@ class Conclusion:
         return f"{text}; only a suspicion: {self.doubt}" if self.doubt else text
 
 
+def searches(rig: Rig, encoder: bool) -> bool:
+    """Whether the search of ``close_loop`` is possible: a rig of a data sheet needs a measured angle."""
+    from pam_antagonist.identification.parts import is_guessed  # the node starts without it in half the time
+
+    return encoder or not is_guessed(rig)
+
+
+def limits(rig: Rig, encoder: bool) -> str:
+    """What a monitor cannot do, in words; empty with an encoder."""
+    if encoder:
+        return ""
+    without = "without an encoder (angle_sensor: none) "
+    if not searches(rig, encoder):
+        without += "no search is possible, since the rig's muscles are known from a data sheet only. All findings"
+    else:
+        without += "a search confirms little. Most findings"
+    return f"{without} stay suspicions: the log and /diagnostics name them, topic health does not"
+
+
 class Alarms:
     """Decides when to search, and what is said. Times are those of one clock [s], which may be any.
 

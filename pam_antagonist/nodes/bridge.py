@@ -96,11 +96,7 @@ class BridgeNode(PamNode):
 
     @override
     def configure(self) -> None:
-        if self.get_parameter("use_sim_time").value:
-            raise BadInput(
-                "use_sim_time is true, but hardware does not follow simulated time: set it to false, or replay a bag "
-                "without a bridge"
-            )
+        self.check_time(self.get_parameter("use_sim_time").value)
         rig = self.load_rig()
         values = self.values
         first, second = values["pressure_rest"]
@@ -128,6 +124,14 @@ class BridgeNode(PamNode):
         )
         self.serve(Trigger, "~/measure_rest", self._measure_rest)
         self.announce(rig)
+
+    @override
+    def check_time(self, simulated: bool) -> None:
+        if simulated:
+            raise BadInput(
+                "use_sim_time is true, but hardware does not follow simulated time: set it to false, or replay a bag "
+                "without a bridge"
+            )
 
     @override
     def activate(self) -> None:

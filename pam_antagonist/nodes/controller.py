@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import override
 
@@ -17,15 +16,17 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import RESTART_AFTER_NS
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.nodes import qos, wire
+from pam_antagonist.nodes.ages import Moment
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
 from pam_antagonist.nodes.laws import PARAMETERS, described, make_laws, retune
-from pam_antagonist.nodes.node import RIG_TOPIC, PamNode
+from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import by_rig
 from pam_antagonist.nodes.references import ReferenceInput
+from pam_antagonist.nodes.rig_watch import RigWatch
+from pam_antagonist.nodes.sources import OneEstimator, absent
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.valve_port import drive_of
 from pam_antagonist.recording.topics import COMMAND_TOPICS, STATE_TOPICS, TOPICS
-from pam_antagonist.rig import RigIdentity, differences
 from pam_antagonist.rig.schema import ENCODER_ZERO
 from pam_antagonist.safety import EstimateSupervision, Following
 from pam_antagonist_msgs.msg import Health as HealthMessage
@@ -52,70 +53,6 @@ services:    ~/enable (std_srvs/SetBool), ~/clear_stop (std_srvs/Trigger), and t
 """
 
 _CHECKS = 4  # checks of the estimates' time-out and of the valves, within ``max_age``
-
-_SOURCES = ("plant", "bridge")
-
-
-class RigWatch:
-    """Compares the rig files of other nodes, which publish them, with the node's own.
-
-    The filter often cannot detect a wrong rig file: the innovations may look right while the angle is wrong.
-
-    `disagree`: called with the problem in words when a node publishes the rig of another joint.
-    """
-
-    def __init__(self, node: PamNode, own: RigIdentity, disagree: Callable[[str], object]) -> None:
-        self._node = node
-        self._own = own
-        self._disagree = disagree
-        self._others: dict[str, RigIdentity] = {}
-        node.create_subscription(String, RIG_TOPIC, self._on_rig, qos.LATCHED)
-
-    def _on_rig(self, message: String) -> None:
-        try:
-            other = RigIdentity.read(message.data)
-        except BadInput as error:
-            self._node.get_logger().warning(str(error))
-            return
-        if other.node == self._own.node:
-            return
-        if other.node in _SOURCES:  # only one of them runs: the last one to publish
-            for source in _SOURCES:
-                self._others.pop(source, None)
-        self._others[other.node] = other
-        if problem := self._problem(other):
-            self._disagree(problem)
-
-    def _problem(self, other: RigIdentity) -> str:
-        found = differences(self._own, other)
-        if not found:
-            return ""
-        more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-        return f"the rig file of the {other.node} is another joint's: {found[0]}{more} ({other}; here {self._own})"
-
-    @property
-    def present(self) -> str:
-        """The present problem, in words; empty if there is none."""
-        return next(filter(None, map(self._problem, self._others.values())), "")
-
-    def forget_the_gone(self) -> None:
-        """Forget the rigs of nodes that are gone."""
-        topic = self._node.resolve_topic_name(RIG_TOPIC)
-        there = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
-        self._others = {name: other for name, other in self._others.items() if name in there}
-
-    def health(self) -> Health:
-        """Part ``rig`` for ``/diagnostics``."""
-        values: dict[str, Any] = {self._own.node: str(self._own)}
-        values |= {name: str(other) for name, other in sorted(self._others.items())}
-        unlike = sorted(other.node for other in self._others.values() if other.fingerprint != self._own.fingerprint)
-        return judged(
-            values,
-            "the same for all",
-            (self.present, Level.ERROR, self.present),
-            (unlike, Level.OK, f"the same joint; {' and '.join(unlike)} with other values than the controller"),
-            (not self._others, Level.OK, "no other node has published its rig yet"),
-        )
 
 
 class ControllerNode(PamNode):
@@ -151,7 +88,7 @@ class ControllerNode(PamNode):
         self._enabled: bool = values["start_enabled"]
         self._estimate_ns = 0
         self._safe_since_ns: int | None = None
-        self._heard_ns: int | None = None
+        self._heard: Moment | None = None
         self._stamp = 0
         self._voltage = self._action.hold
         self._following = Following(self._action.hold, drive.astray, rig.sample_period)
@@ -166,6 +103,7 @@ class ControllerNode(PamNode):
         self.serve(SetBool, "~/enable", self._enable)
         self.serve(Trigger, "~/clear_stop", self._clear)
         self._rigs = RigWatch(self, self.announce(rig), self.stop)
+        self._estimators = OneEstimator(self, self.stop)
 
     @override
     def change(self, changed: Mapping[str, Any]) -> None:
@@ -175,7 +113,7 @@ class ControllerNode(PamNode):
 
     @override
     def activate(self) -> None:
-        self._heard_ns = None
+        self._heard = None
         self._laws.active.stop()
         self._supervision.reset()
         if not self.linked:
@@ -218,8 +156,8 @@ class ControllerNode(PamNode):
 
     def _clear(self, _request: Any) -> str:
         self._rigs.forget_the_gone()
-        recent = self._heard_ns is not None and self.now_ns() - self._heard_ns <= self._max_age
-        present = self._rigs.present or (recent and self._supervision.present)
+        recent = self._heard is not None and self.ages.since(self._heard) <= self._max_age
+        present = self._causes() or (recent and self._supervision.present)
         if not self.stopped:
             return "there is no stop to clear"
         if present:
@@ -229,6 +167,9 @@ class ControllerNode(PamNode):
         self._from_the_valves()
         self.get_logger().warning(words)
         return words
+
+    def _causes(self) -> str:
+        return self._rigs.present or self._estimators.present
 
     def stop(self, reason: str) -> None:
         """Safe voltages until ``clear_stop``."""
@@ -266,14 +207,18 @@ class ControllerNode(PamNode):
         """Send the command for an estimate with a stamp [ns]. `values`: as in ``wire.ESTIMATE_FOR_CONTROL``."""
         if not self.active:
             return
-        now = self.now_ns()
-        if stamp < self._estimate_ns - RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
+        age, behind = self.ages.of(stamp), self._estimate_ns - stamp
+        if behind > RESTART_AFTER_NS:  # the clock was set back, and the filter has started again
             self._jumps += 1
             self._laws.active.stop(self._voltage)
+        elif behind >= 0:  # no sample is answered twice
+            self._estimators.repeats += 1
+            return
         self._estimate_ns = stamp
-        self._heard_ns = now
+        self._heard = self.ages.now()
         self._silent = False
-        self._latency.add(now - stamp)
+        if age < math.inf:
+            self._latency.add(age)
         if not self._enabled:
             return
         angle, velocity, torque, of_angle, of_velocity, of_torque, *rest = values
@@ -284,7 +229,7 @@ class ControllerNode(PamNode):
         if self.stopped:
             self._send(self._laws.active.safe(Status.STOPPED), stamp)
             return
-        late = now - stamp > self._max_age or bool(int(flags) & JointEstimate.LATE) or self._supervision.settling
+        late = age > self._max_age or bool(int(flags) & JointEstimate.LATE) or self._supervision.settling
         wanted = self._references.at(stamp, time.monotonic_ns(), angle, torque)
         if wanted.lost:
             self._send(self._laws.active.safe(Status.LOST), stamp)
@@ -303,13 +248,11 @@ class ControllerNode(PamNode):
         if the missing estimates come late, and no such command has the stamp of a sample.
         """
         self._look()
-        if self._heard_ns is None or not self._enabled:
+        self._estimators.look(time.monotonic_ns())
+        if self._heard is None or not self._enabled:
             return
-        now = self.now_ns()
-        silent = now - self._heard_ns
-        if silent < 0:  # the clock was set back
-            self._heard_ns = now
-        elif silent > self._max_age:
+        silent = self.ages.since(self._heard)
+        if silent > self._max_age:
             if silent > self._resume:
                 self._laws.active.stop()
             self._silent = True
@@ -348,13 +291,19 @@ class ControllerNode(PamNode):
             "rate [Hz]": f"{self._rate.take(self._commands, steady_ns):.1f}",
             "commands": self._commands,
             **described(self._laws),
-            "cause of a stop is there": self._supervision.present or self._rigs.present or "no",
+            "cause of a stop is there": self._causes() or self._supervision.present or "no",
             "jumps backwards": self._jumps,
+            "estimates not newer than the last": self._estimators.repeats,
             "times not obeyed": self._following.astray_count,
             **{status.value: count for status, count in statuses.items() if count},
             **self._latency.take().as_values("age of the estimate", "ms", 1e6),
         }
-        complaint = self._references.complaint
+        complaint, second = self._references.complaint, self._estimators.publishers
+        if second and self.linked:
+            second = f"the estimator of this process alone is obeyed: {second}"
+        none = "no estimate has come yet"
+        if self._heard is None and not self.linked:
+            none += f": {absent(self, [TOPICS['joint_estimate'].relative])}"
         commands = judged(
             values,
             self._last.value,
@@ -367,8 +316,10 @@ class ControllerNode(PamNode):
                 "the valves do not get what is commanded: the node that owns them is stopped, or it obeys another "
                 "commander",
             ),
-            (self._heard_ns is None, Level.WARN, "no estimate has come yet"),
+            (second, Level.ERROR, second),
+            (self._heard is None, Level.WARN, none),
             (self._silent, Level.ERROR, "estimates have stopped: safe voltages"),
+            (self.ages.trouble, Level.ERROR, f"safe voltages: {self.ages.trouble}"),
             (complaint, Level.ERROR, f"{complaint}: safe voltages"),
             (safe, Level.WARN, self._last.value if self._last.safe else f"{safe} commands at safe voltages"),
         )

@@ -14,15 +14,17 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.nodes import qos, wire
-from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
+from pam_antagonist.nodes.arrivals import listed
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged, too_slow
 from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.pairing import Sample, SamplePairing
+from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VOLTAGES, Sample, SamplePairing
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
     PRESSURE_SENSORS,
     SIMULATED_JOINT,
     Parameter,
 )
+from pam_antagonist.nodes.sources import Finding, SampleSources, several
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 from pam_antagonist_msgs.msg import FilterCheckpoint, JointEstimate
@@ -57,12 +59,14 @@ PARAMETERS = (
     ),
     Parameter("pairing_timeout", 0.02, 0.001, 1.0).about("longest time that a sample waits for its other topics [s]"),
     Parameter("max_age", 0.0, 0.001, 10.0, left=0.0).about(
-        "age beyond which an estimate is flagged LATE [s]; 0: three samples of the rig, at least 0.02"
+        "age beyond which an estimate is flagged LATE, as is one of unknown age [s]; 0: three samples of the rig, at "
+        "least 0.02"
     ),
 )
 
 
 _CHECKPOINT_PERIOD = 1.0  # [s]; at most this much at the start of a recording cannot be replayed bit for bit
+_LONGEST_QUEUE = 2.0  # [s] that samples may have waited on a computer that is too slow
 _CHECKS = 2  # checks for incomplete samples, within ``pairing_timeout``
 
 
@@ -85,12 +89,15 @@ class EstimatorNode(PamNode):
         measured = values["pressure_sensors"] == "measured"
         self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=self._encoder, pressures=measured)
         self._decode = {place: decode for place, (_, decode) in self._inputs.items()}
-        self._pairing = SamplePairing(values["pairing_timeout"], self.now_ns, topics=tuple(self._inputs))
+        self._pairing = SamplePairing(values["pairing_timeout"], topics=tuple(self._inputs))
+        names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
+        self._sources = None if self.linked else SampleSources(self, names, self._pairing)
         self._max_age = round(values["max_age"] * 1e9)
         self._published = self._late = 0
         self._latency, self._nis, self._rate = Window(), Window(), Rate()
         self._rises, self._filter_rises = Rises(), Rises()
         self._last: Sample | None = None
+        self._unused: Sample | None = None  # the last one that the filter could not start with
         frame = values["frame_id"]
         self._estimates = wire.Outgoing(self, "joint_estimate", frame, wire.ESTIMATE)
         body, self._state_values = wire.joint_state(values["joint_name"], "position", "velocity", "effort")
@@ -110,7 +117,7 @@ class EstimatorNode(PamNode):
     def activate(self) -> None:
         self._estimator.reset()
         self._pairing.reset()
-        self._last = None
+        self._last = self._unused = None
         self.steady_timer(_CHECKPOINT_PERIOD, self._remember)
         if self.linked:
             return
@@ -174,10 +181,11 @@ class EstimatorNode(PamNode):
                 self._last = sample
             row = self._estimator.step_in_place(*sample)
             if row is None:
+                self._unused = sample
                 continue
             started = self._estimator.started_ns
             assert started is not None  # there is no row before the start
-            age = self.now_ns() - sample.stamp_ns
+            age = self.ages.of(sample.stamp_ns)
             flags = int(row["flags"])
             if age > self._max_age:
                 flags |= JointEstimate.LATE
@@ -191,7 +199,8 @@ class EstimatorNode(PamNode):
             if self._external is not None:
                 self._external.send(sample.stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0, row["external_torque"])
             self._published += 1
-            self._latency.add(age)
+            if age < math.inf:
+                self._latency.add(age)
             if not math.isnan(row["nis"]):
                 self._nis.add(row["nis"])
             if self.deliver is not None:
@@ -200,7 +209,7 @@ class EstimatorNode(PamNode):
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         pairing, counts, nis = self._pairing.counts, self._estimator.counts, self._nis.take()
-        rate = self._rate.take(self._published, steady_ns)
+        rate, age = self._rate.take(self._published, steady_ns), self._latency.take()
         risen = self._rises.take(late=self._late, incomplete=pairing.incomplete, jumps=pairing.restarts)
         late, incomplete = risen["late"], risen["incomplete"]
         filtered = self._filter_rises.take(**vars(counts))
@@ -213,7 +222,7 @@ class EstimatorNode(PamNode):
             "messages too late for their sample": pairing.late,
             "duplicate messages": pairing.duplicates,
             "jumps backwards": pairing.restarts,
-            **self._latency.take().as_values("age", "ms", 1e6),
+            **age.as_values("age", "ms", 1e6),
         }
         consistency = {
             "NIS median (expected 1.4)": f"{nis.median:.3f}",
@@ -221,14 +230,22 @@ class EstimatorNode(PamNode):
             **{name.replace("_", " "): value for name, value in vars(counts).items()},
         }
         complaint, many = self._estimator.complaint, nis.size and outliers > 0.05 * nis.size
+        finding = self._sources.report(steady_ns) if self._sources else Finding(Level.OK, "")
+        second, waits, lacks = several(self, [TOPICS["joint_estimate"].relative]), self._waits_for(), finding.words
+        some = f"{late} late and {incomplete} incomplete samples" + (f": {lacks}" if incomplete and lacks else "")
         return {
             **(self._encoder_health(filtered["angles_used"], filtered["angles_refused"]) if self._encoder else {}),
             "samples": judged(
                 samples,
                 "running",
+                (second, Level.ERROR, second),
+                (finding.level is Level.ERROR, Level.ERROR, finding.words),
                 (risen["jumps"], Level.WARN, "the stamps jumped backwards: the filter started again"),
-                (rate == 0.0 or self._published == 0, Level.WARN, "no samples"),
-                (late or incomplete, Level.WARN, f"{late} late and {incomplete} incomplete samples"),
+                (waits, Level.ERROR, f"the filter has not started: {waits}"),
+                (rate == 0.0 or self._published == 0, Level.WARN, finding.words or "no samples"),
+                (self.ages.trouble, Level.ERROR, f"every estimate is flagged LATE: {self.ages.trouble}"),
+                (age.median > self._max_age, Level.WARN, self._old(age.median * 1e-9)),
+                (late or incomplete, Level.WARN, some),
             ),
             "filter": judged(
                 consistency,
@@ -237,6 +254,27 @@ class EstimatorNode(PamNode):
                 (many, Level.WARN, f"{outliers} pressures were too far from the expected ones"),
             ),
         }
+
+    def _old(self, age: float) -> str:
+        """Why the samples are old, in words. `age`: of half of them, at least [s]."""
+        period = self._rig.sample_period
+        if age > max(_LONGEST_QUEUE, qos.STREAM.depth * period):
+            return f"the samples are {age:.3g} s old: they are of a recording, or stamped by another clock"
+        return too_slow(1.0 / period, f"half of them are {age * 1e3:.0f} ms old or more")
+
+    def _waits_for(self) -> str:
+        """What the filter needs to start, in words; empty where it runs, or where no sample has come."""
+        if self._unused is None or self._estimator.started_ns is not None:
+            return ""
+        sample = self._unused
+        values = {PRESSURE_1: sample.pressure_1, PRESSURE_2: sample.pressure_2}
+        values[VOLTAGES] = sample.voltage_1 + sample.voltage_2
+        lacks = [
+            TOPICS[name].relative
+            for place, (name, _) in self._inputs.items()
+            if not math.isfinite(values.get(place, 0.0))
+        ]
+        return self._estimator.complaint or (f"the last sample has no number of {listed(lacks)}" if lacks else "")
 
     def _encoder_health(self, used: float, refused: float) -> dict[str, Health]:
         """Part ``encoder``: whether its angles are used or refused."""

@@ -42,6 +42,11 @@ def judged(values: Mapping[str, object], well: str, *cases: tuple[object, Level,
     return Health(level, message, values)
 
 
+def too_slow(rate: float, what: str) -> str:
+    """What is said where a computer does not keep up. `rate`: samples a second. `what`: shows it, in words."""
+    return f"this computer is too slow for {rate:g} samples a second: {what}"
+
+
 class Spread(NamedTuple):
     """Statistics of some values; NaN without values."""
 

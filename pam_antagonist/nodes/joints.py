@@ -178,6 +178,7 @@ class JointsNode(PamNode):
         # Made in every state of this node: its joints have life cycles of their own, and can be stopped at any time.
         self._make({**{name: value for name, value in options.items() if name != "namespace"}, "timers": timers})
         self.members = [node for joint in self.joints for node in joint.nodes]
+        self.joint_namespaces = [joint.namespace for joint in self.joints]
         self.serve(Trigger, "~/stop_all", self._stop_all)
 
     @override

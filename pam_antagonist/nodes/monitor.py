@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor
+from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor, limits, searches
 from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
@@ -24,6 +24,7 @@ from pam_antagonist.nodes.health import Health, Level, Rate, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import ANGLE, Feed
 from pam_antagonist.nodes.parameters import ANGLE_SENSORS, SIMULATED_JOINT, Parameter
+from pam_antagonist.nodes.sources import SampleSources
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import Health as HealthMessage
@@ -115,6 +116,8 @@ class MonitorNode(PamNode):
         self._monitor = Monitor(rig, values["joint"], values["lock_angle"], encoder)
         self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=encoder)
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
+        names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
+        self._sources = SampleSources(self, names, self._feed.pairing)
         self._samples, self._rate, self._suspect, self._complaint = 0, Rate(), list[Finding](), ""
         self._health = self.create_publisher(HealthMessage, TOPICS["health"].relative, qos.LATCHED)
         self.announce(rig)
@@ -129,6 +132,8 @@ class MonitorNode(PamNode):
             for place, (name, _) in self._inputs.items()
         }
         self.steady_timer(_POLL, self._poll)
+        if words := limits(self._rig, ANGLE in self._inputs):
+            self.get_logger().warning(words)
 
     @override
     def deactivate(self) -> None:
@@ -166,6 +171,9 @@ class MonitorNode(PamNode):
         if not findings or not self._alarms.due(findings, self._feed.newest_ns, time.monotonic()):
             return
         self._suspect, first = findings, findings[0]
+        if not searches(self._rig, ANGLE in self._inputs):
+            self._conclude(None, "")
+            return
         values = self.values
         began = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         folder = Path(values["folder"]).expanduser().absolute() / self.get_namespace().strip("/") / began
@@ -194,6 +202,8 @@ class MonitorNode(PamNode):
             self._found = said.sentence
             self._monitor.blocks.accept(said.finding)
             self._publish(said)
+        else:
+            self.get_logger().info(said.sentence)
 
     def _publish(self, said: Conclusion) -> None:
         item = said.finding.watched
@@ -213,16 +223,18 @@ class MonitorNode(PamNode):
         values: dict[str, object] = {
             "rate [Hz]": f"{rate:.1f}", "blocks": self._monitor.blocks.count, "jumps backwards": self._feed.jumps,
             "searching": self._search is not None, "last search": self._complaint or "no complaint",
+            "cannot": limits(self._rig, ANGLE in self._inputs) or "nothing", "suspicion": self._suspicion or "none",
         }  # fmt: skip
-        if self._suspicion:
-            values["suspicion"] = self._suspicion
         if findings:
             values |= {"nearest": findings[0].watched.name, "its evidence": f"{findings[0].evidence:.1f}"}
+        finding = self._sources.report(steady_ns)
         joint = judged(
             values,
             "as its rig file" if self._monitor.blocks.count else "not known yet",
+            (finding.level is Level.ERROR, Level.ERROR, finding.words),
             (self._found, Level.WARN, self._found),
-            (rate == 0.0 or not self._samples, Level.WARN, "no samples"),
+            (rate == 0.0 or not self._samples, Level.WARN, finding.words or "no samples"),
+            (self._suspicion, Level.OK, self._suspicion),
         )
         return {"joint": joint}
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
 from std_msgs.msg import String
@@ -19,6 +20,7 @@ from std_msgs.msg import String
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.ages import LOOK, Ages
 from pam_antagonist.nodes.health import DiagnosticsPublisher, Health, Level, connections
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, by_rig, declare
 from pam_antagonist.recording.topics import DEFAULT_NAMESPACE, TOPICS
@@ -69,7 +71,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     services that a transition makes by this class's methods are destroyed in the opposite transition.
 
     Timers run on the steady clock, so that a jump of the system clock cannot stop them. Times that are compared with
-    stamps come from the node's clock, which follows ``use_sim_time``.
+    stamps come from the node's clock, which follows ``use_sim_time``; :attr:`ages` judges whether that clock runs.
 
     Publishers are plain ones, and the callers make sure that an inactive node is silent. A ``LifecyclePublisher`` would
     check its state again for each of 4000 messages a second.
@@ -86,6 +88,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     finished = False  # set when the node has finished, or was shut down by its lifecycle service
     active = configured = False
     members: Sequence[PamNode] = ()  # nodes in the same executor that start and end with this one
+    joint_namespaces: Sequence[str] = ()  # of the joints that this node has started
     deliver: Callable[..., None] | None = None  # the next node of the same process is called with each result
 
     def __init__(
@@ -104,13 +107,20 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         self._reaching: str | None = None  # which transition is under way
         self._transition_error: BaseException | None = None
         self.about_rig: dict[str, str] = {}  # name and fingerprint of the rig for ``/diagnostics``
-        super().__init__(self.NAME, **{"namespace": DEFAULT_NAMESPACE, **options})
+        self._rig_in_use: tuple[str, ...] = ()  # the same for the log
+        try:
+            super().__init__(self.NAME, **{"namespace": DEFAULT_NAMESPACE, **options})
+        except InvalidParameterTypeException as error:  # a parameter of ROS itself: use_sim_time
+            raise BadInput(f"node {self.NAME}: {error}") from None
         known = (*SHARED_PARAMETERS, *JOINTS_PARAMETERS, *also_known)
         self._table = {parameter.name: parameter for parameter in (*self.TABLE, AUTOSTART, DIAGNOSTICS_PERIOD)}
         self.given: dict[str, Any] = declare(self, tuple(self._table.values()), known)
         self.values = dict(self.given)  # the same, and filled in what is left to the rig file
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ros_clock = self.get_clock()
+        self.ages = Ages(self)
+        self._clock_failed = self._told_ahead = False
+        self.steady_timer(LOOK, self._look_at_clock)
         self.add_on_set_parameters_callback(self._on_parameters)
         if self.values["autostart"]:
             self._require(self.trigger_configure)
@@ -138,6 +148,14 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     def change(self, changed: Mapping[str, Any]) -> None:
         """Apply parameters that were changed while the node is configured, all or none."""
 
+    @property
+    def simulated(self) -> bool:
+        """Whether the node's clock is ``/clock`` now."""
+        return bool(self._ros_clock.ros_time_is_active)
+
+    def check_time(self, simulated: bool) -> None:
+        """Whether the node can follow ``/clock``, if it is to; ``BadInput`` where it cannot."""
+
     def health(self, steady_ns: int) -> Mapping[str, Health]:
         """Health of each part; called every ``diagnostics_period`` after :meth:`start_diagnostics`.
 
@@ -156,6 +174,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         """Publish the node's rig on the topic ``rig``, also for late subscribers, and its health from now on."""
         identity = RigIdentity.of(rig, self.get_name())
         self.create_publisher(String, RIG_TOPIC, qos.LATCHED).publish(String(data=identity.text()))
+        self._rig_in_use = (str(identity),)
         self.about_rig = {"rig": identity.name, "fingerprint of the rig": identity.fingerprint}
         self.start_diagnostics(self.values["joint_name"])
         return identity
@@ -228,6 +247,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
 
     def start(self) -> None:
         """Activate with ``autostart``. Called right before spinning, after all slow work is done."""
+        self.ages = Ages(self)  # until now no tick of /clock could be heard
         if self.values["autostart"]:
             self._require(self.trigger_activate)
 
@@ -249,7 +269,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
         outcome = self._reach("active", self.activate, super().on_activate, state)
         self.active = outcome is TransitionCallbackReturn.SUCCESS
         if self.active:
-            self.get_logger().info("active")
+            self.get_logger().info(" with rig ".join(("active", *self._rig_in_use)))
         return outcome
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -314,6 +334,9 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     def _on_parameters(self, changed: Sequence[Any]) -> SetParametersResult:
         """Check and apply parameters, either all or none; without a range rclpy does not check them."""
         try:
+            for item in changed:
+                if item.name == "use_sim_time":
+                    self.check_time(bool(item.value))
             known = {
                 item.name: self._table[item.name].check(item.value) for item in changed if item.name in self._table
             }
@@ -327,12 +350,26 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     def _diagnose(self) -> None:
         parts = dict(self.health(time.monotonic_ns()))
         level, state = (Level.OK, "active") if self.active else (Level.WARN, "not active")
+        parts["time"] = self.ages.health()
         parts["connections"] = self.connections()
         parts["lifecycle"] = Health(level, state, self.about_rig)
         self._diagnostics.publish(parts)
         # Automatic collection is off, and objects from before the first sample are frozen (see spin.py), so this takes
         # only microseconds.
         gc.collect()
+
+    def _look_at_clock(self) -> None:
+        """Log once what keeps the node from judging ages."""
+        self.ages.look()
+        fails, failed = self.ages.clock_fails, self._clock_failed
+        self._clock_failed = bool(fails)
+        if fails and not failed:
+            self.get_logger().error(fails)
+        elif failed and not fails:
+            self.get_logger().info("the clock runs again")
+        elif self.ages.trouble and not fails and not self._told_ahead:
+            self._told_ahead = True
+            self.get_logger().error(self.ages.trouble)
 
     def connections(self) -> Health:
         """Part ``connections``: which nodes quality of service keeps from this one's topics."""

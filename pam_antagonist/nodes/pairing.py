@@ -16,11 +16,13 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pam_antagonist.nodes.arrivals import Arrivals
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -54,6 +56,7 @@ class PairingCounts:
     late: int = 0
     duplicates: int = 0
     restarts: int = 0
+    lacking: dict[int, int] = field(default_factory=dict)  # topic -> incomplete samples without it
 
 
 class SamplePairing:
@@ -61,18 +64,19 @@ class SamplePairing:
 
     Args:
         timeout: how long a sample waits for a topic [s].
-        clock: current time [ns], for the waiting time.
+        clock: current time [ns], for the waiting time; a clock that always runs.
     """
 
     def __init__(
         self,
         timeout: float,
-        clock: Callable[[], int],
+        clock: Callable[[], int] = time.monotonic_ns,
         topics: Sequence[int] = (PRESSURE_1, PRESSURE_2, VOLTAGES),
     ) -> None:
         self._topics = tuple(topics)
         self._complete = sum(1 << topic for topic in self._topics)
-        self.counts = PairingCounts()
+        self.counts = PairingCounts(lacking=dict.fromkeys(self._topics, 0))
+        self.arrivals = Arrivals(self._topics)
         self._timeout = round(timeout * 1e9)
         self._clock = clock
         self.reset()
@@ -92,6 +96,7 @@ class SamplePairing:
             stamp_ns: stamp of the message [ns].
             values: one pressure [Pa], two voltages [V], or one angle [rad].
         """
+        self.arrivals.add(topic, stamp_ns)
         if self._final is not None and stamp_ns <= self._final:
             if self._final - stamp_ns <= _RESTART:
                 self.counts.late += 1
@@ -133,9 +138,7 @@ class SamplePairing:
             return []
         oldest = max(stamp for stamp in self._newest.values() if stamp is not None) - self._timeout
         now = self._clock()
-        gone = [
-            stamp for stamp in self._waiting if stamp < oldest and not 0 <= now - self._arrival[stamp] < self._timeout
-        ]
+        gone = [stamp for stamp in self._waiting if stamp < oldest and now - self._arrival[stamp] >= self._timeout]
         return self._pop_until(max(gone)) if gone else []
 
     def _pop_until(self, last: int | None) -> list[Sample]:
@@ -146,7 +149,10 @@ class SamplePairing:
         del self._arrival[stamp]
         self._final = stamp
         self.counts.samples += 1
-        self.counts.incomplete += values[_BITS] != self._complete
+        if values[_BITS] != self._complete:
+            self.counts.incomplete += 1
+            for topic in self._topics:
+                self.counts.lacking[topic] += not int(values[_BITS]) & 1 << topic
         return Sample(stamp, *values[:_BITS])
 
 
@@ -161,12 +167,12 @@ class Feed:
     """
 
     def __init__(self, topics: Sequence[int], seconds: float, clock: Callable[[], int] = time.monotonic_ns) -> None:
-        self._pairing, self._span = SamplePairing(_PATIENCE, clock, topics), round(seconds * 1e9)
+        self.pairing, self._span = SamplePairing(_PATIENCE, clock, topics), round(seconds * 1e9)
         self.reset()
 
     def reset(self) -> None:
         """Forget all."""
-        self._pairing.reset()
+        self.pairing.reset()
         self._parts = deque[tuple[Stamps, Floats]]()
 
     @property
@@ -186,7 +192,7 @@ class Feed:
     @property
     def jumps(self) -> int:
         """How often the clock was set back."""
-        return self._pairing.counts.restarts
+        return self.pairing.counts.restarts
 
     def add(self, batches: Mapping[int, Sequence[Sequence[float]]]) -> tuple[Stamps, Floats, bool]:
         """New messages of each topic, each as its stamp [ns] and values.
@@ -199,11 +205,11 @@ class Feed:
         topics = [[(message, topic) for message in messages] for topic, messages in batches.items()]
         for (stamp, *values), topic in heapq.merge(*topics, key=lambda item: item[0][0]):
             before = self.jumps
-            new = self._pairing.add(topic, int(stamp), *values)
+            new = self.pairing.add(topic, int(stamp), *values)
             if self.jumps > before:
                 samples.clear()
             samples += new
-        samples += self._pairing.expire()
+        samples += self.pairing.expire()
         if self.jumps > jumps:
             self._parts.clear()
         stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)

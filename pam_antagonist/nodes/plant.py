@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,8 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes import wire
-from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged
+from pam_antagonist.nodes.ages import Moment
+from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged, too_slow
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
@@ -103,7 +105,8 @@ class PlantNode(PamNode):
         self._next: int | None = None
         self._now: int | None = None  # present time while samples are made [ns]
         self._found_ns: int | None = None
-        self._samples = self._jumps = 0
+        self._samples = self._jumps = self._left_out = 0
+        self._ticked = self.ages.now()
         self._lateness, self._rate, self._rises = Window(), Rate(), Rises()
         variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
         measured = values["pressure_sensors"] == "measured"
@@ -135,11 +138,15 @@ class PlantNode(PamNode):
             self._next = now
         self.port.poll(now)
         if not -_JUMP_BACK * 1e9 <= now - self._next <= _JUMP * 1e9:
-            self._jumps += 1
-            self.get_logger().warning(
-                f"the clock is {(now - self._next) * 1e-9:+.3f} s off the samples: the samples go on at the clock's "
-                "time"
-            )
+            off = f"{(now - self._next) * 1e-9:+.3f} s"
+            # A clock that jumps moves more than the steady one. A computer that falls behind is late by both.
+            if abs(now - self._ticked.clock_ns - (time.monotonic_ns() - self._ticked.steady_ns)) > _JUMP_BACK * 1e9:
+                self._jumps += 1
+                words = f"the clock is {off} off the samples: the samples go on at the clock's time"
+            else:
+                self._left_out += now - self._next
+                words = too_slow(1e9 / self._period, f"the clock is {off} off the samples, which are left out")
+            self.get_logger().warning(words)
             self._next = now
         for _ in range(_BURST):
             if self._next > now:
@@ -150,6 +157,7 @@ class PlantNode(PamNode):
             self._lateness.add(now - self._next)
             self._next += self._period
         self._now = None
+        self._ticked = Moment(now, time.monotonic_ns())
 
     def _may_start(self, now: int) -> bool:
         """Whether all expected subscribers are connected."""
@@ -187,18 +195,26 @@ class PlantNode(PamNode):
 
     @override
     def health(self, steady_ns: int) -> Mapping[str, Health]:
+        lateness = self._lateness.take()
         values = {
             "rate [Hz]": f"{self._rate.take(self._samples, steady_ns):.1f}",
             "samples": self._samples,
             "clock jumps": self._jumps,
-            **self._lateness.take().as_values("lateness", "ms", 1e6),
+            "left out, computer too slow [s]": f"{self._left_out * 1e-9:.1f}",
+            **lateness.as_values("lateness", "ms", 1e6),
         }
-        jumped = self._rises.take(jumps=self._jumps)["jumps"]
+        rises = self._rises.take(jumps=self._jumps, left_out=self._left_out)
+        jumped, left_out = rises["jumps"], rises["left_out"] * 1e-9
+        late = f"half of them come {lateness.median * 1e-6:.0f} ms late or more"
+        slow = f"{left_out:.1f} s of them were left out" if left_out else late
+        behind = left_out or lateness.median > self.values["command_timeout"] * 1e9
         sampling = judged(
             values,
             "running",
+            (self.ages.clock_fails, Level.ERROR, f"no samples: {self.ages.clock_fails}"),
             (self._next is None, Level.WARN, "waits for the clock or for subscribers"),
             (jumped, Level.WARN, "the clock jumped: the samples went on from it"),
+            (behind, Level.WARN, too_slow(1e9 / self._period, slow)),
         )
         return {"sampling": sampling, **self.port.health(steady_ns)}
 

@@ -151,6 +151,9 @@ class ReferenceInput:
             self.references.cancel()
             return
         start = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        if not start and not self._node.ages.known:  # it would be over at once when the clock comes
+            self.references.refuse("joint_trajectory has no stamp, and the node's clock does not run")
+            return
         try:
             made = _trajectory(message.points, names.index(self._joint), start or self._node.now_ns())
         except BadInput as error:

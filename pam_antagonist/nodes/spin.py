@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
 from pam_antagonist.nodes.processes import PARENT_VARIABLE, PRIORITY_VARIABLE
+from pam_antagonist.nodes.sections import parameter_files, unused
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.paths import config_dir
 from pam_antagonist.program import piped, typed
@@ -192,6 +193,10 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         node = _made(
             partial(create, *(() if given is None else (given,)), cli_args=own_parameters(arguments)), name, stop
         )
+        every = [one.get_fully_qualified_name() for one in (node, *node.members)]
+        for path in parameter_files(arguments):
+            if words := unused(path, every, node.joint_namespaces):
+                node.get_logger().warning(words)
         if alone:
             node.get_logger().info("discovery is limited to this machine (ROS_AUTOMATIC_DISCOVERY_RANGE)")
         try:

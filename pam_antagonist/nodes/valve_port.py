@@ -130,7 +130,7 @@ class ValvePort:
         """Take one command, serialised; see :meth:`ValveGuard.command`."""
         stamp_ns, first, second = self._unpack(data)
         was_stopped, refused = self.guard.stopped, self.guard.authority.refused
-        late = stamp_ns > 0 and self._node.now_ns() - stamp_ns > self._max_age
+        late = stamp_ns > 0 and self._node.ages.of(stamp_ns) > self._max_age
         verdict = self.guard.command((first, second), now_ns, sequence, publishers, late)
         if verdict is Verdict.LISTENING:
             self._holder = None

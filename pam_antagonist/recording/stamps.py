@@ -34,6 +34,13 @@ _FAR = 10.0
 _FEWEST = 10  # messages of a publisher
 
 _MIN_TOGETHER = 0.1  # with a smaller share of samples that have both pressures, the stamps do not form samples
+ONE_STAMP = "expected one and the same stamp on all messages of a sample"
+"""What is said of stamps that form no samples, of a bag and of live topics."""
+
+
+def unstamped(topic: str) -> str:
+    """What is said of a topic without stamps."""
+    return f"no message of {topic} carries a stamp (all are 0), expected the time of the sample"
 
 
 def last_restart(stamp_ns: NDArray[np.int64]) -> int:
@@ -51,10 +58,7 @@ def order(
     """
     keep = np.flatnonzero(stamp_ns != 0)
     if len(keep) == 0:
-        raise BadInput(
-            f"{where}: no message of {topic} carries a stamp (all are 0), expected the time of the sample; type "
-            "--align-clocks to use the times of reception"
-        )
+        raise BadInput(f"{where}: {unstamped(topic)}; type --align-clocks to use the times of reception")
     if len(keep) < len(stamp_ns):
         unset = len(stamp_ns) - len(keep)
         issues.append(Issue(f"{unset} messages of {topic} without a stamp: dropped", "unstamped", unset))
@@ -269,8 +273,8 @@ def judge_pairing(
         together = int(np.count_nonzero(present[first] & there))
         if together < _MIN_TOGETHER * (len(samples) if other == second else np.count_nonzero(there)):
             raise BadInput(
-                f"{where}: {first} and {other} share a stamp in {together} of {len(samples)} samples, expected one and "
-                "the same stamp on all messages of a sample; type --align-clocks to pair nearest stamps of a bag"
+                f"{where}: {first} and {other} share a stamp in {together} of {len(samples)} samples, {ONE_STAMP}; "
+                "type --align-clocks to pair nearest stamps of a bag"
             )
     for topic, there in present.items():
         missing = len(samples) - int(np.count_nonzero(there))

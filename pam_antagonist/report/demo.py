@@ -31,6 +31,8 @@ _UNIT = {Mode.ANGLE: "deg", Mode.TORQUE: "nm"}
 _SIGN = {Mode.ANGLE: "°", Mode.TORQUE: " N m"}
 _MOST_HELD = 0.3
 """[-] Share of samples with safe commands from which on a demo was not controlled: its first second counts little."""
+_MOST_LATE = 0.05
+"""[-] Share of late or lost samples. Single stalls of 0.3 s, as on any shared machine, are 2.5 % of a demo."""
 _LAWS = {
     "fast": "fast gains",
     "published": "published gains",
@@ -149,6 +151,23 @@ class Demo(Result):
 
 
 def _verdict(demo: Demo) -> str:
+    return " ".join(filter(None, (_result(demo), _too_slow(demo))))
+
+
+def _too_slow(demo: Demo) -> str:
+    accounting, hertz = demo.accounting, 1.0 / demo.replay.rig.sample_period
+    if accounting is None or not accounting.expected:
+        return ""
+    share = (accounting.late + max(accounting.lost.values())) / accounting.expected
+    if share <= _MOST_LATE:
+        return ""
+    return (
+        f"This computer is too slow for {hertz:g} samples a second: {percent(min(share, 1.0))} of them were lost or "
+        "came late (over 20 ms)."
+    )
+
+
+def _result(demo: Demo) -> str:
     if demo.stopped:
         return f"Stopped for safety by the {demo.stopped}. From then on the valves had the safe voltages."
     if (yielding := demo.yielding) is not None:

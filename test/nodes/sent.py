@@ -65,11 +65,12 @@ def refer(node: Any, mode: int, value: float, stiffness: float = math.nan, dampi
 
 
 class Loop:
-    """A controller whose estimates are a millisecond apart, and ahead of the clock: never late on a busy machine."""
+    """A controller whose estimates are a millisecond apart, each of this moment: never late on a busy machine."""
 
     def __init__(self, node: Any) -> None:
         self.node, self.references, self.refer = node, node._references, partial(refer, node)
-        self.now = node.now_ns() + 10**9
+        self.now = node.now_ns()
+        node.now_ns = lambda: self.now
         node.trigger_activate()
         node.keep(commands=node._output)
 
@@ -94,6 +95,11 @@ class Loop:
             self.now += MS
             self.node.take_message(packed(message, self.now))
         return tuple(self.node.sent["commands"][-1].voltage)
+
+    def silent(self, milliseconds: float) -> None:
+        """Let time pass since the last estimate."""
+        heard = self.node._heard
+        self.node._heard = heard._replace(steady_ns=heard.steady_ns - round(milliseconds * MS))
 
     def choose(self, **values: Any) -> tuple[bool, str]:
         """Set parameters; whether it was done, and why not."""

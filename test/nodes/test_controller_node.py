@@ -98,7 +98,7 @@ def test_silence_gives_safe_voltages_in_the_order_of_stamps(loop: Loop) -> None:
     assert loop.commands == []  # nothing has come that could be missed
     loop.refer(0, 0.3)
     loop.run(angle=0.3)
-    loop.node._heard_ns, loop.node.now_ns = loop.now, lambda: loop.now + 25 * MS
+    loop.silent(25)
     loop.node._watch()
     loop.node._watch()
     loop.run(angle=0.1)
@@ -121,8 +121,7 @@ def test_an_inactive_controller_tells_its_health_and_can_be_cleared(loop: Loop) 
     loop.node.trigger_deactivate()
     assert loop.health("commands").level == 2
     assert loop.health("reference").values["publishers"] == "none"
-    loop.now += 10**9
-    loop.node.now_ns = lambda: loop.now  # the angle that was too large is long ago
+    loop.silent(1000)  # the angle that was too large is long ago
     assert asked(loop.node._clear)[0]
     loop.node.trigger_activate()
     assert loop.run(angle=0.1) == SAFE  # the reference from before does not count
@@ -268,3 +267,74 @@ def test_a_finding_of_the_monitor_stops_the_controller_if_stop_on_names_it(contr
     with pytest.raises(BadInput, match="no effect is called 'leek'"):
         stops_on(["leek"])
     assert stops_on([""]) == frozenset()
+
+
+def another(loop: Loop, topic: str, count: int) -> Any:
+    """Another node that publishes one of the topics, which is known when this returns."""
+    import time
+
+    from rclpy.node import Node
+
+    from pam_antagonist.nodes import qos
+    from pam_antagonist_msgs.msg import JointEstimate
+
+    other = Node("second_estimator", namespace="/pam")
+    for _ in range(count):
+        other.create_publisher(JointEstimate, topic, qos.STREAM)
+    end = time.monotonic() + 10.0
+    while loop.node.count_publishers(f"/pam/{topic}") < count and time.monotonic() < end:
+        time.sleep(0.01)
+    return other
+
+
+def test_a_second_estimator_is_named_and_stops_the_joint_and_no_sample_is_answered_twice(loop: Loop) -> None:
+    loop.refer(0, 0.3)
+    assert loop.run(5, angle=0.1) != SAFE
+    loop.now -= MS
+    before = len(loop.commands)
+    loop.run(angle=0.2)  # the same sample again, of one publisher
+    loop.node._watch()
+    assert len(loop.commands) == before and not loop.node.stopped
+    other = another(loop, "joint_estimate", 2)
+    try:
+        assert loop.run(3, angle=0.1) != SAFE
+        assert "2 nodes publish /pam/joint_estimate" in loop.health("commands").message, "before it sends"
+        for _ in range(3):
+            loop.run(angle=0.1)
+            loop.now -= MS
+            loop.run(angle=0.12)
+        loop.node._watch()
+        assert loop.run(angle=0.1) == SAFE
+        health = loop.health("commands")
+        assert health.level == 2 and "/pam/second_estimator" in health.message
+        assert "stopped: 2 nodes publish /pam/joint_estimate" in health.message
+        assert health.values["estimates not newer than the last"] == 4
+        good, why = asked(loop.node._clear)
+        assert not good and "the cause is still present: 2 nodes publish" in why
+    finally:
+        other.destroy_node()
+    loop.node._estimators.look(loop.node._estimators._until_ns + 1)  # none is repeated for a second
+    assert asked(loop.node._clear)[0]
+    assert loop.run(84, angle=0.1) != SAFE
+
+
+def test_a_controller_without_estimates_says_whether_anybody_publishes_them(loop: Loop) -> None:
+    assert loop.health("commands").message == "no estimate has come yet: nobody publishes /pam/joint_estimate"
+    other = another(loop, "joint_estimate", 1)
+    try:
+        assert loop.health("commands").message.endswith(
+            "no message of /pam/joint_estimate comes, though there is a publisher"
+        )
+    finally:
+        other.destroy_node()
+
+
+def test_an_angle_without_a_stiffness_is_followed_without_a_word(loop: Loop) -> None:
+    """A message holds 0 where nobody has written a stiffness."""
+    assert loop.choose(law="model")[0]
+    for mode in (0, 1):
+        for stiffness in (0.0, 6.0, math.inf):
+            loop.refer(mode, 0.2, stiffness)
+            loop.run(3, angle=0.1)
+            assert loop.health("reference").message == "followed" and not loop.references.limited_count
+            assert math.isnan(loop.references.stiffness)

@@ -61,7 +61,7 @@ def test_diagnostics_are_named_after_node_and_part_and_tell_what_was_lost(node: 
     sent = node._diagnostics._publisher.publish = Sent(None)
     node._diagnose()
     (message,) = sent
-    parts = ["samples", "filter", "connections", "lifecycle"]
+    parts = ["samples", "filter", "time", "connections", "lifecycle"]
     assert [status.name for status in message.status] == [f"pam/estimator: {part}" for part in parts]
     assert all(status.hardware_id == "joint" for status in message.status)
     assert message.status[0].level == b"\x01"  # nothing has come yet
@@ -88,6 +88,127 @@ def test_a_topic_that_stays_away_is_waited_for_and_then_left_out(node: Any) -> N
     assert [stamp_of(item) for item in node.published[10:]] == [begin + k * MS for k in range(10, 39)]
     assert all(item.flags & 2 for item in node.published[10:])
     assert node.health(1)["samples"].values["incomplete"] == 29
+
+
+_SECOND = 10**9
+
+
+def own_driver(node: Any, second: int, *, skip: str = "", **stamps: Any) -> Any:
+    """A second of a driver of one's own at 100 Hz; what is said of it then.
+
+    `skip`: a topic that it does not publish. `stamps`: of a topic [ns], by the stamp of the sample.
+    """
+    for k in range(100):
+        at = _SECOND * (1000 + second) + 10 * MS * k
+        for topic, given in (("p1", {"p1": 450e3}), ("p2", {"p2": 450e3}), ("voltage", {"voltage": (5.5, 5.5)})):
+            if topic != skip:
+                values = {"p1": None, "p2": None, "voltage": None, **given}
+                measure(node, stamps.get(topic, lambda stamp: stamp)(at), **values)
+    node._pairing._clock = lambda: _SECOND * (10**6 + second)
+    node._take(node._pairing.expire())
+    return node.health(_SECOND * second)["samples"]
+
+
+CAUSES: dict[str, tuple[dict[str, Any], str]] = {
+    "sent": (
+        {"p2": lambda at: at + 40_000, "voltage": lambda at: at + 80_000},
+        "messages come, but no stamp of theirs is the same: pressure_2 40 us after pressure_1 and valve_state 80 us "
+        "after pressure_1; expected one and the same stamp on all messages of a sample",
+    ),
+    "one is apart": ({"voltage": lambda at: at - 3 * MS}, "valve_state 3 ms before pressure_1; expected one"),
+    "two clocks": ({"p2": lambda at: at % (50 * _SECOND)}, "pressure_2 1e+03 s before pressure_1 (two clocks)"),
+    "all 0": (
+        dict.fromkeys(("p1", "p2", "voltage"), lambda at: 0),
+        "no message of pressure_1, pressure_2 and valve_state carries a stamp (all are 0), expected the time",
+    ),
+    "one is 0": ({"voltage": lambda at: 0}, "no message of valve_state carries a stamp"),
+    "one stands": ({"p1": lambda at: 7 * _SECOND}, "every message of pressure_1 has the stamp 7 s, expected the time"),
+    "no valve_state": (
+        {"skip": "voltage"},
+        "messages of pressure_1 and pressure_2 come, but nobody publishes /pam/valve_state; the estimator needs "
+        "valve_state too",
+    ),
+    "no pressures": (
+        {"skip": "p1"},
+        "messages of pressure_2 and valve_state come, but nobody publishes /pam/pressure_1",
+    ),
+}
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_each_cause_of_no_samples_has_its_own_sentence_in_diagnostics_and_once_in_the_log(
+    node: Any, cause: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node.trigger_activate()
+    capfd.readouterr()
+    given, words = CAUSES[cause]
+    for second in (-2, -1):  # until then nobody publishes, which is logged as a warning
+        assert node.health(_SECOND * second)["samples"].level == 1
+    for second in range(1, 4):
+        said = own_driver(node, second, **given)
+        assert said.level == 2 and words in said.message, said.message
+    assert capfd.readouterr().err.count(words) == 1
+    assert own_driver(node, 5).level < 2, "right stamps"
+
+
+def test_nobody_publishes_is_said_and_so_are_values_that_are_no_numbers(
+    node: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node.trigger_activate()
+    capfd.readouterr()
+    for second in (1, 2):
+        said = node.health(_SECOND * second)["samples"]
+        assert said.level == 1
+        assert said.message == "no samples: nobody publishes /pam/pressure_1, /pam/pressure_2 and /pam/valve_state"
+    assert capfd.readouterr().err.count("nobody publishes") == 1
+    begin = node.now_ns()
+    for k in range(5):
+        measure(node, begin + k * MS, p2=math.nan)
+    said = node.health(3 * _SECOND)["samples"]
+    assert said.level == 2
+    assert said.message == "the filter has not started: the last sample has no number of pressure_2"
+    measure(node, begin + 5 * MS, p1=450.0)
+    assert "has not started: pressure 1 is 450, expected" in node.health(4 * _SECOND)["samples"].message
+
+
+def test_a_topic_that_is_missing_in_many_samples_is_named(node: Any) -> None:
+    node.trigger_activate()
+    own_driver(node, 1)
+    begin = 1002 * _SECOND
+    node.now_ns = lambda: begin
+    for k in range(100):
+        measure(node, begin + 10 * MS * k, voltage=(5.5, 5.5) if k % 10 == 0 else None)
+    said = node.health(2 * _SECOND)["samples"].message
+    assert said.endswith("81 incomplete samples: 81 of the last 91 samples lack valve_state")
+
+
+def test_two_publishers_of_a_topic_of_the_samples_or_of_the_estimates_are_named(node: Any) -> None:
+    import time
+
+    from rclpy.node import Node
+    from sensor_msgs.msg import FluidPressure
+
+    from pam_antagonist.nodes import qos
+    from pam_antagonist_msgs.msg import JointEstimate
+
+    node.trigger_activate()
+    drivers = [Node(name, namespace="/pam") for name in ("plant", "my_driver")]
+    try:
+        for driver in drivers:
+            driver.create_publisher(FluidPressure, "pressure_2", qos.STREAM)
+        end = time.monotonic() + 10.0
+        while node.count_publishers("/pam/pressure_2") < 2 and time.monotonic() < end:
+            time.sleep(0.01)
+        said = own_driver(node, 1)
+        assert said.level == 2
+        assert said.message.startswith("2 nodes publish /pam/pressure_2: /pam/my_driver and /pam/plant; expected one")
+        drivers[0].create_publisher(JointEstimate, "joint_estimate", qos.STREAM)
+        while node.count_publishers("/pam/joint_estimate") < 2 and time.monotonic() < end:
+            time.sleep(0.01)
+        assert "nodes publish /pam/joint_estimate: /pam/estimator and /pam/plant" in own_driver(node, 2).message
+    finally:
+        for driver in drivers:
+            driver.destroy_node()
 
 
 def test_an_encoder_is_used_and_a_bad_one_is_refused_with_the_correction(new_node: Callable[..., Any]) -> None:
@@ -151,3 +272,18 @@ def test_a_message_holds_what_the_filter_remembers() -> None:
     other.restore(recorded)
     whole, rest = (one.run(stamps[100:], pressure[100:], voltage[100:]) for one in (estimator, other))
     assert rest.rows.tobytes() == whole.rows.tobytes()
+
+
+def test_a_computer_that_is_too_slow_is_told_so_in_a_sentence(node: Any) -> None:
+    begin = node.now_ns()
+    node.now_ns = lambda: begin + 300 * MS
+    for k in range(100):
+        measure(node, begin + k * MS)
+    said = node.health(_SECOND)["samples"]
+    assert said.level == 1
+    assert said.message == "this computer is too slow for 1000 samples a second: half of them are 250 ms old or more"
+    node.now_ns = lambda: begin + 10 * _SECOND
+    for k in range(100, 200):
+        measure(node, begin + k * MS)
+    said = node.health(2 * _SECOND)["samples"]
+    assert said.message == "the samples are 9.85 s old: they are of a recording, or stamped by another clock"

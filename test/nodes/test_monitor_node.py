@@ -59,7 +59,9 @@ def searched(node: Any) -> None:
 
 
 @pytest.mark.slow(6)
-def test_what_cannot_be_searched_for_is_a_suspicion_and_no_finding(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_searched_for_is_a_suspicion_and_no_finding(
+    node: Any, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     # Beside other work a search at the lowest priority takes minutes to start.
     given: list[int] = []
     monkeypatch.setattr("os.sched_setscheduler", lambda pid, policy, parameters: given.append(policy))
@@ -68,8 +70,10 @@ def test_what_cannot_be_searched_for_is_a_suspicion_and_no_finding(node: Any, mo
     searched(node)  # valves that never move allow no search
     assert given == [os.SCHED_IDLE]
     assert node.heard == []
-    said, message = node._suspicion, node.health(1)["joint"].message
-    assert "leaks" not in message and dict(node.health(1)["joint"].values)["suspicion"] == said
+    said, health = node._suspicion, node.health(1)["joint"]
+    assert "leaks" not in health.message  # no samples, which comes first
+    assert dict(health.values)["suspicion"] == said
+    assert capfd.readouterr().err.count(said) == 1, "in the log"
     assert said.startswith("air leaks from muscle 1 since") and "0.0031 ± 0.0002 mm2" in said
     assert said.endswith("it cannot be told from valve_offset 1; only a suspicion: no search was possible")
     # no storm: quiet for a while
@@ -80,6 +84,72 @@ def test_what_cannot_be_searched_for_is_a_suspicion_and_no_finding(node: Any, mo
     node.trigger_deactivate()
     node.trigger_activate()
     assert node._monitor.blocks.count == 0 and not node._monitor.findings
+
+
+def fed(node: Any, samples: int = 100) -> None:
+    """Samples at rest."""
+    stamps = node._feed.newest_ns + MS * np.arange(1, samples + 1)
+    place = {0: (4e5,), 1: (4e5,), 2: (5.5, 5.5)}
+    node._topics = {}
+    node._samples += samples
+    for stamp in stamps:
+        for topic, values in place.items():
+            node._feed.pairing.add(topic, int(stamp), *values)
+
+
+@pytest.mark.parametrize("guessed", [True, False])
+def test_without_an_encoder_it_says_at_the_start_what_it_cannot_do(
+    new_node: Callable[..., Any], tmp_path: Path, guessed: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from pam_antagonist.nodes.monitor import MonitorNode
+
+    rig = "shin2022"
+    if guessed:
+        from pam_antagonist.cli import new_rig
+
+        rig = str(tmp_path / "rig.yaml")
+        answers = "--radius 20mm --muscle dmsp-20 --nominal-length 0.3m --length 285mm --supply 6bar --valve MPYE-5-M5"
+        assert new_rig.main(["--out", rig, *answers.split(), *"--inertia 0.002 --mass 0.5kg --stop none".split()]) == 0
+    node = new_node(MonitorNode, rig=rig, folder=str(tmp_path / "found"), log_book=False)
+    node.trigger_activate()
+    said = capfd.readouterr().err
+    assert said.count("without an encoder (angle_sensor: none)") == 1
+    assert ("no search is possible" in said) is guessed and "stay suspicions" in said
+    assert dict(node.health(1)["joint"].values)["cannot"].startswith("without an encoder")
+    if not guessed:
+        return
+    node._feed._parts.append((ONSET_NS + np.arange(60_000) * MS, np.full((60_000, 5), 4e5)))
+    node._monitor.findings = leak()
+    node._look()
+    assert node._search is None
+    assert node._suspicion.startswith("air leaks from muscle 1 since")
+    assert node._suspicion in capfd.readouterr().err
+    fed(node)
+    health = node.health(2 * 10**9)["joint"]
+    assert health.message == node._suspicion and health.level == 0
+    assert not (tmp_path / "found").exists(), "no folder without a search"
+
+
+def test_with_an_encoder_there_is_nothing_to_say(
+    new_node: Callable[..., Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    from pam_antagonist.nodes.monitor import MonitorNode
+
+    new_node(MonitorNode, rig="shin2022_external_torque", angle_sensor="encoder").trigger_activate()
+    assert "without an encoder" not in capfd.readouterr().err
+
+
+def test_a_monitor_says_why_no_samples_come(node: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    for second in (1, 2):
+        said = node.health(second * 10**9)["joint"]
+        assert said.message == "no samples: nobody publishes /pam/pressure_1, /pam/pressure_2 and /pam/valve_state"
+        assert said.level == 1
+    for k in range(100):
+        node._feed.pairing.add(0, ONSET_NS + k * MS, 4e5)
+        node._feed.pairing.add(1, ONSET_NS + k * MS + 5000, 4e5)
+        node._feed.pairing.add(2, ONSET_NS + k * MS, 5.5, 5.5)
+    said = node.health(3 * 10**9)["joint"]
+    assert said.level == 2 and "pressure_2 5 us after pressure_1; expected one" in said.message
 
 
 def test_a_search_that_finds_nothing_is_silent_and_the_next_one_comes_later(node: Any) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.parameters import Parameter
+from pam_antagonist.nodes.sections import applies, unused
 
 CLASSES = {"plant": "PlantNode", "estimator": "EstimatorNode", "controller": "ControllerNode", "bridge": "BridgeNode"}
 
@@ -124,3 +126,81 @@ def test_what_does_not_suit_the_drive_is_refused_with_what_to_set(
 ) -> None:
     with pytest.raises(BadInput, match=words):
         made(name, **{"rig": "shin2022_regulators", **given})
+
+
+# ------------------------------------------------------------------------------------------------ parameter files
+
+BODY = "  ros__parameters:\n    joint_name: elbow\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "joints", "words"),
+    [
+        ("/**:\n" + BODY, (), ""),
+        ("/pam/estimator:\n" + BODY + "/pam/plant:\n" + BODY, (), ""),  # one file for several processes
+        ("pam:\n  estimator:\n    ros__parameters:\n      joint_name: elbow\n", (), ""),
+        (
+            "/arm/**:\n" + BODY,
+            (),
+            "none of its sections is for /pam/estimator, which runs without it. It has /arm/**; expected "
+            "/pam/estimator or /**",
+        ),
+        ("pam_estimator:\n" + BODY + "plant:\n" + BODY, (), "It has /pam_estimator and /plant; expected"),
+        ("/pam/*:\n" + BODY + "/pam/controller:\n" + BODY + "/**/bridge:\n" + BODY, ("/pam",), ""),
+        (
+            "/**/estimator:\n" + BODY + "/left/wrist/**:\n" + BODY,
+            ("/pam",),
+            "/left/wrist/** is for no joint that is started here. The joints are /pam",
+        ),
+        ("", (), ""),
+    ],
+)
+def test_a_parameter_file_without_a_section_for_the_node_is_told(
+    tmp_path: Path, text: str, joints: tuple[str, ...], words: str
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(text)
+    said = unused(file, ["/pam/estimator"], joints)
+    assert said == "" if not words else said.startswith(f"{file}: ") and words in said, said
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    "section",
+    ["/**", "/*", "/*/*", "/pam/**", "/pam/*", "/**/one", "/pam/one", "one", "/one", "/pam", "/arm/**", "/**/other"],
+)
+def test_a_section_applies_where_ros_applies_it(section: str, tmp_path: Path, ros: None) -> None:
+    from rclpy.node import Node
+
+    file = tmp_path / "parameters.yaml"
+    file.write_text(f"{section}:\n{BODY}")
+    node = Node(
+        "one", namespace="/pam", cli_args=["--ros-args", "--params-file", str(file)], use_global_arguments=False,
+        automatically_declare_parameters_from_overrides=True,
+    )  # fmt: skip
+    try:
+        assert node.has_parameter("joint_name") == applies(f"/{section.lstrip('/')}", "/pam/one")
+    finally:
+        node.destroy_node()
+
+
+@pytest.mark.ros
+def test_a_node_warns_of_a_file_that_is_not_for_it_and_says_which_rig_it_has(
+    tmp_path: Path, domain: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from pam_antagonist.nodes import controller, joints
+
+    def spin(node: Any, _stop: object) -> None:
+        for one in (*node.members, node):
+            one.start()
+
+    monkeypatch.setattr("pam_antagonist.nodes.spin.spin", spin)
+    file = tmp_path / "other.yaml"
+    file.write_text("/arm/**:\n" + BODY)
+    assert controller.main(["--ros-args", "--params-file", str(file)]) == 0
+    said = capfd.readouterr().err
+    assert said.count("none of its sections is for /pam/controller, which runs without it. It has /arm/**") == 1
+    assert "active with rig shin2022 (" in said
+    file.write_text("/**:\n  ros__parameters:\n    joints: [left/elbow]\n/left/wrist/**:\n" + BODY)
+    assert joints.main(["--ros-args", "--params-file", str(file)]) == 0
+    assert capfd.readouterr().err.count("/left/wrist/** is for no joint that is started here") == 1

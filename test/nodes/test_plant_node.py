@@ -90,6 +90,27 @@ def test_a_jump_of_the_clock_is_not_caught_up_with(make: Callable[..., Any], jum
     assert node.health(1)["sampling"].values["clock jumps"] == 1
 
 
+def test_a_computer_that_is_too_slow_is_told_so_in_a_sentence(
+    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node, begin = make(), T0
+    monkeypatch.setattr("pam_antagonist.nodes.plant.time.monotonic_ns", lambda: node.time - begin)
+    tick(node, 1.0)
+    assert node.health(1)["sampling"].message == "running"
+    for _ in range(20):
+        tick(node, 60.0)  # of which 25 samples are made
+    assert node.health(2)["sampling"].message.startswith(
+        "this computer is too slow for 1000 samples a second: half of them come "
+    )
+    tick(node, 1500.0)
+    said = node.health(3)["sampling"]
+    assert said.level == 1 and "left out" in said.message and said.values["clock jumps"] == 0
+    assert capfd.readouterr().err.count("this computer is too slow for 1000 samples a second") == 1
+    for _ in range(5):
+        tick(node, 1.0)
+    assert node.health(4)["sampling"].message == "running"
+
+
 def test_first_sample_waits_for_subscribers_and_gives_them_time(make: Callable[..., Any]) -> None:
     from sensor_msgs.msg import FluidPressure
 

@@ -111,6 +111,24 @@ def test_a_joint_without_commands_is_no_bad_controller(rig: Rig, recording: Reco
     assert shown.startswith("The joint had no commands: in 100.0 % of the samples the valves had the safe commands.")
 
 
+def test_a_computer_that_is_too_slow_is_told_so_in_a_sentence(rig: Rig, recording: Recording, changed: Changed) -> None:
+    from pam_antagonist.recording import Arrival
+    from pam_antagonist.replays.accounting import STAGES
+
+    def summary(missing: int) -> str:
+        received = {stage: Arrival(recording.stamp_ns, recording.stamp_ns) for stage in STAGES}
+        kept = np.delete(recording.stamp_ns, slice(100, 100 + missing))
+        received["valve_command"] = Arrival(kept, kept)
+        shown = Demo.of(
+            replay(changed(recording, reference=recording.reference, received_ns=received), rig), Mode.ANGLE, 0.02, 7
+        ).summary()
+        return " ".join(shown.split())
+
+    assert "too slow" not in summary(200)
+    said = "This computer is too slow for 1000 samples a second: 10.0 % of them were lost or came late (over 20 ms)"
+    assert said in summary(600)
+
+
 def test_without_a_reference_there_is_nothing_to_judge(rig: Rig, free: Recording) -> None:
     with pytest.raises(BadInput, match="no reference"):
         Demo.of(replay(free, rig), Mode.ANGLE, 0.0, 0)
