@@ -33,8 +33,8 @@ from validation import frame
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = Path(__file__).with_suffix(".yaml")
-# Tests of ./run itself and of packages would set up an environment for the copy.
-_LEFT_OUT = "--ignore=test/test_run.py", "--ignore=test/test_packaging.py"
+# Tests of ./run and of packages would set up an environment for the copy. That of the table fails with any change.
+_LEFT_OUT = tuple(f"--ignore=test/{name}.py" for name in ("test_run", "test_packaging", "validation/test_broken"))
 GATE, THOROUGH = "not thorough and not realtime", "thorough and not realtime"
 """Marks of what is tried; pipelines need the cores for themselves, and none of the behaviours is theirs alone."""
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import difflib
 import json
 import os
@@ -71,6 +72,12 @@ _KEPT: dict[int, socket.socket] = {}
 """The last domain that this process was given, and a name on this machine that stands for it."""
 
 
+@atexit.register
+def _let_go() -> None:
+    while _KEPT:
+        _KEPT.popitem()[1].close()
+
+
 def _kept(domain: int) -> bool:
     """Keep a domain by a name that ends with the process, even if it is killed; False: another process has it."""
     if domain not in _KEPT:
@@ -80,8 +87,7 @@ def _kept(domain: int) -> bool:
         except OSError:
             name.close()
             return False
-        while _KEPT:  # by now its nodes have their ports, or have ended
-            _KEPT.popitem()[1].close()
+        _let_go()  # by now the nodes of the last one have their ports, or have ended
         _KEPT[domain] = name
     return True
 
