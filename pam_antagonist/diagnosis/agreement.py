@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.models import Model, evidence, in_threads
 from pam_antagonist.diagnosis.result import FoundEffect
-from pam_antagonist.errors import BadInput
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import moved
@@ -45,11 +44,14 @@ def common_rig(model: Model, effects: Mapping[str, float], start: Rig | None = N
 
 
 def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
-    """A rig with the estimator's tuning of another one, and with that rig's effects that noise drives."""
+    """A rig with the tuning and the uncertainty of another one, and with that rig's effects that noise drives."""
     if tuned is None:
         return rig
     random = {name: {**rig.effects.get(name, {}), **values} for name, values in random_part(tuned.effects).items()}
-    return rig.replaced(sensors=tuned.sensors, tunings=tuned.tunings, effects={**rig.effects, **random})
+    return rig.replaced(
+        sensors=tuned.sensors, tunings=tuned.tunings, effects={**rig.effects, **random}, uncertainty=tuned.uncertainty,
+        directions=tuned.directions,
+    )  # fmt: skip
 
 
 def common_point(model: Model, effects: Mapping[str, float]) -> Point:
@@ -73,14 +75,17 @@ def common_point(model: Model, effects: Mapping[str, float]) -> Point:
 
 
 def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, str] | None:
-    """Name and size of the largest difference between two models if it is too large for one rig; else None."""
+    """Name and size of the largest difference between two models if it is too large for one rig; else None.
+
+    A fit that ran out of its priors imitates something else with its base parameters: it is no evidence.
+    """
     count = len(experiment.directions)
+    priors = np.array([direction.prior for direction in experiment.directions])
+    if any(np.any(np.abs(fit.point.theta[:count]) > thresholds.OUT_OF_PRIORS * priors) for fit in (one, other)):
+        return None
     apart = one.point.theta[:count] - other.point.theta[:count]
     variances = np.diag(one.covariance)[:count] + np.diag(other.covariance)[:count]
-    bound = np.maximum(
-        thresholds.OTHER_RIG_PRIORS * np.array([direction.prior for direction in experiment.directions]),
-        thresholds.OTHER_RIG_STD * np.sqrt(variances),
-    )
+    bound = np.maximum(thresholds.OTHER_RIG_PRIORS * priors, thresholds.OTHER_RIG_STD * np.sqrt(variances))
     worst = int(np.argmax(np.abs(apart) / bound))
     direction = experiment.directions[worst]
     return (direction.name, direction.in_words(float(apart[worst]))) if abs(apart[worst]) > bound[worst] else None
@@ -100,32 +105,21 @@ def with_effects(rig: Rig, effects: Mapping[str, float]) -> Rig:
     return rig.replaced(effects={**rig.effects, **kept})
 
 
-def check_same_rig(held_out: Sequence[Experiment], base: Model) -> None:
-    """Refuse a held-out recording whose own base parameters are far from those of the fitted ones.
+def base_contradictions(base: Model, held_out: Sequence[Experiment] = ()) -> list[str]:
+    """Base parameters in which recordings of the same joint condition differ more than one rig does from day to day.
 
-    The fits of this check are used for nothing else.
+    `held_out`: recordings that are held out as a whole; they are fitted here, and these fits are used for nothing else.
     """
+    known = calibrations.common(base)
 
     def own(other: Experiment) -> Fitted:
         whole = replace(other, fitted=other.trial.whole_blocks(len(other.trial)), judged=(), seed=0)
-        return refit(whole, whole.origin)
+        return refit(whole, Point(whole.origin.theta, known))
 
     fits = in_threads(own, ((other,) for other in held_out), base.jobs)
-    for other, theirs in zip(held_out, fits, strict=True):
-        for experiment, fitted in base.pairs:
-            same_condition = experiment.trial.joint == other.trial.joint
-            apart = farthest_apart(experiment, theirs, fitted) if same_condition else None
-            if apart is not None:
-                raise BadInput(
-                    f"{other.trial.name}: held out, but its {apart[0]} is {apart[1]} from that of "
-                    f"{experiment.trial.name}, so it seems to be of another rig; expected a recording of the same rig"
-                )
-
-
-def base_contradictions(base: Model) -> list[str]:
-    """Base parameters in which recordings of the same joint condition differ more than one rig does from day to day."""
-    warnings = []
-    for k, (one, fitted) in enumerate(base.pairs):
+    pairs, warnings = [*base.pairs, *zip(held_out, fits, strict=True)], []
+    for k, (one, fitted) in enumerate(pairs):
+        # Two that are held out say nothing of the model that is judged by them.
         for other, theirs in base.pairs[:k]:
             if one.trial.joint != other.trial.joint:
                 continue

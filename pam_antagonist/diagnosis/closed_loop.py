@@ -19,9 +19,9 @@ from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.warnings import like_a_curve
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.from_pressures import CLEAR
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures
+from pam_antagonist.identification.said import CLEAR
 from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command

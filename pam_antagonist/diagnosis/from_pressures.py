@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -36,12 +36,13 @@ from pam_antagonist.identification.from_pressures import (
 )
 from pam_antagonist.identification.parts import is_guessed
 from pam_antagonist.identification.runs import Run
+from pam_antagonist.identification.said import put_back
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, FreeEffectParameter
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial
-from pam_antagonist.inference.unknowns import Fit, Unknown, fitted
+from pam_antagonist.inference.unknowns import Fit, Unknown, fitted, within_bounds
 from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
@@ -74,6 +75,19 @@ _SIZE_STD, _SHAPE_STD = 5.0, 1.5
 """Priors of an effect's parameters in the last fit: of sizes in their scales, of shapes on the logarithmic scale."""
 
 
+@dataclass(frozen=True)
+class _OfUnknown(FreeDirection):
+    """An unknown of the identification, whose amounts are in standard deviations of its prior."""
+
+    item: Unknown = field(kw_only=True)
+
+    @override
+    def in_words(self, amount: float) -> str:
+        if self.item.positive:
+            return f"{100.0 * (self.item.value(amount) / self.item.start - 1.0):+.0f} %"
+        return f"{amount * self.item.std:+.2g} in SI units"
+
+
 @dataclass(frozen=True, eq=False)
 class _Part(Experiment):
     """All runs of the recordings as one experiment of a part of the model.
@@ -89,7 +103,8 @@ class _Part(Experiment):
     @cached_property
     @override
     def directions(self) -> tuple[FreeDirection, ...]:
-        return tuple(FreeDirection(item.name, dict.fromkeys(item.paths, 0.0), 1.0) for item in self.start.unknowns)
+        items = self.start.unknowns
+        return tuple(_OfUnknown(item.name, dict.fromkeys(item.paths, 0.0), 1.0, item=item) for item in items)
 
     @property
     @override
@@ -286,9 +301,9 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
     base = identify(recordings, rig, settings.holdout, 2, settings.seed, jobs, progress, whole)
     ends = fitted_until(recordings, settings.holdout, whole)
     own, corrected = with_joint(rig, base.joint, recordings)
-    groups = [_group(JOINT, rig, base.joint, recordings, ends, settings)]
+    groups = [_group(JOINT, rig, base.joint.moved, recordings, ends, settings)]
     if base.air is not None:
-        groups.append(_group(AIR, own, base.air, corrected, ends, settings))
+        groups.append(_group(AIR, own, base.air.moved, corrected, ends, settings))
     there = tuple(group for group in groups if group is not None)
     prepared = Prepared(rig, rig, (), tuple(group.experiments[0].trial for group in there), there, len(recordings))
     judged = tuple(verdicts(prepared, settings, Timings()))
@@ -298,7 +313,12 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
     fits = {place_of(one): _with_effects(one) for one in judged if one.effects}
     judged = tuple(_with_values(one, fits[place_of(one)]) if one.effects else one for one in judged)
     joint, air = fits.get(JOINT, base.joint), fits.get(AIR, base.air)
-    return FoundFromPressures(base, concluded(recordings, ends, rig, joint, air, jobs, progress), judged)
+    # What met a bound before the effects were known has no part in the fits with them.
+    before = {JOINT: base.joint, AIR: base.air}
+    earlier = [text for place in fits if (fit := before[place]) is not None for text in put_back(fit)]
+    return FoundFromPressures(
+        base, concluded(recordings, ends, rig, joint, air, jobs, progress, earlier=earlier), judged
+    )
 
 
 def _group(
@@ -352,7 +372,8 @@ def _with_effects(judged: Judged) -> Fit:
         residual = joint_stage.residual_of(rig, runs, unknown, math.inf)
     else:
         residual = air_stage.residual_of(rig, runs, 0.0, air_stage.HORIZONS[-1], unknown)
-    return fitted(unknown, residual, begin, _EVALUATIONS, experiment.jobs)
+    last = fitted(unknown, residual, begin, _EVALUATIONS, experiment.jobs)
+    return within_bounds(last, residual, _EVALUATIONS, experiment.jobs, {item.name for item in extra})
 
 
 def _with_values(judged: Judged, fit: Fit) -> Judged:

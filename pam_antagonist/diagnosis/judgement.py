@@ -145,7 +145,7 @@ class Case:
         return (
             *warnings.above_noise(self.stretches),
             *warnings.implausible(base),
-            *agreement.base_contradictions(base),
+            *agreement.base_contradictions(base, self.group.held_out if self.prepared.holds_out_recordings else ()),
         )
 
     @cached_property

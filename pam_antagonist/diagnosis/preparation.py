@@ -107,6 +107,11 @@ class Prepared:
     notes: tuple[str, ...] = ()
 
     @property
+    def holds_out_recordings(self) -> bool:
+        """Whether whole recordings are held out, and not parts of those that are fitted."""
+        return len(self.recordings) > self.fitted
+
+    @property
     def friction_removed(self) -> bool:
         """Whether friction of the rig file was taken out of the base model."""
         declared = self.rig.friction.shaft > 0.0 or self.rig.friction.muscle > 0.0

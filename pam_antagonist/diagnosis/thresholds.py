@@ -88,6 +88,8 @@ OTHER_RIG_PRIORS = 5.0
 """Standard deviations of the prior: base parameters of one rig do not differ by so much between recordings."""
 OTHER_RIG_STD = 5.0
 """Least size of that difference, in standard deviations of the fits."""
+OUT_OF_PRIORS = 2.0 * OTHER_RIG_PRIORS
+"""Standard deviations of its prior beyond which a fitted value says nothing of the rig: twice what two rigs differ."""
 IMPLAUSIBLE = 5.0
 """Standard deviations of its prior that a base parameter moves before a warning says so."""
 ESTIMATOR_WORSE = 1.5

@@ -8,7 +8,7 @@ a second at most: a valve that is shut leaves a pressure to an integrator, whose
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -16,7 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.runs import Run
-from pam_antagonist.inference.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
+from pam_antagonist.inference.fit_errors import Rows, with_errors
+from pam_antagonist.inference.unknowns import (
+    Fit,
+    Unknown,
+    deviations,
+    fitted,
+    parameters,
+    refined,
+    within_bounds,
+)
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.driven import pressures
 from pam_antagonist.rig import Rig
@@ -124,20 +133,30 @@ def residual_of(
 
     `zero`: reading of the encoder at ψ = 0 [rad]. `horizon`: of the simulations [s].
     """
-    vector = rig.parameters("locked")
 
     def residual(values: Mapping[str, float]) -> Floats:
-        out = [np.zeros(0)]
-        for name in dict.fromkeys(run.name for run in runs):
-            p = par.changed(vector, parameters(unknown, values, name) if unknown else values)
-            for run in runs:
-                if run.name == name:
-                    shown, starts = simulated(run, p, zero, horizon)
-                    weight = 1.0 if raw else math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / _UNIT
-                    out.append(weight * (run.pressure - shown)[~starts].T.ravel())
-        return np.concatenate(out)
+        errors = errors_of(rig, runs, zero, horizon, unknown, values)
+        return np.concatenate([np.zeros(0), *((1.0 if raw else _weight(run)) * left for run, left in errors)])
 
     return residual
+
+
+def errors_of(
+    rig: Rig, runs: Sequence[Run], zero: float, horizon: float, unknown: Sequence[Unknown], values: Mapping[str, float]
+) -> Iterator[tuple[Run, Floats]]:
+    """What a model leaves of each run: the errors of pressure 1, then of pressure 2 [Pa]; without the starts."""
+    vector = rig.parameters("locked")
+    for name in dict.fromkeys(run.name for run in runs):
+        p = par.changed(vector, parameters(unknown, values, name) if unknown else values)
+        for run in runs:
+            if run.name == name:
+                shown, starts = simulated(run, p, zero, horizon)
+                yield run, (run.pressure - shown)[~starts].T.ravel()
+
+
+def _weight(run: Run) -> float:
+    """What turns an error [Pa] of a run into a residual in its unit."""
+    return math.sqrt(min(_INDEPENDENT * run.period, 1.0)) / _UNIT
 
 
 def fit_air(
@@ -172,7 +191,7 @@ def fit_air(
             break
     assert found is not None
     if not refine:
-        return found
+        return within_bounds(found, residual_of(rig, given, zero, HORIZONS[-1], free), evaluations, jobs)
     names = list(dict.fromkeys(run.name for run in given))
     areas = [f"valve_{i}.{way}flow_area" for i in (1, 2) for way in ("in", "out")]
     extra = deviations({path: {path: rig.value(path)} for path in areas}, free, names)
@@ -204,4 +223,6 @@ def with_air_errors(
     """
     one, *others = (residual_of(this, usable(parts), 0.0, HORIZONS[-1], fit.unknowns)
                     for this, parts in ((rig, runs), *elsewhere))  # fmt: skip
-    return with_errors(fit, one, jobs, others)
+    left = errors_of(rig, usable(runs), 0.0, HORIZONS[-1], fit.unknowns, fit.values)
+    noise = rig.sensors.error("pressure")
+    return with_errors(fit, one, jobs, others, Rows.of((run.name, len(e), _weight(run) * noise) for run, e in left))

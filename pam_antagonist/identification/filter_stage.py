@@ -7,7 +7,8 @@ where a pressure changes most. So the process noise has two parts, a constant on
 change. Of a few pairs the one is taken with which the filter's angle errs least on the fitted recordings.
 
 What is left is the joint's own error, slow and of unknown form. The filter considers a constant torque that is not
-known (Schmidt-Kalman). Its standard deviation is chosen so that 95 % of the measured angles lie in their intervals.
+known (Schmidt-Kalman). Its standard deviation is chosen so that 95 % of the measured angles lie in their intervals. An
+error of the forces does the same for the measured torques.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.joint_stage import torque_scale
+from pam_antagonist.identification.joint_stage import force_gains, torque_scale
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import Recording
@@ -33,6 +34,8 @@ Floats = NDArray[np.float64]
 Given = tuple[Recording, JointCondition, str]
 
 UNKNOWN_TORQUE = "effects.load_torque.constant"
+UNKNOWN_FORCE = "force"
+"""Name of the direction of all forces."""
 _LEAST_RATE = 1e3
 """[Pa] Least error of a predicted pressure over 10 ms. Below it, a valve's error is taken for a motion of the joint."""
 _FIRST_RATE = 1e5
@@ -148,33 +151,86 @@ class Covered:
 def with_unknown_torque(
     rig: Rig, recordings: Sequence[Given], jobs: int = 1, progress: Callable[[str], None] | None = None
 ) -> Covered:
-    """The rig with the standard deviation of an unknown torque."""
-    noise, seen = rig.sensors.error("angle"), []
-    torque = _FIRST_SHARE * torque_scale(rig)
+    """The rig with the standard deviation of an unknown torque, so that 95 % of the angles lie in their intervals.
+
+    Where the uncertainty of the rig's values alone makes the intervals wider than that, it is made smaller.
+
+    `recordings`: of free joints with a measured angle.
+    """
+    known = {path: std for path, std in rig.uncertainty.items() if path != UNKNOWN_TORQUE}
+    certain = rig.replaced(uncertainty=known)
+    lacking, share = _lacking(certain, "angle", recordings, jobs)
+
+    def narrower(part: float) -> Rig:
+        turned = {name: {path: part * step for path, step in steps.items()} for name, steps in rig.directions.items()}
+        return rig.replaced(uncertainty={path: part * std for path, std in known.items()}, directions=turned)
+
+    def with_torque(torque: float) -> Rig:
+        return rig.replaced(uncertainty={**known, UNKNOWN_TORQUE: torque})
+
+    if lacking < -_CLOSE and (known or rig.directions):
+        found, _, share = _covering(narrower, math.exp(lacking), "angle", recordings, jobs, progress)
+        return Covered(found, 0.0, share)
+    return Covered(*_covering(with_torque, _FIRST_SHARE * torque_scale(rig), "angle", recordings, jobs, progress))
+
+
+def with_unknown_force(
+    rig: Rig, recordings: Sequence[Given], jobs: int = 1, progress: Callable[[str], None] | None = None
+) -> Rig:
+    """The rig with an error of all forces by one share, so that 95 % of the torques lie in their intervals.
+
+    It hardly moves the angle, at which both muscles are in balance. Nothing changes where no torque was measured.
+    """
+    known = [given for given in recordings if given[0].torque is not None and np.isfinite(given[0].torque).any()]
+    if not known or _lacking(rig, "torque", known, jobs)[0] <= 0.0:
+        return rig
+
+    def with_error(share: float) -> Rig:
+        steps = {path: share * value for path, value in force_gains(rig).items()}
+        return rig.replaced(directions={**rig.directions, UNKNOWN_FORCE: steps})
+
+    return _covering(with_error, _FIRST_SHARE, "torque", known, jobs, progress)[0]
+
+
+def _covering(
+    made: Callable[[float], Rig], first: float, channel: str, recordings: Sequence[Given], jobs: int,
+    progress: Callable[[str], None] | None,
+) -> tuple[Rig, float, float]:  # fmt: skip
+    """The rig whose intervals of a channel hold 95 % of the measurements, its size, and the share that they hold.
+
+    `made`: the rig by the size of what is not known, `first` to begin with.
+    """
+    seen, size = [], first
     for number in range(_ROUNDS):
         if progress:
-            progress(f"covariance of the angle, run {number + 1} of {_ROUNDS} at most")
-        now = rig.replaced(uncertainty={**rig.uncertainty, UNKNOWN_TORQUE: torque})
-        parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(_errors)(now, *item) for item in recordings)
-        error, std = (np.concatenate(column) for column in zip(*parts, strict=True))
-        # Errors within the encoder's own noise need no torque.
-        beyond = np.sqrt(np.maximum((error / 1.96) ** 2 - noise**2, 0.0)) / np.maximum(std, 1e-9)
-        lacking = float(np.clip(math.log(_MARGIN * max(float(np.quantile(beyond, _COVERED)), 1e-9)), *_LARGEST_STEP))
-        share = float(np.mean(np.abs(error) <= 1.96 * np.hypot(std, noise)))
-        seen.append((abs(lacking), math.log(torque), lacking, Covered(now, torque, share)))
+            progress(f"covariance of the {channel}, run {number + 1} of {_ROUNDS} at most")
+        rig = made(size)
+        lacking, share = _lacking(rig, channel, recordings, jobs)
+        seen.append((abs(lacking), math.log(size), lacking, (rig, size, share)))
         if abs(lacking) < _CLOSE:
             break
-        torque = math.exp(_next(seen))
+        size = math.exp(_next(seen))
     return min(seen, key=lambda item: item[0])[-1]
 
 
-def _next(seen: Sequence[tuple[float, float, float, Covered]]) -> float:
-    """Logarithm of the next torque to try.
+def _lacking(rig: Rig, channel: str, recordings: Sequence[Given], jobs: int) -> tuple[float, float]:
+    """By how much the logarithm of the intervals' width falls short, and the share of measurements that they hold."""
+    parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(_errors)(rig, channel, *item) for item in recordings)
+    error, std = (np.concatenate(column) for column in zip(*parts, strict=True))
+    noise = rig.sensors.error(channel)
+    # Errors within the sensor's own noise need nothing.
+    beyond = np.sqrt(np.maximum((error / 1.96) ** 2 - noise**2, 0.0)) / np.maximum(std, 1e-9)
+    lacking = float(np.clip(math.log(_MARGIN * max(float(np.quantile(beyond, _COVERED)), 1e-9)), *_LARGEST_STEP))
+    return lacking, float(np.mean(np.abs(error) <= 1.96 * np.hypot(std, noise)))
 
-    The interval grows with the torque, but not in proportion where the joint sticks or nears its stop. Between a torque
-    that is too small and one that is too large, a straight line is taken.
 
-    `seen`: of each torque the logarithm, and by how much the logarithm of the interval's width falls short.
+def _next(seen: Sequence[tuple[float, float, float, object]]) -> float:
+    """Logarithm of the next size to try, such as that of the unknown torque.
+
+    The interval grows with it, but not in proportion where the joint sticks or nears its stop. Between a size that is
+    too small and one that is too large, a straight line is taken.
+
+    `seen`: of each size the logarithm, and by how much the logarithm of the interval's width falls short.
     """
     below = max(((at, lacks) for _, at, lacks, _ in seen if lacks > 0.0), default=None)
     above = min(((at, lacks) for _, at, lacks, _ in seen if lacks <= 0.0), default=None)
@@ -184,19 +240,23 @@ def _next(seen: Sequence[tuple[float, float, float, Covered]]) -> float:
     return below[0] + min(max(share, 0.1), 0.9) * (above[0] - below[0])
 
 
-def _errors(rig: Rig, recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
-    """Errors of the estimated angle and their standard deviations (M,) [rad].
+def _errors(
+    rig: Rig, channel: str, recording: Recording, state: JointCondition, _name: str
+) -> tuple[Floats, Floats]:
+    """Errors of the estimated angle [rad] or torque [N m] and their standard deviations (M,).
 
     At its stop the filter is sure of the angle whatever the torque: such rows would ask for any torque.
     """
-    run, angle = replay(recording, rig, "default", state.condition, None).run, own_readings(recording)[1]
-    assert angle is not None
-    measured = angle[run.index]
-    known = np.isfinite(measured)
+    lock_angle = state.lock_angle if state.condition == "locked" else None
+    run = replay(recording, rig, "default", state.condition, lock_angle).run
+    _, angle, torque = own_readings(recording)
+    readings, place = (angle, 0) if channel == "angle" else (torque, 2)
+    assert readings is not None
+    error = run.rows[channel] - readings[run.index]
+    known = np.isfinite(error)
     inside = known & (np.abs(run.rows["angle"]) < (math.inf if rig.joint.stop is None else rig.joint.stop))
     known = inside if inside.any() else known
-    std = np.sqrt(run.rows["covariance"][:, 0, 0])
-    return (run.rows["angle"] - measured)[known], std[known]
+    return error[known], np.sqrt(run.rows["covariance"][:, place, place])[known]
 
 
 def with_least_error(rigs: Sequence[Rig], recordings: Sequence[Given], jobs: int = 1) -> Rig:

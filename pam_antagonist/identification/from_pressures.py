@@ -21,15 +21,16 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput, NoResult
 from pam_antagonist.identification import air_stage, joint_stage, noise
-from pam_antagonist.identification.air_stage import SUPPLY, errors, fit_air
+from pam_antagonist.identification.air_stage import errors, fit_air
 from pam_antagonist.identification.filter_stage import (
     Covered,
     Given,
     with_least_error,
     with_process_noise,
+    with_unknown_force,
     with_unknown_torque,
 )
-from pam_antagonist.identification.joint_stage import DELAY, fit_joint, model_values
+from pam_antagonist.identification.joint_stage import fit_joint, model_values
 from pam_antagonist.identification.parts import (
     calibration_of,
     checked,
@@ -53,10 +54,11 @@ from pam_antagonist.identification.result import (
     linear_map,
 )
 from pam_antagonist.identification.runs import Run, notes_of
+from pam_antagonist.identification.said import values_in_words
 from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
-from pam_antagonist.inference.unknowns import FAR, Fit, Unknown, fitted, parameters
+from pam_antagonist.inference.unknowns import Fit, Unknown, fitted, parameters, within_bounds
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal
@@ -213,7 +215,7 @@ def concluded(
     if final[0] is not joint and refusal(result):  # no possible rig
         final = (joint, air)
         result = _delivered(covered.rig, rig, *final)
-    notes = (*earlier, *notes_of(runs), *_notes(*final))
+    notes = (*earlier, *notes_of(runs), *values_in_words(*final))
     own_rigs = tuple(deviating.get(name, covered.rig) for _, _, name in recordings if deviating)
     return FromPressures(
         rig,
@@ -248,14 +250,14 @@ def _from_all(
     everything = [math.inf] * len(recordings)
     runs = parts_of(recordings, everything)
     residual = joint_stage.residual_of(model, runs, joint.unknowns, math.inf)
-    last = fitted(joint.unknowns, residual, joint.amounts, jobs=jobs)
+    last = within_bounds(fitted(joint.unknowns, residual, joint.amounts, jobs=jobs), residual, jobs=jobs)
     last = joint_stage.with_joint_errors(last, model, runs, jobs)
     if air is None:
         return last, None
     own, corrected = with_joint(model, last, recordings)
     runs, near = moving_parts(own, corrected, everything), near_joints(model, last, recordings, everything)
     residual = air_stage.residual_of(own, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns)
-    found = fitted(air.unknowns, residual, air.amounts, jobs=jobs)
+    found = within_bounds(fitted(air.unknowns, residual, air.amounts, jobs=jobs), residual, jobs=jobs)
     return last, replace(air_stage.with_air_errors(found, own, runs, jobs, near), lost=last.lost)
 
 
@@ -273,14 +275,17 @@ def _with_filter(
     progress("process noise of the filter")
     free = [given for given in parts if is_free(given)]
     if is_guessed(rig):
-        return with_unknown_torque(with_process_noise(rig, free, jobs), free, jobs, progress)
+        followed = with_process_noise(rig, free, jobs)
+        covered = with_unknown_torque(followed, free, jobs, progress)
+        return replace(covered, rig=with_unknown_force(covered.rig, parts, jobs, progress))
     found = {path for fit in (joint, air) if fit is not None for path in parameters(fit.unknowns, fit.values)}
     kept = {path: std for path, std in rig.uncertainty.items() if path not in found}
     quiet = noise.with_noise(rig.replaced(uncertainty=kept), [recording for recording, _, _ in parts])
     followed = with_process_noise(quiet, parts, jobs, guessed=False).replaced(uncertainty=kept)
     best = with_least_error([quiet, followed], parts, jobs)
     best = noise.with_directions(best, joint, runs)
-    return with_unknown_torque(best, free, jobs, progress) if free else Covered(best, 0.0, math.nan)
+    covered = with_unknown_torque(best, free, jobs, progress) if free else Covered(best, 0.0, math.nan)
+    return replace(covered, rig=with_unknown_force(covered.rig, parts, jobs, progress))
 
 
 def _joint_step(rig: Rig, runs: Sequence[Run], joint: Fit) -> Step:
@@ -370,32 +375,6 @@ def _rms(values: Floats) -> float:
 
 def _calibration(rig: Rig) -> Corrections:
     return Corrections(**dict(rig.calibration))
-
-
-CLEAR = 3.0
-"""A zero or a delay is said from so many standard errors on. It was 5 while these left out errors that last, and was
-changed with a recording in view whose angle is late by 8 ms."""
-
-
-def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
-    out = []
-    late, std = joint.values.get(DELAY, 0.0), joint.stds.get(DELAY, 0.0)
-    if abs(late) > max(CLEAR * std, 2e-3):
-        words = "late against" if late > 0.0 else "ahead of"
-        out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")
-    if joint.lost:
-        out.append("The fit of joint and muscles stayed far from the measured angle: no value is determined.")
-    for fit in [joint] if air is None else [joint, air]:
-        for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
-            value = fit.values[item.name]
-            if item.name in fit.at_bounds:
-                what = f"stands at the end of its range, {value:.4g}"
-            elif item.name == SUPPLY and abs(amount) > FAR:
-                what = f"went from {item.start:.4g} to {value:.4g} Pa, though a gauge tells it within a few per cent"
-            else:
-                continue
-            out.append(f"{item.name} {what}: measure it; if the rig file is right, the model lacks something there.")
-    return tuple(out)
 
 
 def _cut(recordings: Sequence[Given], ends: Sequence[float]) -> list[Given]:

@@ -271,10 +271,11 @@ def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
         value = item.value(float(amount))
         if not item.recording:
             reason = reasons[item.name]
+            at_bound = item.name in fit.at_bounds and item.name not in fit.kept
             out.append(
                 ParameterEntry(
                     item.name, item.start, value, stds[item.name], _relative(item.start, value),
-                    item.prior_std, value if item.name in fit.at_bounds else None, not reason, reason,
+                    item.prior_std, value if at_bound else None, not reason, reason,
                     recording_that_shows(item.name) if reason else None, unit_of_unknown(rig, item),
                 )
             )  # fmt: skip

@@ -18,9 +18,18 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
+from pam_antagonist.inference.fit_errors import Rows, with_errors
 from pam_antagonist.inference.free_parameters import LINEAR_FORCE
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
-from pam_antagonist.inference.unknowns import Fit, Unknown, deviations, fitted, parameters, refined, with_errors
+from pam_antagonist.inference.unknowns import (
+    Fit,
+    Unknown,
+    deviations,
+    fitted,
+    parameters,
+    refined,
+    within_bounds,
+)
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.driven import angles
@@ -39,11 +48,12 @@ _ALONG = 0.0
 """[s] Horizon without a simulation: the balance of torques along the measured motion counts."""
 _INDEPENDENT = 10.0
 """[1/s] Errors of a model last; so many values a second count as independent."""
-_ANGLE_SHARE, _TORQUE_SHARE = 0.01, 0.02
-"""Unit of the residuals, as a share of the measured range."""
-_BALANCE_SHARE = 0.1
-"""Unit of the balance, as a share of one muscle's torque: derivatives of an encoder err by more than a model. Chosen of
-0.02, 0.05 and 0.1 on four simulated joints, two of which had ended in a false minimum."""
+_ANGLE_SHARE = 0.01
+"""Unit of the angle's residuals, as a share of the measured range."""
+_TORQUE_SHARE, _BALANCE_SHARE = 0.02, 0.1
+"""Units of the torque and of the balance, as a share of one muscle's torque: derivatives of an encoder err by more than
+a model. That of the balance was chosen of 0.02, 0.05 and 0.1 on four simulated joints, two of which had ended in a
+false minimum."""
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _ZERO_STD = math.radians(5.0)
@@ -143,13 +153,14 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
     out.append(Unknown(both[0], both, rig.value(both[0]), 0.3, True))
     out.append(_positive(rig, "geometry.radius", 0.06))
     out.append(_positive(rig, "joint.inertia", 0.2))
-    out.append(_positive(rig, "joint.viscous_friction", 1.0))
-    out.append(_positive(rig, "friction.shaft", 0.5))
+    out.append(replace(_positive(rig, "joint.viscous_friction", 1.0), may_vanish=True))
+    out.append(replace(_positive(rig, "friction.shaft", 0.5), may_vanish=True))
     scale = torque_scale(rig)
     slopes = tuple(f"effects.friction_by_pressure.slope_{i}" for i in (1, 2))
     coulomb = "effects.friction.coulomb"
-    out.append(Unknown(coulomb, (coulomb,), 0.005 * scale, 1.0, True))
-    out.append(Unknown(slopes[0], slopes, 0.005 * scale / (0.5 * rig.supply.pressure), 1.0, True, high=1e-2))
+    out.append(Unknown(coulomb, (coulomb,), 0.005 * scale, 1.0, True, may_vanish=True))
+    slope = 0.005 * scale / (0.5 * rig.supply.pressure)
+    out.append(Unknown(slopes[0], slopes, slope, 1.0, True, high=1e-2, may_vanish=True))
     free = [run for run in runs if not run.locked]
     if free:
         weight = unknown_weight(rig)
@@ -292,20 +303,31 @@ def residual_of(
     """
     simulations = [run.finer() for run in runs] if finer else runs
     longest, share = (0.5 * _LONGEST_STEP, 2.0) if finer else (_LONGEST_STEP, 1.0)
-    unit = {
-        "angle": _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked]),
-        "torque": _TORQUE_SHARE * _range([run.torque for run in runs]),
-        "balance": _BALANCE_SHARE * torque_scale(rig),
-    }
+    weight = _weights(rig, runs, share)
 
     def residual(values: Mapping[str, float]) -> Floats:
         errors = errors_of(rig, simulations, unknown, values, horizon, longest)
-        parts = (
-            math.sqrt(min(_INDEPENDENT * share * run.period, 1.0)) / unit[kind] * left for kind, run, left in errors
-        )
-        return np.concatenate([np.zeros(0), *parts])
+        return np.concatenate([np.zeros(0), *(weight(kind, run) * left for kind, run, left in errors)])
 
     return residual
+
+
+def _weights(rig: Rig, runs: Sequence[Run], share: float = 1.0) -> Callable[[str, Run], float]:
+    """What turns an error [rad, N m] of a kind and a run into a residual in its unit.
+
+    A model's torque is the difference of two muscles', and errs by a share of one of them, however small it is. A unit
+    by the measured range would be large where a locked joint was recorded too, and small for a free joint alone.
+
+    `share`: rows of a run for each row that is known.
+    """
+    scale = torque_scale(rig)
+    angle = _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked])
+    units = {"angle": angle, "torque": _TORQUE_SHARE * scale, "balance": _BALANCE_SHARE * scale}
+
+    def weight(kind: str, run: Run) -> float:
+        return math.sqrt(min(_INDEPENDENT * share * run.period, 1.0)) / units[kind]
+
+    return weight
 
 
 def with_joint_errors(fit: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit:
@@ -320,7 +342,12 @@ def with_joint_errors(fit: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit
         return np.asarray(residual({**values, ZERO: values.get(ZERO, 0.0) + zero}))
 
     lost = fit.cost > _LOST * _cost_of_units(runs)
-    return replace(with_errors(fit, residual, jobs, [finer, shifted]), lost=lost)
+    weight = _weights(rig, runs)
+    rows = Rows.of(
+        (run.name, len(left), weight(kind, run) * rig.sensors.error(kind))
+        for kind, run, left in errors_of(rig, runs, fit.unknowns, fit.values)
+    )
+    return replace(with_errors(fit, residual, jobs, [finer, shifted], rows), lost=lost)
 
 
 def _cost_of_units(runs: Sequence[Run]) -> float:
@@ -374,7 +401,7 @@ def fit_joint(
             break
     assert found is not None
     if not refine:
-        return with_joint_errors(found, rig, runs, jobs)
+        return with_joint_errors(within_bounds(found, whole, evaluations, jobs), rig, runs, jobs)
     names = list(dict.fromkeys(run.name for run in runs))
     extra = deviations(_ways(rig), free, names)
     noise = {kind: max(rig.sensors.error(kind), _LEAST_NOISE) for kind in ("angle", "torque")}
@@ -383,6 +410,12 @@ def fit_joint(
         found, extra, lambda values: joined(errors_of(rig, runs, [*free, *extra], values)), noise, _LAST_EVALUATIONS,
         jobs,
     )  # fmt: skip
+
+
+def force_gains(rig: Rig) -> dict[str, float]:
+    """The parameters to which the forces of both muscles are in proportion, by dotted path, with their values."""
+    names = LINEAR_FORCE if rig.model.force == "linear" else ("c1",)
+    return {path: rig.value(path) for i in (1, 2) for name in names for path in [f"muscle_{i}.force.{name}"]}
 
 
 def _ways(rig: Rig) -> dict[str, dict[str, float]]:

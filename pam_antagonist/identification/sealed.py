@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_tuning import drift_size, tuned
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
+from pam_antagonist.inference.fit_errors import with_errors
 from pam_antagonist.inference.free_parameters import Direction, moved, start_values, values_along
 from pam_antagonist.inference.trial import BLOCK_S
-from pam_antagonist.inference.unknowns import Fit, Unknown, refined, with_errors
+from pam_antagonist.inference.unknowns import Fit, Unknown, refined
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig

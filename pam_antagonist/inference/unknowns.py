@@ -8,8 +8,9 @@ schema.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,6 @@ _WIDE_STEP = 0.05
 """Least first step, in standard deviations of the priors: small steps make the uncertainty look smaller than it is."""
 _SHARES = (1.0, 0.5, 0.25)
 """Of a step that are tried."""
-_BLOCKS = 40
-"""Parts of the data that count as independent of each other: seconds each, in recordings of a minute and more."""
 _FAILED = 1e3
 """Residual of a simulation that is not finite."""
 
@@ -60,6 +59,7 @@ class Unknown:
     adds: Mapping[str, float] = field(default_factory=dict)
     recording: str = ""
     reach: float = _WIDEST  # how far a fit may move it, in standard deviations of the prior
+    may_vanish: bool = False  # whether its least value is none at all, such as of a friction
     has_prior: bool = True  # else ``std`` is the usual size of a change
 
     @property
@@ -87,18 +87,38 @@ class Unknown:
         return self.amount(value) if math.isfinite(value) else math.copysign(self.reach, value)
 
 
+class Pulled(NamedTuple):
+    """A value that one recording pulls away from the others."""
+
+    name: str
+    recording: str
+    without: float  # value without that recording, in the unknown's unit
+    far: float  # by how many standard errors it differs
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Result of a fit."""
 
     unknowns: tuple[Unknown, ...]
     amounts: Floats  # found values in standard deviations of the priors (F,)
-    covariance: Floats  # of the amounts (F, F), from the curvature with the priors, or by :func:`with_errors`
+    covariance: Floats  # of the amounts (F, F), from the curvature with the priors, or with its errors
     cost: float
     # factor of each kind of residual, see :func:`scale_of`; empty for the stage's own.
     scale: Mapping[str, float] = field(default_factory=dict)
     # whether the fit stayed so far from the data that its values and their standard errors mean nothing.
     lost: bool = False
+    # value of each unknown that met a bound and was put back to its start, by name.
+    kept: Mapping[str, float] = field(default_factory=dict)
+    pulled: tuple[Pulled, ...] = ()  # the farthest first
+
+    @property
+    def moved(self) -> Fit:
+        """The fit without the unknowns that were put back to the rig file's values."""
+        left = [k for k, item in enumerate(self.unknowns) if item.name not in self.kept]
+        unknowns = tuple(self.unknowns[k] for k in left)
+        covariance = self.covariance[np.ix_(left, left)]
+        return replace(self, unknowns=unknowns, amounts=self.amounts[left], covariance=covariance, kept={})
 
     @property
     def values(self) -> dict[str, float]:
@@ -124,18 +144,20 @@ class Fit:
         """Why the data do not determine each unknown, in few words, by name; empty where they do."""
         if self.lost:
             return dict.fromkeys((item.name for item in self.unknowns), "the fit does not explain the data")
+        kept = dict.fromkeys(self.kept, "met a bound, so the value of the rig file is kept")
         return {
-            item.name: _reason(item, float(amount), math.sqrt(variance), item.name in self.at_bounds)
+            item.name: kept.get(item.name)
+            or _reason(item, float(amount), math.sqrt(variance), item.name in self.at_bounds)
             for item, amount, variance in zip(self.unknowns, self.amounts, np.diag(self.covariance), strict=True)
         }
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Names of the unknowns that stand at a bound."""
+        """Names of the unknowns that stand at a bound, or met one."""
         return tuple(
             item.name
             for item, amount in zip(self.unknowns, self.amounts, strict=True)
-            if min(abs(amount - bound) for bound in item.bounds) < _AT_BOUND
+            if item.name in self.kept or min(abs(amount - bound) for bound in item.bounds) < _AT_BOUND
         )
 
 
@@ -236,7 +258,7 @@ def fitted(
     if not unknowns:
         return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual({}) ** 2)))
     low, high = _bounds(unknowns)
-    of_data, prior = _robust(unknowns, residual), _prior(unknowns)
+    of_data, prior = robust(unknowns, residual), priors(unknowns)
 
     def whole(amounts: Floats) -> Floats:
         return np.concatenate([of_data(amounts), prior * amounts])
@@ -254,6 +276,42 @@ def fitted(
     return Fit(tuple(unknowns), found.x, np.linalg.inv(information), float(found.cost))
 
 
+def within_bounds(
+    fit: Fit,
+    residual: Callable[[Mapping[str, float]], Floats],
+    evaluations: int = 20,
+    jobs: int = 1,
+    stay: Collection[str] = (),
+) -> Fit:
+    """A fit in which what met a bound has the rig file's value, and the others are fitted again.
+
+    A value that would leave its bounds stands for something else that the model lacks. Numbers that no rig file has,
+    such as an encoder's zero, have no other value and stay.
+
+    `stay`: names of further unknowns that stay at their bounds.
+    """
+    met = {
+        k: item.value(float(amount))
+        for k, (item, amount) in enumerate(zip(fit.unknowns, fit.amounts, strict=True))
+        if item.paths and item.name in fit.at_bounds and item.name not in stay
+        and not (item.may_vanish and amount < 0.0)
+    }  # fmt: skip
+    if not met:
+        return fit
+    start = {fit.unknowns[k].name: fit.unknowns[k].start for k in met}
+    rest = np.array([k for k in range(len(fit.unknowns)) if k not in met], dtype=int)
+
+    def of_rest(values: Mapping[str, float]) -> Floats:
+        return residual({**values, **start})
+
+    first = fitted([fit.unknowns[k] for k in rest], of_rest, fit.amounts[rest], evaluations, jobs)
+    again = within_bounds(first, of_rest, evaluations, jobs, stay)
+    amounts, covariance = np.zeros(len(fit.amounts)), np.eye(len(fit.amounts))
+    amounts[rest], covariance[np.ix_(rest, rest)] = again.amounts, again.covariance
+    kept = {**{fit.unknowns[k].name: value for k, value in met.items()}, **again.kept}
+    return replace(fit, amounts=amounts, covariance=covariance, cost=again.cost, kept=kept)
+
+
 def _with_wide_step(fit: Fit, residual: Callable[[Mapping[str, float]], Floats], jobs: int) -> Fit:
     """A fit after a further step, by derivatives over the width of the uncertainty, if that lowers its cost.
 
@@ -262,10 +320,10 @@ def _with_wide_step(fit: Fit, residual: Callable[[Mapping[str, float]], Floats],
     """
     if len(fit.at_bounds) == len(fit.unknowns):
         return fit
-    of_data, (low, high) = _robust(fit.unknowns, residual), _bounds(fit.unknowns)
-    base, free, slopes, within = _seen(fit, of_data, jobs)
+    of_data, (low, high) = robust(fit.unknowns, residual), _bounds(fit.unknowns)
+    base, free, slopes, within = seen(fit, of_data, jobs)
     step = np.zeros(len(fit.amounts))
-    prior = _prior(fit.unknowns)
+    prior = priors(fit.unknowns)
     step[free] = -within @ (slopes.T @ base + prior[free] * fit.amounts[free])
     for share in _SHARES:
         there = np.clip(fit.amounts + share * step, low, high)
@@ -275,48 +333,15 @@ def _with_wide_step(fit: Fit, residual: Callable[[Mapping[str, float]], Floats],
     return fit
 
 
-def _seen(fit: Fit, of_data: Callable[[Floats], Floats], jobs: int) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
+def seen(fit: Fit, of_data: Callable[[Floats], Floats], jobs: int) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
     """What the data say at a fit: residual (N,), free amounts (F,), derivatives by them (N, F), inverse curvature."""
     bounds, base = _bounds(fit.unknowns), of_data(fit.amounts)
     free = np.flatnonzero([item.name not in fit.at_bounds for item in fit.unknowns])
     within = fit.covariance[np.ix_(free, free)]
     for least in (_WIDE_STEP, _STEP):
         slopes = _slopes(of_data, fit.amounts, within, free, bounds, least, jobs)
-        within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.diag(_prior(fit.unknowns)[free])))
+        within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.diag(priors(fit.unknowns)[free])))
     return base, free, slopes, within
-
-
-def with_errors(
-    fit: Fit,
-    residual: Callable[[Mapping[str, float]], Floats],
-    jobs: int = 1,
-    elsewhere: Sequence[Callable[[Mapping[str, float]], Floats]] = (),
-) -> Fit:
-    """A fit with honest standard errors; its values stay.
-
-    The unit of the residuals is a guess, and a model's errors last. So the curvature alone is no covariance. A joint
-    that sticks makes the cost rough: small steps show the roughness, and a fit by them stops in any of many small
-    minima. So the derivatives are differences over the width of the uncertainty. The standard errors come from
-
-    * the priors,
-    * the estimates that leave out one block of the data each (a jackknife, by one step of Gauss and Newton),
-    * the step by which the fit would still move,
-    * the errors of values that another stage found.
-
-    `elsewhere`: the residual with those values changed by one standard error, for each independent change.
-    """
-    if len(fit.at_bounds) == len(fit.unknowns):
-        return fit
-    amounts = fit.amounts
-    base, free, slopes, within = _seen(fit, _robust(fit.unknowns, residual), jobs)
-    prior = _prior(fit.unknowns)
-    moves = [within @ (slopes.T @ base + prior[free] * amounts[free])]
-    moves += [within @ (slopes.T @ (_robust(fit.unknowns, other)(amounts) - base)) for other in elsewhere]
-    covariance = np.eye(len(amounts))
-    covariance[np.ix_(free, free)] = (
-        within * prior[free] @ within + _jackknife(slopes, base, within) + sum(np.outer(one, one) for one in moves)
-    )
-    return replace(fit, covariance=covariance)
 
 
 def _slopes(
@@ -340,32 +365,17 @@ def _room(way: Floats, amounts: Floats, bounds: tuple[Floats, Floats]) -> float:
     return float(np.min(room[way != 0.0] / np.abs(way[way != 0.0]), initial=1.0))
 
 
-def _jackknife(slopes: Floats, residual: Floats, within: Floats) -> Floats:
-    """Covariance of the free amounts (F, F) by the data's errors, whatever their size and however long they last."""
-    information = np.linalg.inv(within)
-    blocks = np.array_split(np.arange(len(residual)), min(_BLOCKS, max(len(residual), 1)))
-    moves = np.array([
-        np.linalg.solve(information - slopes[rows].T @ slopes[rows], slopes[rows].T @ residual[rows])
-        for rows in blocks
-    ])  # fmt: skip
-    moves -= moves.mean(axis=0)
-    # Neighbours are not independent: half of their products count (Bartlett's weights, Newey and West 1987).
-    nothing = np.zeros((1, moves.shape[1]))
-    pairs = np.vstack([moves, nothing]) + np.vstack([nothing, moves])
-    return np.asarray(0.5 * pairs.T @ pairs)
-
-
 def _bounds(unknowns: Sequence[Unknown]) -> tuple[Floats, Floats]:
     low, high = (np.array(side) for side in zip(*(item.bounds for item in unknowns), strict=True))
     return low, high
 
 
-def _prior(unknowns: Sequence[Unknown]) -> Floats:
+def priors(unknowns: Sequence[Unknown]) -> Floats:
     """1 for each unknown with a prior, else 0 (F,)."""
     return np.array([float(item.has_prior) for item in unknowns])
 
 
-def _robust(
+def robust(
     unknowns: Sequence[Unknown], residual: Callable[[Mapping[str, float]], Floats]
 ) -> Callable[[Floats], Floats]:
     """The residual of the data for amounts; large ones count less, also those of a simulation that diverged."""

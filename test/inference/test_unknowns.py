@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pam_antagonist.inference.unknowns import Unknown, fitted, refined, with_errors
+from pam_antagonist.inference.fit_errors import Rows, with_errors
+from pam_antagonist.inference.unknowns import Unknown, fitted, refined, within_bounds
 
 TIME = np.linspace(0.0, 3.0, 200)
 GAIN = Unknown("gain", ("a.gain", "b.gain"), 2.0, 0.5, positive=True)
@@ -104,6 +106,80 @@ def test_a_value_at_a_bound_is_not_determined() -> None:
     assert found.reasons["shift"] == "met a bound"
     assert found.values["shift"] == pytest.approx(0.2, abs=1e-3)
     assert found.stds["gain"] > 0.0
+
+
+def test_a_value_that_meets_a_bound_is_put_back_and_the_others_are_fitted_with_it() -> None:
+    """The bound was written into the rig file, and the others had adapted to it."""
+    whole = residual((3.1, 0.9))
+    met = fitted([GAIN, SHIFT], whole)
+    found = within_bounds(met, whole)
+    assert met.values["shift"] == pytest.approx(0.2, abs=1e-3)
+    assert found.values["shift"] == 0.0 and found.kept == {"shift": pytest.approx(0.2, abs=1e-3)}
+    assert found.values["gain"] > met.values["gain"] + 0.1
+    assert with_errors(found, whole).reasons["shift"].startswith("met a bound")
+    assert list(found.moved.values) == ["gain"]
+
+
+def test_a_friction_may_vanish_and_what_no_file_has_stays_at_its_bound() -> None:
+    for unknown, true in (
+        ([replace(GAIN, may_vanish=True), SHIFT], (1e-9, 0.0)),
+        ([GAIN, replace(SHIFT, paths=())], (3.1, 0.9)),
+    ):
+        met = fitted(unknown, residual(true))
+        assert len(met.at_bounds) == 1 and within_bounds(met, residual(true)) is met
+
+
+SHAPES = np.column_stack([np.sin(TIME), np.cos(2.0 * TIME)])
+LACKS = 0.1 * np.sign(np.sin(3.5 * TIME))
+
+
+def lacking(repeats: int, lacks: float) -> tuple[Callable[[Mapping[str, float]], np.ndarray], Rows]:
+    """A model that lacks something, of which a recording is so many times as long; its noise is 0.01."""
+    noise = 0.01 * np.random.default_rng(0).standard_normal((repeats, len(TIME)))
+
+    def of(values: Mapping[str, float]) -> np.ndarray:
+        return (SHAPES @ [values["a"] - 0.5, values["b"] + 0.2] - lacks * LACKS - noise).ravel() / 0.1
+
+    return of, Rows.of([("one", repeats * len(TIME), 0.1)])
+
+
+def test_what_a_model_lacks_does_not_average_out_and_noise_does() -> None:
+    unknown = [Unknown(name, (name,), 0.0, 1.0) for name in "ab"]
+
+    def std(repeats: int, lacks: float) -> float:
+        of, rows = lacking(repeats, lacks)
+        return with_errors(fitted(unknown, of), of, rows=rows).stds["a"]
+
+    assert std(16, 1.0) > 0.75 * std(4, 1.0)
+    assert std(16, 0.0) < 0.75 * std(4, 0.0)
+    assert std(16, 1.0) > 5.0 * std(16, 0.0)
+    of, rows = lacking(16, 1.0)
+    found = with_errors(fitted(unknown, of), of, rows=rows)
+    assert abs(found.values["a"] - 0.5) < 3.0 * found.stds["a"]
+    assert abs(found.values["a"] - 0.5) > 3.0 * with_errors(fitted(unknown, of), of).stds["a"]
+
+
+def test_recordings_that_pull_a_value_apart_are_named_and_widen_its_error() -> None:
+    unknown = [Unknown("a", ("a",), 0.0, 1.0), Unknown("b", ("b",), 0.0, 1.0)]
+    noise = 0.01 * np.random.default_rng(0).standard_normal((3, len(TIME)))
+
+    def of(values: Mapping[str, float], true: Sequence[float] = (0.5, 0.5, 0.8)) -> np.ndarray:
+        parts = [SHAPES[:, 0] * (values["a"] - one) - noise[k] for k, one in enumerate(true)]
+        # Only the last one shows b: without it there is the prior, and no contradiction.
+        return np.concatenate([*parts, SHAPES[:, 1] * (values["b"] - 0.9) - noise[0]]) / 0.1
+
+    names = [(name, len(TIME) * (1 + (name == "third")), 0.1) for name in ("first", "second", "third")]
+    found = with_errors(fitted(unknown, of), of, rows=Rows.of(names))
+    (pulled,) = found.pulled
+    assert (pulled.name, pulled.recording) == ("a", "third")
+    assert found.stds["b"] < 0.1
+    assert pulled.without == pytest.approx(0.5, abs=0.05)
+    assert found.stds["a"] > 0.9 * abs(found.values["a"] - 0.5)
+
+    def alike(values: Mapping[str, float]) -> np.ndarray:
+        return of(values, (0.5, 0.5, 0.5))
+
+    assert with_errors(fitted(unknown, alike), alike, rows=Rows.of(names)).pulled == ()
 
 
 def test_values_that_are_all_at_bounds_stay_as_they_are() -> None:
