@@ -204,8 +204,12 @@ class ClosedLoop(Diagnosis):
             own = self.own[file.number][0]
             source += f"; with the values of {own} alone"
             found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
+        ends = {one.number: one.experiment.fitted * one.experiment.trial.dt for one in self.compared}
+        used = range(len(self.own)) if file.number is None else [file.number]
         rig = with_known_curves(file.rig, self.start).replaced(
-            name=f"{self.start.name.removesuffix('_extended')}_extended", source=" ".join(source.split())
+            name=f"{self.start.name.removesuffix('_extended')}_extended",
+            source=" ".join(source.split()),
+            fitted={**self.start.fitted, **{self.hashes[number]: ends[number] for number in used}},
         )
         try:
             corrected = self.typed.followed_by(calibrations.corrections(found))
@@ -274,7 +278,8 @@ class ClosedTrials(FoundFromPressures):
         names = ", ".join(name for name, _ in best.fitted)
         source = " ".join(f"extended by close_loop from {names}; started from: {self.start.source.strip()}".split())
         name = f"{self.start.name.removesuffix('_identified')}_extended"
-        return best.rig.replaced(name=name, source=source, identified=names)
+        fitted = {**self.start.fitted, **best.saw}
+        return best.rig.replaced(name=name, source=source, identified=names, fitted=fitted)
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``report.json``."""

@@ -32,7 +32,7 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.trial import TORQUE, Trial, check, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import random_part
-from pam_antagonist.recording import Recording, bag_name
+from pam_antagonist.recording import Recording, bag_name, seen_in_words
 from pam_antagonist.recording.joint import joint_condition, refuse_other_condition
 from pam_antagonist.rig import Rig
 from pam_antagonist.shown import unlike
@@ -132,7 +132,12 @@ def prepare(recordings: Sequence[Recording], held_out: Sequence[Recording], rig:
         raise BadInput("no recording: expected one at least")
     least = thresholds.SHORTEST_DRIVEN if rig.valves.sealed else thresholds.SHORTEST
     pieces = [longest_piece(recording, least) for recording in (*recordings, *held_out)]
-    notes = tuple(note for _, note in pieces if note)
+    seen = (
+        f"{bag_name(one.path)}: {text}"
+        for one in (*recordings, *held_out)
+        if (text := seen_in_words(one, rig.fitted, rig.name))
+    )
+    notes = (*(note for _, note in pieces if note), *seen)
     whole = [recording for recording, _ in pieces]
     recordings, held_out = whole[: len(recordings)], whole[len(recordings) :]
     low, high = thresholds.HOLDOUT

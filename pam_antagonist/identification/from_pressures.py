@@ -59,6 +59,7 @@ from pam_antagonist.identification.valve_curve import identify_curves
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.unknowns import Fit, Unknown, fitted, parameters, within_bounds
+from pam_antagonist.recording import recording_hash, seen_in_words, seen_until
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal
@@ -206,7 +207,7 @@ def concluded(
             rigs = {"as_configured": rig, "identified": covered.rig}
             rigs |= {"own": deviating[given[2]]} if given[2] in deviating else {}
             held.append(held_of(given, before, end, rigs, line))
-    seen = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
+    used = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
     final = (joint, air)
     if is_guessed(rig):
         progress("all of the data")
@@ -215,7 +216,11 @@ def concluded(
     if final[0] is not joint and refusal(result):  # no possible rig
         final = (joint, air)
         result = _delivered(covered.rig, rig, *final)
-    notes = (*earlier, *notes_of(runs), *values_in_words(*final))
+    seen = [f"{name}: {text}." for recording, _, name in recordings
+            if (text := seen_in_words(recording, rig.fitted, rig.name))]  # fmt: skip
+    start_saw = any(seen_until(one[0], rig.fitted) > end for one, end in zip(recordings, ends, strict=True))
+    until = ends if final[0] is joint else [math.inf] * len(ends)
+    notes = (*earlier, *seen, *notes_of(runs), *values_in_words(*final))
     own_rigs = tuple(deviating.get(name, covered.rig) for _, _, name in recordings if deviating)
     return FromPressures(
         rig,
@@ -226,11 +231,14 @@ def concluded(
         final,
         covered,
         tuple(held),
-        seen,
+        used,
         notes,
         errors(own, runs),
         tuple(steps),
         options,
+        start_saw,
+        {recording_hash(one): min(end, one.duration_s)
+         for (one, _, _), end in zip(recordings, until, strict=True) if end > 0.0},
     )
 
 

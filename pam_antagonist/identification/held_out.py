@@ -80,14 +80,18 @@ def do_not_use(rejected: str) -> str:
 
 
 def rejection(
-    every: Sequence[Held], refused: str = "", parameters: Sequence[ParameterEntry] = (), declared: Collection[str] = ()
-) -> str:
-    """Why the identified rig should not be used, in a sentence; empty if it may."""
+    every: Sequence[Held], refused: str = "", parameters: Sequence[ParameterEntry] = (), declared: Collection[str] = (),
+    saw: bool = False,
+) -> str:  # fmt: skip
+    """Why the identified rig should not be used, in a sentence; empty if it may.
+
+    `saw`: whether the rig file was fitted to what is held out here, so that nothing can be compared with it.
+    """
     if lost := [held.name for held in every if _diverged(held)]:
         return f"the model with the identified values diverges on the held-out part of {', '.join(lost)}."
     if refused:
         return f"the values that fit best are impossible ({refused})."
-    if worse := _became_worse(every):
+    if not saw and (worse := _became_worse(every)):
         return worse
     met = at_bounds(parameters)
     if any(item.name in declared for item in met) or (met and not _much_better(every)):

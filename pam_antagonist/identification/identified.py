@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 import textwrap
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -108,12 +109,21 @@ class Identified(Shown):
     def rejected(self) -> str:
         """Why the identified rig should not be used, in a sentence; empty if it may."""
         found = self.found
-        return found.rejected or rejection(self.held, refusal(self.rig), self.parameters, found.start.bounds)
+        saw = isinstance(found, FromPressures) and found.start_saw
+        return found.rejected or rejection(self.held, refusal(self.rig), self.parameters, found.start.bounds, saw)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """For the user."""
         return (*([do_not_use(self.rejected)] if self.rejected else []), *self.found.notes)
+
+    @property
+    def fitted(self) -> Mapping[str, float]:
+        """SHA-256 of each recording that the values were fitted to, and the end of that part [s]."""
+        if isinstance(self.found, FromPressures):
+            return self.found.saw
+        held = {held.name: held.from_s for held in self.held}
+        return {recording_hash(one): held[name] for one, _, name in self.recordings}
 
     @property
     def lacks_an_effect(self) -> bool:
@@ -245,9 +255,12 @@ class Identified(Shown):
         names = ", ".join(name for _, _, name in self.recordings)
         source = f"identified from {names}; started from: {start.source.strip()}"
 
+        fitted = {**start.fitted, **self.fitted}
+
         def named(rig: Rig, more: str = "") -> Rig:
             name = f"{start.name.removesuffix('_identified')}_identified"
-            return rig.replaced(name=name, source=" ".join(f"{source}{more}".split()), identified=names)
+            words = " ".join(f"{source}{more}".split())
+            return rig.replaced(name=name, source=words, identified=names, fitted=fitted)
 
         if self.rejected:
             lines = textwrap.wrap(do_not_use(self.rejected), 110)

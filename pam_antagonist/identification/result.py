@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -128,6 +128,9 @@ class FromPressures:
     pressures: tuple[float, float]
     steps: tuple[Step, ...] = ()
     options: Options = AS_USUAL
+    start_saw: bool = False  # whether the rig file was fitted to what is held out here
+    # SHA-256 of each recording that the delivered values were fitted to, and the end of that part [s].
+    saw: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def fits(self) -> tuple[Fit, ...]:
@@ -151,7 +154,8 @@ class FromPressures:
         now, before = self.pooled("identified"), self.pooled("as_configured")
         if any(item.rows for item in self.held) and not math.isfinite(now):
             return "the filter gives no angle on the held-out data with it."
-        if now > before * (_KNOWN_RIG if self.start.identified or self.start.model.force != "braided" else 1.0):
+        known = self.start.identified or self.start.model.force != "braided"
+        if not self.start_saw and now > before * (_KNOWN_RIG if known else 1.0):
             return (
                 f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
                 "The recordings do not fit two muscles on one joint, their channels are exchanged, or their pressures "

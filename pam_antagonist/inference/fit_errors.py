@@ -77,6 +77,10 @@ def with_errors(
         apart = _without_each(slopes, base, within, rows.recording, np.diag(found) / np.diag(within))
         found += sum(np.outer(one.moves, one.moves) for one in apart) + _of_the_model(slopes, base, within, rows.noise)
         pulled = _named(fit, free, apart)
+        # Where the data say little, a step of the linear model may be far beyond what the priors allow.
+        most = np.where(prior[free] > 0.0, np.maximum(1.0, np.abs(amounts[free])), np.inf)
+        narrower = np.minimum(1.0, most / np.sqrt(np.diag(found)))
+        found *= np.outer(narrower, narrower)
     covariance = np.eye(len(amounts))
     covariance[np.ix_(free, free)] = found
     return replace(fit, covariance=covariance, pulled=pulled)

@@ -17,7 +17,7 @@ from .topics import DEFAULT_NAMESPACE, SAMPLE_TOPICS, TOPICS, Topic
 if TYPE_CHECKING:
     from .reader import read_bag
     from .recording import ESTIMATE_SHAPES, Arrival, RecordedEstimate, RecordedReference, Recording
-    from .storage import bag_hash, bag_name, recording_hash
+    from .storage import bag_hash, bag_name, recording_hash, seen_in_words, seen_until
     from .writer import BagWriter, write_bag
 
 _LAZY = {
@@ -31,6 +31,8 @@ _LAZY = {
     "bag_hash": "storage",
     "bag_name": "storage",
     "recording_hash": "storage",
+    "seen_in_words": "storage",
+    "seen_until": "storage",
     "BagWriter": "writer",
     "write_bag": "writer",
 }
@@ -51,6 +53,8 @@ __all__ = [
     "bag_name",
     "read_bag",
     "recording_hash",
+    "seen_in_words",
+    "seen_until",
     "write_bag",
 ]
 

@@ -87,6 +87,31 @@ def recording_hash(recording: Recording) -> str:
     return digest.hexdigest()
 
 
+def seen_until(recording: Recording, fitted: Mapping[str, float]) -> float:
+    """End of the part of a recording that a rig was fitted to [s]; 0 where it was not.
+
+    Args:
+        recording: the recording.
+        fitted: of a rig file: SHA-256 of each recording, and the end of its part [s].
+    """
+    return fitted.get(recording_hash(recording), 0.0) if fitted else 0.0
+
+
+def seen_in_words(recording: Recording, fitted: Mapping[str, float], rig: str) -> str:
+    """A sentence where a rig was fitted to a recording, so that no error on that part is held out; else empty.
+
+    Args:
+        recording: the recording.
+        fitted: of the rig file, see :func:`seen_until`.
+        rig: its name.
+    """
+    until = seen_until(recording, fitted)
+    if not until:
+        return ""
+    part = "all" if until >= recording.duration_s else f"the first {until:.1f} s"
+    return f"rig {rig} was fitted to {part} of it: errors of this rig there are not those on new data"
+
+
 def bag_name(path: str | Path) -> str:
     """A bag's name for reports: only its folder and the folder above, so that no private path is shown.
 

@@ -21,7 +21,7 @@ from pam_antagonist.estimation.metrics import (
     pressure_errors,
 )
 from pam_antagonist.model import dynamics
-from pam_antagonist.recording import Recording, bag_name, recording_hash
+from pam_antagonist.recording import Recording, bag_name, recording_hash, seen_in_words
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.recording.notes import Issue, sealed_muscles
 from pam_antagonist.recording.rows import own_readings, slow, slow_sentence
@@ -318,7 +318,10 @@ def _judged(
             recording_hash(recording),
             dict(recording.topics),
             int(recording.stamp_ns[0]),
-            (*recording.issues, *_episodes(recording), *_sealed(recording, rig), *_other_joint(recording, rig)),
+            (
+                *recording.issues, *_episodes(recording), *_sealed(recording, rig), *_other_joint(recording, rig),
+                *filter(None, [seen_in_words(recording, rig.fitted, rig.name)]),
+            ),
             _rigs(recording, rig),
         ),
         joint=JointFacts.of(joint),

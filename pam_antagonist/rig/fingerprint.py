@@ -24,7 +24,8 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig.schema import Rig
 
 _NOT_PHYSICS = (
-    "name", "source", "identified", "encoder", "calibration", "uncertainty", "directions", "priors", "bounds", "tunings"
+    "name", "source", "identified", "fitted", "encoder", "calibration", "uncertainty", "directions", "priors", "bounds",
+    "tunings",
 )  # fmt: skip
 """Fields of a rig file about recordings, the filter, fits, or for people: not physics of the joint."""
 _DIGITS = 16

@@ -275,6 +275,9 @@ class Rig(Strict):
     name: str
     source: str = Field(description="where the numbers come from")
     identified: str = Field("", description="recordings that the values were identified from; empty: from none")
+    fitted: Dict[str, float] = Field(  # noqa: UP006
+        {}, description="recordings that the values were fitted to: SHA-256 of each, and the end of that part [s]"
+    )
     sample_period: float = Field(ge=1e-4, le=0.1, description="T_stp [s]")
     model: Form = Field(default_factory=lambda: Form(force="linear", friction="kikuuwe"))
     drive: Literal["valve", "regulator"] = Field(

@@ -14,12 +14,13 @@ import yaml
 from other_rigs import HANGING, LATE_S, WEIGHT, ZERO_ERROR, described, drawn, recorded
 
 from pam_antagonist import identify
+from pam_antagonist import replay as replayed
 from pam_antagonist.cli import identify as command
 from pam_antagonist.cli import import_csv, new_rig, replay
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, WEIGHT_COS, WEIGHT_SIN, ZERO
-from pam_antagonist.recording import Recording, write_bag
+from pam_antagonist.recording import Recording, recording_hash, write_bag
 from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.file import write_rig
@@ -95,7 +96,12 @@ def test_the_report_has_the_numbers_and_the_rig_is_one_that_replay_takes(
     joint, air = found.final
     assert air is not None
     assert values == {**joint.values, **air.values}
-    assert load_rig(str(out / "rig.yaml")).identified
+    written = load_rig(str(out / "rig.yaml"))
+    assert written.identified
+    # Whoever reads the file knows which errors are not those on new data.
+    assert dict(written.fitted) == {recording_hash(one): one.duration_s for one in trials}
+    (issue,) = replayed(trials[0], written).report.recording.issues
+    assert "was fitted to all of it: errors of this rig there are not those on new data" in issue
     write_bag(tmp_path / "free_2", trials[2])
     words = [str(tmp_path / "free_2"), "--rig", str(out / "rig.yaml"), "--out", str(tmp_path / "again"), "--no-figures"]
     assert replay.main(words) == 0

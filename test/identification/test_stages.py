@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from other_rigs import ZERO_ERROR, commands, described, drawn, recorded
 
-from pam_antagonist import simulate
+from pam_antagonist import load_rig, replay, simulate
 from pam_antagonist.control.model_law import voltage_towards
 from pam_antagonist.identification import air_stage, filter_stage, joint_stage
 from pam_antagonist.identification.air_stage import SUPPLY
@@ -145,3 +145,32 @@ def test_rows_at_the_stop_do_not_widen_the_interval_elsewhere() -> None:
     tuned = filter_stage.with_process_noise(known, [given])
     covered = filter_stage.with_unknown_torque(tuned, [given])
     assert covered.torque < 0.1 * joint_stage.torque_scale(known)
+
+
+SHIN = load_rig("shin2022")
+STEADY = (simulate(SHIN, duration=6.0, seed=1), JointCondition("free", 0.0, ""), "steady")
+
+
+def test_an_uncertainty_that_is_larger_than_the_errors_is_made_smaller() -> None:
+    """A file whose values were just fitted kept the uncertainty of the values before: intervals ten times too wide."""
+    free = [STEADY]
+    covered = filter_stage.with_unknown_torque(SHIN, free)
+    assert all(std < 0.5 * SHIN.uncertainty[path] for path, std in covered.rig.uncertainty.items())
+    now, before = (replay(STEADY[0], rig).report.ukf.angle for rig in (covered.rig, SHIN))
+    assert now is not None and before is not None
+    assert before.coverage95 == 1.0 and 0.88 < (now.coverage95 or 0.0) < 0.99
+    assert (now.width or 0.0) < 0.6 * (before.width or 0.0)
+
+
+def test_the_intervals_of_the_torque_hold_what_a_torque_meter_showed() -> None:
+    """Forces that are 10 % too small change the angle of two alike muscles little, and the torque by as much."""
+    sure = SHIN.replaced(uncertainty={})
+    recording = simulate(SHIN, duration=6.0, joint="locked", lock_angle=0.1, seed=1)
+    scaled = replace(recording, torque=1.1 * recording.torque)
+    given = [(scaled, JointCondition("locked", 0.1, ""), "locked")]
+    found = filter_stage.with_unknown_force(sure, given)
+    now, before = (replay(scaled, rig, joint="locked", lock_angle=0.1).report.ukf.torque for rig in (found, sure))
+    assert now is not None and before is not None
+    assert (before.coverage95 or 0.0) < 0.7 and 0.88 < (now.coverage95 or 0.0) < 0.99
+    silent = [(replace(recording, torque=None), given[0][1], "locked")]
+    assert filter_stage.with_unknown_force(sure, silent) is sure
