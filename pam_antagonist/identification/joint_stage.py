@@ -48,13 +48,12 @@ _ALONG = 0.0
 """[s] Horizon without a simulation: the balance of torques along the measured motion counts."""
 _INDEPENDENT = 10.0
 """[1/s] Errors of a model last; so many values a second count as independent."""
-_ANGLE_SHARE, _TORQUE_SHARE = 0.01, 0.02
-"""Unit of the residuals, as a share of the measured range."""
-_MUSCLE_SHARE = 0.01
-"""Least unit of a torque, as a share of one muscle's torque."""
-_BALANCE_SHARE = 0.1
-"""Unit of the balance, as a share of one muscle's torque: derivatives of an encoder err by more than a model. Chosen of
-0.02, 0.05 and 0.1 on four simulated joints, two of which had ended in a false minimum."""
+_ANGLE_SHARE = 0.01
+"""Unit of the angle's residuals, as a share of the measured range."""
+_TORQUE_SHARE, _BALANCE_SHARE = 0.02, 0.1
+"""Units of the torque and of the balance, as a share of one muscle's torque: derivatives of an encoder err by more than
+a model. That of the balance was chosen of 0.02, 0.05 and 0.1 on four simulated joints, two of which had ended in a
+false minimum."""
 _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _ZERO_STD = math.radians(5.0)
@@ -316,23 +315,17 @@ def residual_of(
 def _weights(rig: Rig, runs: Sequence[Run], share: float = 1.0) -> Callable[[str, Run], float]:
     """What turns an error [rad, N m] of a kind and a run into a residual in its unit.
 
-    A model's torque is the difference of two muscles'. It errs by a share of its own range and by a share of one of
-    them. In a unit by the range over all recordings, the torque of a free joint would not count beside a locked one's.
+    A model's torque is the difference of two muscles', and errs by a share of one of them, however small it is. A unit
+    by the measured range would be large where a locked joint was recorded too, and small for a free joint alone.
 
     `share`: rows of a run for each row that is known.
     """
     scale = torque_scale(rig)
     angle = _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked])
-    names = dict.fromkeys(run.name for run in runs)
-    ranges = {name: _range([run.torque for run in runs if run.name == name]) for name in names}
-
-    def unit(kind: str, run: Run) -> float:
-        if kind == "torque":
-            return math.hypot(_TORQUE_SHARE * ranges[run.name], _MUSCLE_SHARE * scale)
-        return angle if kind == "angle" else _BALANCE_SHARE * scale
+    units = {"angle": angle, "torque": _TORQUE_SHARE * scale, "balance": _BALANCE_SHARE * scale}
 
     def weight(kind: str, run: Run) -> float:
-        return math.sqrt(min(_INDEPENDENT * share * run.period, 1.0)) / unit(kind, run)
+        return math.sqrt(min(_INDEPENDENT * share * run.period, 1.0)) / units[kind]
 
     return weight
 
