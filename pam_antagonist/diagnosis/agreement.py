@@ -44,11 +44,14 @@ def common_rig(model: Model, effects: Mapping[str, float], start: Rig | None = N
 
 
 def with_tuning(rig: Rig, tuned: Rig | None) -> Rig:
-    """A rig with the estimator's tuning of another one, and with that rig's effects that noise drives."""
+    """A rig with the tuning and the uncertainty of another one, and with that rig's effects that noise drives."""
     if tuned is None:
         return rig
     random = {name: {**rig.effects.get(name, {}), **values} for name, values in random_part(tuned.effects).items()}
-    return rig.replaced(sensors=tuned.sensors, tunings=tuned.tunings, effects={**rig.effects, **random})
+    return rig.replaced(
+        sensors=tuned.sensors, tunings=tuned.tunings, effects={**rig.effects, **random}, uncertainty=tuned.uncertainty,
+        directions=tuned.directions,
+    )  # fmt: skip
 
 
 def common_point(model: Model, effects: Mapping[str, float]) -> Point:

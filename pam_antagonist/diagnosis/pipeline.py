@@ -31,11 +31,14 @@ from pam_antagonist.diagnosis.result import (
 )
 from pam_antagonist.diagnosis.search import about, hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
+from pam_antagonist.identification.filter_stage import Given, with_unknown_force, with_unknown_torque
+from pam_antagonist.identification.parts import is_free
 from pam_antagonist.identification.sealed_tuning import tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.recording import Recording
+from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
 
 
@@ -87,6 +90,8 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Mo
 
 
 _T = TypeVar("_T")
+_COVERED_S = 30.0
+"""[s] So much of a recording says how wide the intervals are: each width that is tried takes a run of the filter."""
 _TUNINGS = 25
 """Tunings of the estimator that are tried for each model, beginning with the rig file's."""
 
@@ -106,7 +111,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     profiles = [item for j in judged if settings.profiles for item in profile_sizes(j.model, j.effects, progress)]
     timings.end("profiles")
     common = {name: _common_rig(prepared, judged, name == "extended") for name in ("recalibrated", "extended")}
-    tunings = _tunings(prepared, common, bool(effects), settings)
+    tunings = _tunings(prepared, common, compared, bool(effects), settings)
     timings.end("tuning")
     progress("errors before and after")
     entries = held_out.by_recording(prepared, compared, tunings, settings.estimator, jobs)
@@ -253,17 +258,22 @@ def _common_rig(prepared: Prepared, judged: Sequence[Judged], extended: bool) ->
     return rig
 
 
-def _tunings(prepared: Prepared, common: Mapping[str, Rig], has_effects: bool, settings: Settings) -> dict[str, Rig]:
-    """Rigs whose tuning the estimator uses, by model.
+def _tunings(
+    prepared: Prepared, common: Mapping[str, Rig], compared: Sequence[HeldOutComparison], has_effects: bool,
+    settings: Settings,
+) -> dict[str, Rig]:  # fmt: skip
+    """Rigs whose tuning and uncertainty the estimator uses, by model; each is fitted to what may be fitted.
 
-    In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows. So
-    the tuning is fitted for each model.
+    In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows.
     """
-    if not (prepared.angle_driven and settings.estimator):
+    if not settings.estimator:
         return {}
     settings.progress("tuning the estimators")
-    named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
     names = ("recalibrated", "extended") if has_effects else ("recalibrated",)
+    if not prepared.angle_driven:
+        rigs = {name: _covered(prepared, common[name], compared, name, settings) for name in names}
+        return {"extended": rigs["recalibrated"], **rigs}
+    named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
     tried, most = itertools.count(1), _TUNINGS * len(names)
 
     def report(text: str) -> None:
@@ -273,6 +283,31 @@ def _tunings(prepared: Prepared, common: Mapping[str, Rig], has_effects: bool, s
     best = in_threads(tuned, tasks, settings.jobs)
     rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
     return {"extended": rigs["recalibrated"], **rigs}
+
+
+def _covered(
+    prepared: Prepared, rig: Rig, compared: Sequence[HeldOutComparison], model: str, settings: Settings
+) -> Rig:
+    """A rig whose intervals hold 95 % of what was measured in the fitted parts.
+
+    The uncertainty that a file gives to its values is not that of the values that were fitted in their place.
+    """
+    parts: list[Given] = []
+    for part in compared:
+        if part.number < prepared.fitted:
+            trial = part.experiment.trial
+            recording, _ = held_out.corrected(prepared.recordings[part.number], part, model)
+            until = min((part.experiment.fitted - 0.5) * trial.dt, _COVERED_S)
+            parts.append((recording.slice(0.0, until), JointCondition(trial.joint, trial.lock_angle, ""), trial.name))
+    free = [given for given in parts if is_free(given)]
+    if not free:
+        return rig
+    moved_by_fit = {path for part in compared for direction in part.experiment.directions for path in direction.changes}
+    kept = {path: std for path, std in rig.uncertainty.items() if path not in moved_by_fit}
+    report, jobs = settings.progress, settings.jobs
+    turned = {name: steps for name, steps in rig.directions.items() if moved_by_fit.isdisjoint(steps)}
+    covered = with_unknown_torque(rig.replaced(uncertainty=kept, directions=turned), free, jobs, report).rig
+    return with_unknown_force(covered, parts, jobs, report)
 
 
 def _own_rigs(
