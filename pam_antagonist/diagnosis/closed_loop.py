@@ -205,7 +205,7 @@ class ClosedLoop(Diagnosis):
             source += f"; with the values of {own} alone"
             found = {item.name: item.by_recording.get(own, (item.value, 0.0))[0] for item in self.calibrations}
         ends = {one.number: one.experiment.fitted * one.experiment.trial.dt for one in self.compared}
-        used = range(len(self.own)) if file.number is None else [file.number]
+        used = [number for number in ends if file.number in (None, number)]
         rig = with_known_curves(file.rig, self.start).replaced(
             name=f"{self.start.name.removesuffix('_extended')}_extended",
             source=" ".join(source.split()),

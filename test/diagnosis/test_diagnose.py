@@ -78,7 +78,7 @@ def result(rig, leaking) -> DiagnoseResult:
     """The diagnosis with its inputs."""
     fields = {item.name: getattr(leaking, item.name) for item in dataclasses.fields(Diagnosis)}
     fields |= {"ambiguous_with": [], "own": leaking.own[:1]}
-    return DiagnoseResult(**fields, start=rig, hashes=("0" * 64,), seed=0, kept=1.0 / 3.0)
+    return DiagnoseResult(**fields, start=rig, hashes=("a" * 64,), seed=0, kept=1.0 / 3.0)
 
 
 def times(errors: RigErrors, factor: float, filtered: float = 1.0) -> RigErrors:
@@ -172,7 +172,7 @@ def test_recordings_with_different_faults_get_a_rig_each(result, tmp_path) -> No
     entries = tuple(dataclasses.replace(entry, recording=name) for name in ("one", "two"))
     both = dataclasses.replace(leak, recordings=("one", "two"))
     fields = {"own": (("one", rig), ("two", rig)), "by_recording": entries, "effects": (both,)}
-    found = dataclasses.replace(result, **fields, hashes=("0" * 64,) * 2)
+    found = dataclasses.replace(result, **fields, hashes=("a" * 64,) * 2)
     assert found.rig_files == ("rig_extended.yaml", "rig_extended_1.yaml", "rig_extended_2.yaml")
 
     apart = tuple(dataclasses.replace(leak, muscle=k, recordings=(name,)) for k, name in ((1, "one"), (2, "two")))

@@ -82,7 +82,7 @@ def found(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> DiagnoseResult:
         compared=(),
         seconds={},
         start=rig,
-        hashes=("0" * 64,),
+        hashes=("a" * 64,),
         seed=0,
         kept=1.0 / 3.0,
     )
