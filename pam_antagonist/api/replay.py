@@ -97,12 +97,12 @@ def check(
     recordings of another rig.
 
     Args:
-        recording: a bag, or a recording that was read with ``read_bag(..., judge=False)`` and without corrections.
+        recording: a bag, or a recording, best read with ``read_bag(..., judge=False)``.
         rig: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (detected).
         lock_angle: of a locked joint [rad], where it is known.
         corrections: that are given for the recording: the check says which of them make it wrong. Default: those of
-            the rig file (``calibration``).
+            the rig file (``calibration``); none for a recording that was read with corrections.
 
     Returns:
         The findings, with command line options that correct them.
@@ -118,6 +118,8 @@ def check(
     """
     configured = as_rig(rig, regulators=True)
     given = calibration(configured) if corrections is None else corrections
+    if corrections is None and isinstance(recording, Recording) and recording.corrected:
+        given = Corrections()
     if not isinstance(recording, Recording):
         recording = read_bag(recording, corrections=Corrections(align_clocks=given.align_clocks), judge=False)
     found = check_recording(recording, configured, joint, lock_angle, given)
@@ -138,7 +140,8 @@ def replay(
     """Run a recording through the estimator and through the model alone, and compute the errors of both.
 
     Args:
-        recording: a recording or its bag.
+        recording: a recording or its bag. The rig file's calibration is removed from both, but not from a recording
+            that was read with corrections.
         rig: a rig, its name or its file.
         tuning: name of one of its tunings.
         joint: ``free``, ``locked`` or ``auto`` (detected).

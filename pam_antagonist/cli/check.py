@@ -37,6 +37,7 @@ def parser() -> common.Parser:
 
 
 def _main(arguments: argparse.Namespace) -> int:
+    from pam_antagonist.api.given import calibration
     from pam_antagonist.api.replay import check
     from pam_antagonist.recording import read_bag
     from pam_antagonist.report import terminal
@@ -45,7 +46,7 @@ def _main(arguments: argparse.Namespace) -> int:
 
     rig = load_rig(arguments.rig, regulators=True)
     lock_angle = common.lock_angle(arguments)
-    given = from_options(arguments, dict(rig.calibration))
+    given = from_options(arguments, calibration(rig))
     results, measured = {}, False
     for bag in arguments.bags:
         recording = read_bag(

@@ -122,6 +122,7 @@ def _in_one_go(
 
 def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> int:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
+    from pam_antagonist.api.given import calibration
     from pam_antagonist.diagnosis.hypotheses import Checkpoint
     from pam_antagonist.recording import bag_hash, bag_name
 
@@ -156,7 +157,7 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
             shutil.rmtree(kept, ignore_errors=True)
         raise
     damage = given.damage(arguments, recordings)
-    corrected = corrections.from_options(arguments, dict(rig.calibration))
+    corrected = corrections.from_options(arguments, calibration(rig))
     found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
     given.announce(arguments, found, found.next_rig)
     _note_down(arguments, recordings, rig, found)

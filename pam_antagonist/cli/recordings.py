@@ -61,16 +61,17 @@ def span(values: Any, scale: float, unit: str) -> str:
 
 def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:
     """A bag, read as by ``read_bag``, corrected as asked and checked; ``--no-check`` goes on although it is wrong."""
+    from pam_antagonist.api.given import calibration
     from pam_antagonist.checks import SHORTEST, check_recording
     from pam_antagonist.recording import read_bag
 
-    known = dict(rig.calibration)
+    known = calibration(rig)
     given = corrections.from_options(arguments, known)
     own = corrections.from_options(arguments).options()
     try:
         recording = read_bag(bag, corrections=given, **how)
     except BadInput as exc:
-        if own and _can_be_read(bag, corrections.Corrections(**known), how):
+        if own and _can_be_read(bag, known, how):
             raise BadInput(f"{exc}; it can be read without {' '.join(own)}: leave that out") from None
         raise
     if arguments.no_check or recording.duration_s < SHORTEST or recording.drive != rig.drive:
