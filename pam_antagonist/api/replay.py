@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,8 @@ from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.faults import faults_of, in_words
+from pam_antagonist.recording.notes import Issue
 from pam_antagonist.replays import replay as _replay
 from pam_antagonist.report import terminal
 from pam_antagonist.report.replay import ReplayResult
@@ -171,5 +174,7 @@ def replay(
     """
     chosen = as_rig(rig, regulators=True)
     given = as_recording(recording, chosen)
+    told = [Issue(text, "missing") for _, text in in_words(faults_of(given), given.time_s)]
+    given = dataclasses.replace(given, issues=(*given.issues, *told)) if told else given
     done = _replay(given, chosen, tuning, joint, lock_angle, read_seconds, progress, begin_s, angle_sensor)
     return widened(ReplayResult, done)

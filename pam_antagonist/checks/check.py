@@ -121,7 +121,7 @@ def check_recording(
         every = sorted([*about_samples, *judged], key=lambda finding: order.index(finding.status))
         return Checked(tuple(every), numbers.without_calibration(corrections, rig), joint)
 
-    jumped = resets(_in_si(recording, now))
+    jumped = resets(samples.in_si(recording, now))
     if jumped is not None:
         # The model does not know resets, so that no channel would agree with it.
         known = joint_condition(recording, joint, lock_angle).condition
@@ -144,12 +144,6 @@ def check_recording(
     if wiring.guessed(rig):
         found, needed = [_uncertain(finding) for finding in found], now if of_values else typed
     return checked([*findings, *found], needed, condition.condition)
-
-
-def _in_si(recording: Recording, now: Corrections) -> Recording:
-    """A recording in SI units, otherwise as it was recorded."""
-    units = {name: getattr(now, name) for name in ("pressure_unit", "gauge", "angle_unit", "torque_unit", "atmosphere")}
-    return Corrections(**units).applied(recording)
 
 
 def _uncertain(finding: Finding) -> Finding:

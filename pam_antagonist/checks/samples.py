@@ -64,14 +64,18 @@ _FEW = 0.001
 """So small a share of faults is kept, since the estimator gates it."""
 
 
+def in_si(recording: Recording, now: Corrections) -> Recording:
+    """A recording in SI units, otherwise as it was recorded."""
+    units = {name: getattr(now, name) for name in ("pressure_unit", "gauge", "angle_unit", "torque_unit", "atmosphere")}
+    return Corrections(**units).applied(recording)
+
+
 def faulty(recording: Recording, now: Corrections) -> tuple[Recording, list[Finding]]:
     """A recording without the readings that are no measurement, and what to do about them.
 
     `now`: gives the units in which it was recorded.
     """
-    units = Corrections(pressure_unit=now.pressure_unit, gauge=now.gauge, angle_unit=now.angle_unit,
-                        torque_unit=now.torque_unit)  # fmt: skip
-    found = faults_of(units.applied(recording))
+    found = faults_of(in_si(recording, now))
     if not found:
         return recording, []
     options = () if now.leave_out_faults else tuple(Corrections(leave_out_faults=True).options())

@@ -186,7 +186,7 @@ def pressure_unit_of(
     offset = np.nanmean(pressures * UNITS["pressure"].get(unit, 1.0) - model.pressure, axis=0)
     if not unit or np.max(np.abs(offset)) > _ANY_PRESSURE:
         sizes = " and ".join(f"{name} changes {one:.3g} times" for name, one in zip(names, ratios, strict=True))
-        text = f"{sizes} as much as the model's, and no unit has this factor: check the pressure sensors and supply.pressure"
+        text = f"{sizes} as much as the model's, and no unit has this factor: check the sensors and supply.pressure"
         return [Finding("doubtful", text)], replace(now, pressure_unit=typed.pressure_unit, gauge=typed.gauge)
     factor = UNITS["pressure"][unit]
     out = _unit_findings("pressure", "the pressures are", unit, typed.pressure_unit)
@@ -198,8 +198,9 @@ def pressure_unit_of(
     if not typed.gauge and lower.any() and np.max(np.abs(offset[~lower]), initial=0.0) < GAUGE_TOLERANCE and not gauge:
         one, other = (names[int(np.flatnonzero(which)[0])] for which in (lower, ~lower))
         text = (
-            f"{one} is {abs(float(offset[lower][0])) / 1e3:.0f} kPa lower than the voltages make it, and {other} agrees: "
-            f"{one} seems to be gauge pressure and {other} absolute, so no option corrects them; correct one driver"
+            f"{one} is {abs(float(offset[lower][0])) / 1e3:.0f} kPa lower than the voltages make it, and {other} "
+            f"agrees: {one} seems to be gauge pressure and {other} absolute, so no option corrects them; correct one "
+            "driver"
         )
         return [*out, Finding("doubtful", text)], found
     off = offset + (air if found.gauge else 0.0)
@@ -208,7 +209,8 @@ def pressure_unit_of(
         left = float(np.sqrt(np.nanmean((pressures * factor + air - model.pressure) ** 2)))
         text = (
             f"both pressures are {-offset[0] / 1e3:.0f} and {-offset[1] / 1e3:.0f} kPa lower than the voltages make "
-            f"them: these are gauge pressures. With {air / 1e3:.6g} kPa added they differ by {left / 1e3:.1f} kPa (sure)"
+            f"them: these are gauge pressures. With {air / 1e3:.6g} kPa added they differ by {left / 1e3:.1f} kPa "
+            "(sure)"
         )
         out.append(Finding("wrong", text, ("--gauge",)))
     elif typed.gauge and absolute:

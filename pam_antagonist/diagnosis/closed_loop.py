@@ -301,7 +301,7 @@ class ClosedTrials(FoundFromPressures):
                 {"name": name, "value": value, "std": std, "unit": unit, "recording": None}
                 for name, value, std, unit in (
                     ("encoder_zero", values.get(ZERO, 0.0), stds.get(ZERO, 0.0), "rad"),
-                    ("delay_angle", -values.get(DELAY, 0.0), stds.get(DELAY, 0.0), "s"),
+                    ("delay_angle", values.get(DELAY, 0.0), stds.get(DELAY, 0.0), "s"),
                 )
                 if abs(value) > CLEAR * std
             ],

@@ -305,6 +305,7 @@ class ChannelErrors:
     # half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
     width: float | None = None
     delay_s: float | None = None  # delay of the estimated external torque [s]; None for other channels
+    mean: float | None = None  # mean error, in the unit; not in ``report.json``
 
     def to_json(self) -> dict[str, float]:
         """``rmse_deg`` or ``rmse_nm``, and so on."""
@@ -365,7 +366,8 @@ def channel_errors(
         covered = coverage(error, variance, reading)
         width = rmse(interval_half_width(variance, reading)) / size if size > 0.0 else None
     largest, ratio = max_error(error) * scale, estimation_ratio(error, measured)
-    return ChannelErrors(unit, size * scale, largest, ratio, covered, width)
+    mean = None if math.isnan(size) else float(np.mean(_finite(error))) * scale
+    return ChannelErrors(unit, size * scale, largest, ratio, covered, width, mean=mean)
 
 
 def pressure_errors(measured: FloatArray, value: FloatArray) -> PressureErrors:

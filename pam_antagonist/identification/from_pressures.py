@@ -379,7 +379,7 @@ changed with a recording in view whose angle is late by 8 ms."""
 
 def _notes(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     out = []
-    late, std = joint.values.get(DELAY, 0.0), joint.stds.get(DELAY, 0.0)
+    late, std = -joint.values.get(DELAY, 0.0), joint.stds.get(DELAY, 0.0)
     if abs(late) > max(CLEAR * std, 2e-3):
         words = "late against" if late > 0.0 else "ahead of"
         out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")

@@ -151,6 +151,15 @@ def test_a_model_that_diverged_has_no_error_that_is_a_number(report: ReplayRepor
     assert tiles(now)[0].note == "model alone diverges"
 
 
+def test_an_error_that_is_the_same_at_each_sample_is_a_zero(report: ReplayReport) -> None:
+    off = replace(ANGLE, rmse=10.0, coverage95=0.0, mean=-9.99)
+    now = replace(report, ukf=replace(report.ukf, angle=off))
+    assert "The encoder seems to read 10.0° too high. To correct that, type --encoder-zero 9.99." in said(now, "warn")
+    assert "covariance is too small" not in said(now, "warn") and "honest" in said(now, "good")
+    varies = replace(report, ukf=replace(report.ukf, angle=replace(off, mean=-5.0)))
+    assert "covariance is too small" in said(varies, "warn") and "zero" not in said(varies, "warn")
+
+
 def test_a_filter_is_not_judged_by_a_few_samples(report: ReplayReport) -> None:
     short = replace(report, samples=3, duration_s=0.002)
     assert said(short, "warn") == "0.002 s is too short to judge the filter by; expected 1 s or more."
