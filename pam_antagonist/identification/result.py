@@ -187,13 +187,13 @@ class FromPressures:
         seen = []
         if now > (linear := self.pooled("linear")):
             seen.append(
-                f"A linear map of the two pressures errs by {linear:.3g}°: the recordings do not fit two muscles on one "
-                "joint, the joint moved too little, or it hit a stop that the rig file does not have."
+                f"A linear map of the two pressures errs by {linear:.3g}°: the recordings do not fit two muscles on "
+                "one joint, the joint moved too little, or it hit a stop that the rig file does not have."
             )
         if against := [item.name for item in self.held if item.goes_against]:
             seen.append(
-                f"In {', '.join(against)} the estimated angle goes against the measured one: channels are exchanged, or "
-                "the encoder counts the other way: run check."
+                f"In {', '.join(against)} the estimated angle goes against the measured one: channels are exchanged, "
+                "or the encoder counts the other way: run check."
             )
         if any(SWINGS in note for note in self.notes):
             seen.append("Their pressures were read too rarely.")

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,12 +240,12 @@ def without_faults(recording: Recording) -> Recording:
 
 def masked(recording: Recording, found: list[SensorFault]) -> Recording:
     """A recording in any unit whose faults are missing values."""
-    pressure, angle, torque = recording.pressure.copy(), recording.angle, recording.torque
+    pressure = recording.pressure.copy()
+    measured: dict[str, Any] = {"angle": recording.angle, "torque": recording.torque}
     for sensor, fault in found:
-        if sensor == "measured angle":
-            angle = np.where(fault.rows, np.nan, recording.angle if angle is None else angle)
-        elif sensor == "measured torque":
-            torque = np.where(fault.rows, np.nan, recording.torque if torque is None else torque)
+        name = sensor.removeprefix("measured ")
+        if name in measured:
+            measured[name] = np.where(fault.rows, np.nan, measured[name])
         else:
-            pressure[fault.rows, int(sensor[-1]) - 1] = np.nan
-    return replace(recording, pressure=pressure, angle=angle, torque=torque)
+            pressure[fault.rows, int(name[-1]) - 1] = np.nan
+    return replace(recording, pressure=pressure, **measured)
