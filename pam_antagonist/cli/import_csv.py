@@ -108,7 +108,7 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
 
 def _rig_file(bag: Path) -> str:
     """The one rig file here or beside a new bag, as it is typed; RIG where there are none or several."""
-    found = {}
+    found: dict[Path, Path] = {}
     for path in [file for folder in (Path(), bag.parent) for file in sorted(folder.glob("*.yaml"))[:_MOST_FILES]]:
         try:
             with path.open(encoding="utf-8", errors="replace") as stream:

@@ -117,10 +117,9 @@ def next_on_bags(
     `bags`: None for one that no fit has seen: the only other one beside those that were given, where there is one.
     `fixes`: see :func:`as_read`.
     """
-    words = command
-    if bags is None and not (bags := _others(arguments.bags)):
-        words = f"{command} ANOTHER_BAG"
-    return common.next_command(words, bags, " ".join([f"--rig {rig} --out DIR", *as_read(arguments, fixes)]))
+    named = _others(arguments.bags) if bags is None else bags
+    words = command if named else f"{command} ANOTHER_BAG"
+    return common.next_command(words, named, " ".join([f"--rig {rig} --out DIR", *as_read(arguments, fixes)]))
 
 
 def _others(bags: Sequence[Path]) -> list[Path]:

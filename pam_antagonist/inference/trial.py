@@ -224,8 +224,8 @@ def _refuse_saturated(trial: Trial, sensor: str, values: Floats) -> None:
         one = SensorFault(sensor, fault)
         if fault.kind == "end" and not one.is_possible:
             raise BadInput(
-                f"{trial.name}: {sensor} reads exactly {one.size} in {100 * fault.rows.mean():.0f} % of the samples: the "
-                "sensor is saturated; use one with a larger range, or leave such readings out (--leave-out-faults)"
+                f"{trial.name}: {sensor} reads exactly {one.size} in {100 * fault.rows.mean():.0f} % of the samples: "
+                "the sensor is saturated; use one with a larger range, or leave such readings out (--leave-out-faults)"
             )
 
 

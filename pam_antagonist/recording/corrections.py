@@ -7,9 +7,7 @@ options are made from the same table.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,9 +1,9 @@
 """Readings that are no measurement: lost ones, held ones, and those at the end of a sensor's range.
 
-All functions judge one column of readings, in any unit, and a short window of a live stream as well as a recording.
+All functions judge one column of readings, in any unit, of a recording or of a short window of a live stream.
 
-* A **lost** reading is one exact value, far from the readings before and after it, which are near each other. A bus that
-  returns nothing leaves such rows, often zeros. Noise and motion never give the same number again and again.
+* A **lost** reading is one exact value, far from the readings before and after it, which are near each other. A bus
+  that returns nothing leaves such rows, often zeros. Noise and motion never give the same number again and again.
 * At the **end of its range** a sensor gives exactly its largest or least value, row after row, in several stretches. A
   sensor with noise gives no value twice in a row for long. One without noise repeats its readings elsewhere, too; then
   nothing is said.

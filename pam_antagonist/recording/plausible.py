@@ -82,7 +82,7 @@ class _Range(NamedTuple):
 
 
 MIN_PRESSURE, MAX_PRESSURE = 50e3, 2e6
-"""[Pa] Absolute: a vented muscle holds the atmosphere's pressure, 54 kPa at 5,000 m; muscles work up to about 0.9 MPa."""
+"""[Pa] Absolute: a vented muscle holds the atmosphere's pressure, 54 kPa at 5,000 m; muscles work up to 0.9 MPa."""
 _BELOW = 0.8
 """Least possible pressure of a muscle, by the atmosphere's where that is stated: a vented one, read with an error."""
 STANDARD_ATMOSPHERE = 101_325.0

@@ -57,8 +57,8 @@ class Resets:
         if self.alone:
             return (
                 f"{self.signal} jumps {places} from one row to the next, at {where} s, first by {self.size}, and all "
-                "other signals go on: the zero of this sensor jumped, as by an index pulse, lost counts or an exchanged "
-                "plug; use only a part in which it stays"
+                "other signals go on: the zero of this sensor jumped, as by an index pulse, lost counts or an "
+                "exchanged plug; use only a part in which it stays"
             )
         return (
             f"{self.signal} jumps {places} from one row to the next, at {where} s: these look like several recordings "

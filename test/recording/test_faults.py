@@ -23,7 +23,8 @@ def log(**changes: np.ndarray) -> Recording:
     """A recording as twelve-bit sensors make it."""
     pressure = 4e5 + 1.2e5 * np.column_stack([-MOVES, MOVES]) + 200.0 * NOISE[:, :2]
     arrays = {
-        "pressure": np.round(pressure / STEP) * STEP, "angle": np.round((0.2 * MOVES + 1e-4 * NOISE[:, 2]) / 3e-3) * 3e-3,
+        "pressure": np.round(pressure / STEP) * STEP,
+        "angle": np.round((0.2 * MOVES + 1e-4 * NOISE[:, 2]) / 3e-3) * 3e-3,
         "torque": 0.8 * MOVES + 0.01 * NOISE[:, 3],
     }  # fmt: skip
     stamps = 10**9 + np.rint(1e9 * TIME).astype(np.int64)
