@@ -172,7 +172,8 @@ class FromPressures:
         if now > self.pooled("linear"):
             return f"on the held-out data the filter errs by {now:.3g}°. {self._cause(now)}"
         if said := refusal(self.rig):
-            return f"the values that fit best are impossible ({said}). {self._cause(now)}"
+            what = f"the values that fit best are impossible ({said})"
+            return f"{what}. The recordings do not fit two muscles on one joint."
         model, rest = self.pressures
         if model > _EXPLAINED * rest:
             return (
