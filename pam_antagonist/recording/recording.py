@@ -278,7 +278,7 @@ class Recording(Shown):
             return ()
         apart = np.abs(self.pressure - self.voltage)
         moves = np.ptp(self.voltage, axis=0) > 0.0
-        return tuple(k for k in (0, 1) if moves[k] and np.nanmax(apart[:, k]) <= _ROUNDING)
+        return tuple(k for k in (0, 1) if moves[k] and np.fmax.reduce(apart[:, k]) <= _ROUNDING)
 
     def driven_by(self, drive: str) -> Recording:
         """This recording, if it has the given drive.
