@@ -16,6 +16,8 @@ _LONGEST = 500
 _VALUE = 40
 MISSING = "–"
 """Text for a missing value."""
+DIVERGES = "that of a model that diverges"
+"""Text for an infinite error."""
 
 
 class Shown:
@@ -62,6 +64,16 @@ def number(value: float | None, digits: int = 3) -> str:
     if not -5 <= magnitude < 9:
         return f"{value:.{digits - 1}e}"
     return f"{value:.{max(digits - 1 - magnitude, 0)}f}"
+
+
+def error_in_words(value: float | None, unit: str, digits: int = 2) -> str:
+    """An error with its unit; that of a model which diverges is infinite, and is no number.
+
+    `unit`: with the space before it, where there is one.
+    """
+    if value is not None and math.isinf(value):
+        return DIVERGES
+    return f"{number(value, digits)}{unit}"
 
 
 def percent(value: float | None) -> str:

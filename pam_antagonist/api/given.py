@@ -21,14 +21,17 @@ Bag: TypeAlias = Recording | str | Path
 
 
 def calibration(rig: Rig) -> Corrections:
-    """Corrections of recordings, from the calibration in a rig file."""
-    return Corrections(**dict(rig.calibration))
+    """Corrections of recordings, from the calibration in a rig file, and the atmosphere of gauge pressures."""
+    return Corrections(**dict(rig.calibration), atmosphere=rig.atmosphere.pressure)
 
 
 def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
-    """The recording itself; a bag is read with the calibration of its rig."""
+    """A recording as its rig's file calibrates it, whether it was read before or is a bag.
+
+    One that was read with corrections of the caller's own is taken as it is.
+    """
     if isinstance(bag, Recording):
-        return bag
+        return bag if bag.corrected else calibration(rig).applied(bag)
     if isinstance(bag, (str, Path)):
         return read_bag(bag, corrections=calibration(rig), also=also)
     raise BadInput(
@@ -53,8 +56,9 @@ def named(
 
 
 def corrections(bags: Bag | Sequence[Bag], rig: Rig) -> Corrections:
-    """Corrections with which bags are read here; none for recordings that the caller has read."""
-    return Corrections() if any(isinstance(bag, Recording) for bag in _several(bags)) else calibration(rig)
+    """Corrections that are made here; none where the caller has corrected a recording."""
+    own = any(isinstance(bag, Recording) and bag.corrected for bag in _several(bags))
+    return Corrections() if own else calibration(rig)
 
 
 def _several(bags: Bag | Sequence[Bag]) -> Sequence[Bag]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,8 @@ from pam_antagonist.checks import Checked, check_recording
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.faults import faults_of, in_words
+from pam_antagonist.recording.notes import Issue
 from pam_antagonist.replays import replay as _replay
 from pam_antagonist.report import terminal
 from pam_antagonist.report.replay import ReplayResult
@@ -97,12 +100,12 @@ def check(
     recordings of another rig.
 
     Args:
-        recording: a bag, or a recording that was read with ``read_bag(..., judge=False)`` and without corrections.
+        recording: a bag, or a recording, best read with ``read_bag(..., judge=False)``.
         rig: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (detected).
         lock_angle: of a locked joint [rad], where it is known.
         corrections: that are given for the recording: the check says which of them make it wrong. Default: those of
-            the rig file (``calibration``).
+            the rig file (``calibration``); none for a recording that was read with corrections.
 
     Returns:
         The findings, with command line options that correct them.
@@ -118,6 +121,8 @@ def check(
     """
     configured = as_rig(rig, regulators=True)
     given = calibration(configured) if corrections is None else corrections
+    if corrections is None and isinstance(recording, Recording) and recording.corrected:
+        given = Corrections()
     if not isinstance(recording, Recording):
         recording = read_bag(recording, corrections=Corrections(align_clocks=given.align_clocks), judge=False)
     found = check_recording(recording, configured, joint, lock_angle, given)
@@ -138,7 +143,8 @@ def replay(
     """Run a recording through the estimator and through the model alone, and compute the errors of both.
 
     Args:
-        recording: a recording or its bag.
+        recording: a recording or its bag. The rig file's calibration is removed from both, but not from a recording
+            that was read with corrections.
         rig: a rig, its name or its file.
         tuning: name of one of its tunings.
         joint: ``free``, ``locked`` or ``auto`` (detected).
@@ -168,5 +174,7 @@ def replay(
     """
     chosen = as_rig(rig, regulators=True)
     given = as_recording(recording, chosen)
+    told = [Issue(text, "missing") for _, text in in_words(faults_of(given), given.time_s)]
+    given = dataclasses.replace(given, issues=(*given.issues, *told)) if told else given
     done = _replay(given, chosen, tuning, joint, lock_angle, read_seconds, progress, begin_s, angle_sensor)
     return widened(ReplayResult, done)

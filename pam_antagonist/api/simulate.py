@@ -99,5 +99,5 @@ def simulate(
     stamps = FIRST_STAMP_NS + np.rint(np.arange(1, count + 1) * chosen.sample_period * 1e9).astype(np.int64)
     return Recording(
         path=Path(path), stamp_ns=stamps, pressure=pressure, voltage=given, angle=angle, torque=torque,
-        angle_sensor=None if chosen.encoder is None else encoder, drive=chosen.drive,
+        angle_sensor=None if chosen.encoder is None else encoder, drive=chosen.drive, corrected=True,
     )  # fmt: skip

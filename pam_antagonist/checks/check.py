@@ -31,7 +31,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, plausible
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition, ends_of, joint_condition, range_of
-from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS
+from pam_antagonist.recording.plausible import UNITS
 from pam_antagonist.recording.rows import resets
 from pam_antagonist.rig import NO_ENCODER, Rig
 from pam_antagonist.shown import Shown, unlike
@@ -96,6 +96,7 @@ def check_recording(
     """
     name = recording.path.name
     recording.driven_by(rig.drive)
+    typed = replace(typed, atmosphere=rig.atmosphere.pressure)
     if recording.duration_s < SHORTEST:
         lasts = unlike(recording.duration_s, SHORTEST, 1)
         raise BadInput(f"{name}: {lasts} s is too short to check; expected {SHORTEST:g} s or more")
@@ -105,9 +106,12 @@ def check_recording(
     ):
         if not np.isfinite(values).all(axis=1).any():
             raise BadInput(f"{name}: holds no finite {what}")
-    about_samples = samples.findings(recording, rig)
-    recording = _unwrapped(recording, typed)
-    now, of_values = _by_values(recording, typed)
+    recorded = _unwrapped(recording, typed)
+    now, of_values = _by_values(recorded, typed)
+    recording, about_faults = samples.faulty(recorded, now)
+    if any(finding.status == "wrong" for finding in about_faults):
+        now = now.replaced(leave_out_faults=True)
+    about_samples = [*about_faults, *samples.findings(recorded, recording, rig)]
 
     def checked(judged: list[Finding], corrections: Corrections, joint: str) -> Checked:
         order = ("wrong", "doubtful", "untested", "good")
@@ -117,12 +121,12 @@ def check_recording(
         every = sorted([*about_samples, *judged], key=lambda finding: order.index(finding.status))
         return Checked(tuple(every), numbers.without_calibration(corrections, rig), joint)
 
-    jumped = resets(recording)
+    jumped = resets(samples.in_si(recording, now))
     if jumped is not None:
         # The model does not know resets, so that no channel would agree with it.
         known = joint_condition(recording, joint, lock_angle).condition
         return checked([Finding("wrong", f"{jumped.sentence} (sure)")], typed, known)
-    recording = recording.slice(0.0, _LONGEST)
+    recorded, recording = (one.slice(0.0, _LONGEST) for one in (recorded, recording))
     asked = samples.commands(recording, rig)
     condition, of_joint = _joint(recording, rig, now, typed, joint, lock_angle)
     findings = [*of_values, *asked, *of_joint, *_still(recording, now, rig)]
@@ -130,7 +134,7 @@ def check_recording(
         # Driven by wrong commands, or locked where it cannot be, the model would agree with no channel.
         return checked(findings, now if of_values else typed, "locked" if condition is None else condition.condition)
     findings += _encoder(recording, rig, condition)
-    whole = samples.in_pieces(recording)
+    whole = samples.in_pieces(recorded, recording)
     if whole is None:
         text = f"units, wiring and delays are not tested: no piece without a hole lasts {SHORTEST:g} s"
         return checked([*findings, Finding("untested", text)], now if of_values else typed, condition.condition)
@@ -271,7 +275,9 @@ def _driven(
         model = from_pressures(pascal, rig, joint, lock_angle)
     else:
         tolerance = wiring.unit_tolerance(rig, "pressure")
-        units, now = wiring.pressure_unit_of(ordered.pressure[model.rows], model, now, by_values, tolerance)
+        units, now = wiring.pressure_unit_of(
+            ordered.pressure[model.rows], model, now, by_values, tolerance, bool(found.exchanged)
+        )
         findings += units
     directions = wiring.directions_of(timed, model, joint)
     for direction in directions:
@@ -283,6 +289,8 @@ def _driven(
     findings += wired
     zeros, now = numbers.without_zeros(timed, model, rig, joint, now)
     findings += zeros
+    constant, now = numbers.constant_error(timed, model, rig, joint, now)
+    findings += constant
     if found.by_steps:
         return findings, now
     corrected = now.applied(recording)
@@ -352,7 +360,7 @@ def _sealed(
         return [*found, Finding("untested", text)], now
     closed = np.array([[equilibrium.closed_pressure(i, value, p) for i in (0, 1)] for value in angle])
     offset = np.mean(pressure - closed, axis=0)
-    atmosphere = -STANDARD_ATMOSPHERE if not typed.gauge else STANDARD_ATMOSPHERE
+    atmosphere = now.atmosphere if typed.gauge else -now.atmosphere
     if np.all(np.abs(offset - atmosphere) < wiring.GAUGE_TOLERANCE):
         text = f"both pressures are {abs(offset[0]) / 1e3:.0f} and {abs(offset[1]) / 1e3:.0f} kPa "
         text += f"{'higher' if typed.gauge else 'lower'} than the charge in the rig file: these are "

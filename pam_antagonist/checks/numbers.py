@@ -89,6 +89,42 @@ def without_zeros(
     return out, now
 
 
+_CONSTANT = 6.0
+"""A difference from the model is constant if its mean is so many times as large as its standard deviation. That of an
+encoder with a wrong zero has 80, that of muscles which are counted the other way round 4."""
+
+
+def constant_error(
+    timed: Recording, model: Prediction, rig: Rig, joint: str, now: Corrections
+) -> tuple[list[Finding], Corrections]:
+    """A zero that is missing: angle or torque differ from the model by the same at each sample."""
+    for name, channel in (("encoder_zero", "angle"), ("torque_zero", "torque")):
+        recorded, expected = getattr(timed, channel), getattr(model, channel)
+        if recorded is None or (channel == "angle" and joint == "locked"):
+            continue
+        apart = getattr(now, channel)(recorded[model.rows]) - expected
+        if not np.isfinite(apart).any():
+            continue
+        mean, std = float(np.nanmean(apart)), float(np.nanstd(apart))
+        least = _ZERO_ANGLE if channel == "angle" else _ZERO_TORQUE * float(np.nanmax(expected) - np.nanmin(expected))
+        if abs(mean) <= max(least, _CONSTANT * std):
+            continue
+        scale, unit = (math.degrees(1.0), "°") if channel == "angle" else (now.torque_scale, " N m")
+        found = now.replaced(**{name: getattr(now, name) + mean * (1.0 if channel == "angle" else now.torque_scale)})
+        sensor = "encoder reads" if channel == "angle" else "torque meter reads"
+        text = (
+            f"the measured {channel} differs from the model's by the same at each sample, "
+            f"{mean * scale:+.3g}{unit} (± {std * scale:.2g}{unit}): the {sensor} {abs(mean) * scale:.3g}{unit} too "
+            f"{'high' if mean > 0.0 else 'low'} (sure)"
+        )
+        if channel == "angle" and rig.joint.stop is not None and abs(mean) > rig.joint.stop:
+            text = text.replace(" (sure)", f", beyond the rig's stop of {math.degrees(rig.joint.stop):.3g}° (sure)")
+        option = Corrections().replaced(**{name: getattr(found, name)}).options()
+        # The model's torque is that at the measured angle: one zero at a time.
+        return [Finding("wrong", text, tuple(option))], found
+    return [], now
+
+
 def finding(name: str, now: Corrections, rig: Rig, text: str) -> Finding:
     """That a number makes it worse, and where it comes from: the command line, or the rig file.
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.checks.wiring import Finding
+from pam_antagonist.checks.wiring import Finding, Status
 from pam_antagonist.recording import Recording
+from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.recording.faults import faults_of, in_words, masked
 from pam_antagonist.recording.plausible import MIN_PRESSURE, UNITS
 from pam_antagonist.recording.rows import slow, slow_sentence
 from pam_antagonist.recording.stamps import CLOCKS_APART, shortest_hole
@@ -30,10 +32,13 @@ _UNEVEN = 1.5
 """Nine in ten samples are apart by the period within this factor."""
 
 
-def findings(recording: Recording, rig: Rig) -> list[Finding]:
-    """Findings about the samples, those that change results most first."""
+def findings(recorded: Recording, recording: Recording, rig: Rig) -> list[Finding]:
+    """Findings about the samples, those that change results most first.
+
+    `recorded`: with the readings that are no measurement.
+    """
     drive = "valve_state" if recording.drive == "valve" else "pressure_state"
-    missing = _missing(recording, drive)
+    missing = _missing(recorded, drive)
     out = []
     for issue in recording.issues:
         # Holes and missing samples are counted below, and a field without values is reported as not tested.
@@ -55,9 +60,40 @@ def holes(recording: Recording) -> list[tuple[int, int]]:
     return [(before, after) for before, after in pairs if not begins & set(range(before + 1, after + 1))]
 
 
-def in_pieces(recording: Recording) -> Recording | None:
-    """The recording as episodes that no hole interrupts, for the tests against the model."""
-    cuts = holes(recording)
+_FEW = 0.001
+"""So small a share of faults is kept, since the estimator gates it."""
+
+
+def in_si(recording: Recording, now: Corrections) -> Recording:
+    """A recording in SI units, otherwise as it was recorded."""
+    units = {name: getattr(now, name) for name in ("pressure_unit", "gauge", "angle_unit", "torque_unit", "atmosphere")}
+    return Corrections(**units).applied(recording)
+
+
+def faulty(recording: Recording, now: Corrections) -> tuple[Recording, list[Finding]]:
+    """A recording without the readings that are no measurement, and what to do about them.
+
+    `now`: gives the units in which it was recorded.
+    """
+    found = faults_of(in_si(recording, now))
+    if not found:
+        return recording, []
+    options = () if now.leave_out_faults else tuple(Corrections(leave_out_faults=True).options())
+    out = []
+    for kind, text in in_words(found, recording.time_s):
+        shares = [float(one.fault.rows.mean()) for one in found if one.fault.kind == kind]
+        sure = kind != "held" and max(shares) > _FEW and not text.startswith("measured angle reads")
+        status: Status = "untested" if not options else "wrong" if sure else "doubtful"
+        out.append(Finding(status, text if options else f"{text}: left out", options))
+    return masked(recording, found), out
+
+
+def in_pieces(recorded: Recording, recording: Recording) -> Recording | None:
+    """A recording as episodes that no hole interrupts, for the tests against the model.
+
+    `recorded`: it with the readings that are no measurement; they are no holes.
+    """
+    cuts = holes(recorded)
     if not cuts:
         return recording
     bounds = sorted({0, len(recording), *(one.start for one in recording.episodes), *(after for _, after in cuts)})

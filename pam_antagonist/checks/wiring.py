@@ -20,7 +20,7 @@ from pam_antagonist.checks.prediction import STEP_S, Prediction, correlation, in
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import range_of
-from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS
+from pam_antagonist.recording.plausible import UNITS
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -164,33 +164,53 @@ def _decided(correlations: Sequence[float], expected: str) -> Arrangement:
 
 
 def pressure_unit_of(
-    pressures: Floats, model: Prediction, now: Corrections, typed: Corrections, tolerance: float
+    pressures: Floats, model: Prediction, now: Corrections, typed: Corrections, tolerance: float, exchanged: bool
 ) -> tuple[list[Finding], Corrections]:
     """Unit and reference of the pressures, by their ratio to the model's and the remaining offset.
 
-    `pressures`: as recorded, in an unknown unit, in the order of the valves (K, 2).
+    `pressures`: as recorded, in an unknown unit, in the order of the valves (K, 2). `exchanged`: whether that is the
+    other order than the sensors'.
     """
-    ratio = float(np.sqrt(np.prod([ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)])))
+    names = ("pressure_2", "pressure_1") if exchanged else ("pressure_1", "pressure_2")
+    ratios = [ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)]
+    each = [_unit_by_ratio("pressure", ratio, typed.pressure_unit, tolerance)[0] for ratio in ratios]
+    if all(each) and UNITS["pressure"][each[0]] != UNITS["pressure"][each[1]]:
+        pairs = zip(names, each, ratios, strict=True)
+        seen = " and ".join(
+            f"{name} in {unit} ({ratio:.3g} times as large as the model's)" for name, unit, ratio in pairs
+        )
+        text = f"{seen}: the two have different units, so no option corrects them; correct the driver of one (sure)"
+        return [Finding("wrong", text)], replace(now, pressure_unit=typed.pressure_unit, gauge=typed.gauge)
+    ratio = float(np.sqrt(np.prod(ratios)))
     unit, _ = _unit_by_ratio("pressure", ratio, typed.pressure_unit, tolerance)
     offset = np.nanmean(pressures * UNITS["pressure"].get(unit, 1.0) - model.pressure, axis=0)
     if not unit or np.max(np.abs(offset)) > _ANY_PRESSURE:
-        text = (
-            f"the pressures change {ratio:.3g} times as much as the model's, and no unit has this factor: check the "
-            "pressure sensors and supply.pressure"
-        )
+        sizes = " and ".join(f"{name} changes {one:.3g} times" for name, one in zip(names, ratios, strict=True))
+        text = f"{sizes} as much as the model's, and no unit has this factor: check the sensors and supply.pressure"
         return [Finding("doubtful", text)], replace(now, pressure_unit=typed.pressure_unit, gauge=typed.gauge)
     factor = UNITS["pressure"][unit]
     out = _unit_findings("pressure", "the pressures are", unit, typed.pressure_unit)
-    gauge = bool(np.all(np.abs(offset + STANDARD_ATMOSPHERE) < GAUGE_TOLERANCE))
+    air = now.atmosphere
+    gauge = bool(np.all(np.abs(offset + air) < GAUGE_TOLERANCE))
     absolute = bool(np.max(np.abs(offset)) <= FAR_OFF)
     found = replace(now, pressure_unit=unit, gauge=gauge or (typed.gauge and not absolute))
-    off = offset + (STANDARD_ATMOSPHERE if found.gauge else 0.0)
+    lower = np.abs(offset + air) < GAUGE_TOLERANCE
+    if not typed.gauge and lower.any() and np.max(np.abs(offset[~lower]), initial=0.0) < GAUGE_TOLERANCE and not gauge:
+        one, other = (names[int(np.flatnonzero(which)[0])] for which in (lower, ~lower))
+        text = (
+            f"{one} is {abs(float(offset[lower][0])) / 1e3:.0f} kPa lower than the voltages make it, and {other} "
+            f"agrees: {one} seems to be gauge pressure and {other} absolute, so no option corrects them; correct one "
+            "driver"
+        )
+        return [*out, Finding("doubtful", text)], found
+    off = offset + (air if found.gauge else 0.0)
     differ = f"{off[0] / 1e3:+.0f} and {off[1] / 1e3:+.0f} kPa"
     if gauge and not typed.gauge:
-        left = float(np.sqrt(np.nanmean((pressures * factor + STANDARD_ATMOSPHERE - model.pressure) ** 2)))
+        left = float(np.sqrt(np.nanmean((pressures * factor + air - model.pressure) ** 2)))
         text = (
             f"both pressures are {-offset[0] / 1e3:.0f} and {-offset[1] / 1e3:.0f} kPa lower than the voltages make "
-            f"them: these are gauge pressures. With 101.325 kPa added they differ by {left / 1e3:.1f} kPa (sure)"
+            f"them: these are gauge pressures. With {air / 1e3:.6g} kPa added they differ by {left / 1e3:.1f} kPa "
+            "(sure)"
         )
         out.append(Finding("wrong", text, ("--gauge",)))
     elif typed.gauge and absolute:
@@ -352,7 +372,9 @@ def unit_of(direction: Direction, now: Corrections, typed: Corrections, toleranc
     twice = min(UNITS[channel], key=lambda name: abs(math.log(ratio / UNITS[channel][name])))
     if twice != base and abs(math.log(ratio / UNITS[channel][twice])) <= math.log(tolerance):
         text = (
-            f"{what} {large}: values in {base} were converted from {twice}; correct its unit in the map of import_csv"
+            f"{what} {large} ({within}): values in {base} were converted from {twice}, a factor of "
+            f"{UNITS[channel][twice]:.3g} (correct its unit in the map of import_csv), or this is a recording of "
+            "another rig"
         )
         return [Finding("doubtful", text)], given
     text = f"{what} {large} ({within}), and no unit has this factor: check geometry.radius and the force map"

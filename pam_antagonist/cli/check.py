@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 
 from pam_antagonist.cli import common
-from pam_antagonist.cli.recordings import note_down
+from pam_antagonist.cli.recordings import next_on_bags, note_down
 from pam_antagonist.recording.corrections import Corrections, add_options, from_options
 from pam_antagonist.strict_json import dumps
 
@@ -37,6 +37,7 @@ def parser() -> common.Parser:
 
 
 def _main(arguments: argparse.Namespace) -> int:
+    from pam_antagonist.api.given import calibration
     from pam_antagonist.api.replay import check
     from pam_antagonist.recording import read_bag
     from pam_antagonist.report import terminal
@@ -45,7 +46,7 @@ def _main(arguments: argparse.Namespace) -> int:
 
     rig = load_rig(arguments.rig, regulators=True)
     lock_angle = common.lock_angle(arguments)
-    given = from_options(arguments, dict(rig.calibration))
+    given = from_options(arguments, calibration(rig))
     results, measured = {}, False
     for bag in arguments.bags:
         recording = read_bag(
@@ -60,11 +61,13 @@ def _main(arguments: argparse.Namespace) -> int:
             print(checked.summary())
     if arguments.json != "-" and (rests_on := next(iter(results.values())).assumption) is not None:
         print(f"\n{terminal.render(in_first_lines(rests_on))}")
-    if arguments.json != "-" and not any(checked.wrong for checked in results.values()):
-        options = " ".join([f"--rig {arguments.rig} --out DIR", *from_options(arguments).options()])
+    wrong = [finding for checked in results.values() for finding in checked.wrong]
+    needed = [checked.corrections for checked in results.values()] if wrong else [from_options(arguments)]
+    # Where options make all bags right, the next command has them.
+    if arguments.json != "-" and all(finding.todo for finding in wrong) and needed.count(needed[0]) == len(needed):
         # A rig that was never identified is identified first: until then a replay tells little.
         command = "identify" if measured and not rig.identified else "replay"
-        print(f"\n{common.next_command(command, arguments.bags, options)}")
+        print(f"\n{next_on_bags(arguments, command, arguments.bags, arguments.rig, needed[0])}")
     if arguments.json:
         content = {bag: checked.to_json() for bag, checked in results.items()}
         common.give_json(arguments.json, dumps(content) + "\n")

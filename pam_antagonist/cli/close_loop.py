@@ -116,12 +116,13 @@ def _in_one_go(
     given.announce(arguments, found, found.next_rig)
     _note_down(arguments, recordings, rig, found)
     if whole and found.next_rig is not None:
-        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {arguments.out / found.next_rig} --out DIR"))
+        print(given.next_on_bags(arguments, "replay", None, arguments.out / found.next_rig))
     return common.DONE
 
 
 def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> int:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
+    from pam_antagonist.api.given import calibration
     from pam_antagonist.diagnosis.hypotheses import Checkpoint
     from pam_antagonist.recording import bag_hash, bag_name
 
@@ -156,14 +157,14 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
             shutil.rmtree(kept, ignore_errors=True)
         raise
     damage = given.damage(arguments, recordings)
-    corrected = corrections.from_options(arguments, dict(rig.calibration))
+    corrected = corrections.from_options(arguments, calibration(rig))
     found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
     given.announce(arguments, found, found.next_rig)
     _note_down(arguments, recordings, rig, found)
     shutil.rmtree(kept, ignore_errors=True)
     if (proposed := found.choice.proposed) is not None:
         own = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
-        print(common.next_command("replay", own, f"--rig {arguments.out / proposed.name} --out DIR"))
+        print(given.next_on_bags(arguments, "replay", own, arguments.out / proposed.name))
     return common.DONE
 
 

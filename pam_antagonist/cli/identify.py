@@ -81,11 +81,11 @@ def _run(arguments: argparse.Namespace) -> int:
     given.note_down(arguments, "identify", recordings, rig, found, None if found.rejected else identified)
     if found.rejected or (isinstance(found, IdentifyResult) and found.lacks_an_effect):
         # The next command takes the rig that was given.
-        print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
+        print(given.next_on_bags(arguments, "close_loop", arguments.bags, arguments.rig))
     elif isinstance(found, IdentifyResult):
-        print(common.next_command("replay", (), f"ANOTHER_BAG --rig {identified} --out DIR"))
+        print(given.next_on_bags(arguments, "replay", None, identified))
     else:
-        print(common.next_command("close_loop", arguments.bags, f"--rig {identified} --out DIR"))
+        print(given.next_on_bags(arguments, "close_loop", arguments.bags, identified))
     return common.FAILED if found.rejected else common.DONE
 
 

@@ -16,6 +16,8 @@ examples:
 from __future__ import annotations
 
 import argparse
+import re
+import shlex
 import textwrap
 from pathlib import Path
 
@@ -29,6 +31,10 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.program import typed
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.csv_map import CsvMap, example_text, load_map, map_names
+
+_OF_A_RIG = re.compile(r"^(muscle_1|based_on):", re.MULTILINE)
+_BEGIN, _MOST_FILES = 20_000, 50
+"""Characters of a file in which an entry of a rig is looked for, and files of a folder that are looked at."""
 
 
 def parser() -> common.Parser:
@@ -96,8 +102,21 @@ def _summary(recording: Recording, mapping: CsvMap, arguments: argparse.Namespac
             "the chambers of this joint are sealed: write valves: {sealed: true} into its rig file; the valve "
             "voltages in the bag have no meaning"
         )
-    lines.append(common.next_command("check", [arguments.out], "--rig RIG"))
+    lines.append(common.next_command("check", [arguments.out], f"--rig {_rig_file(arguments.out)}"))
     return "\n".join(lines)
+
+
+def _rig_file(bag: Path) -> str:
+    """The one rig file here or beside a new bag, as it is typed; RIG where there are none or several."""
+    found: dict[Path, Path] = {}
+    for path in [file for folder in (Path(), bag.parent) for file in sorted(folder.glob("*.yaml"))[:_MOST_FILES]]:
+        try:
+            with path.open(encoding="utf-8", errors="replace") as stream:
+                if _OF_A_RIG.search(stream.read(_BEGIN)):
+                    found.setdefault(path.resolve(), path)
+        except OSError:
+            continue
+    return shlex.quote(str(next(iter(found.values())))) if len(found) == 1 else "RIG"
 
 
 main = common.command(parser, _main)

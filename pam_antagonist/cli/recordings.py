@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
+import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -61,16 +63,17 @@ def span(values: Any, scale: float, unit: str) -> str:
 
 def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> Recording:
     """A bag, read as by ``read_bag``, corrected as asked and checked; ``--no-check`` goes on although it is wrong."""
+    from pam_antagonist.api.given import calibration
     from pam_antagonist.checks import SHORTEST, check_recording
     from pam_antagonist.recording import read_bag
 
-    known = dict(rig.calibration)
+    known = calibration(rig)
     given = corrections.from_options(arguments, known)
     own = corrections.from_options(arguments).options()
     try:
         recording = read_bag(bag, corrections=given, **how)
     except BadInput as exc:
-        if own and _can_be_read(bag, corrections.Corrections(**known), how):
+        if own and _can_be_read(bag, known, how):
             raise BadInput(f"{exc}; it can be read without {' '.join(own)}: leave that out") from None
         raise
     if arguments.no_check or recording.duration_s < SHORTEST or recording.drive != rig.drive:
@@ -88,6 +91,43 @@ def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> 
             f"(see {typed('check --help')})"
         )
     return recording
+
+
+def as_read(arguments: argparse.Namespace, fixes: corrections.Corrections | None = None) -> list[str]:
+    """The options with which the bags are read as here, for the command that comes next.
+
+    `fixes`: corrections; default: those that were typed.
+    """
+    out = (fixes or corrections.from_options(arguments)).options()
+    out += [f"--joint {arguments.joint}"] if arguments.joint != "auto" else []
+    out += [] if arguments.lock_angle is None else [f"--lock-angle {math.degrees(arguments.lock_angle):.6g}"]
+    out += [f"--topic {shlex.quote(f'{name}={other}')}" for name, other in arguments.topic]
+    named = {"--namespace": arguments.namespace, "--joint-name": arguments.joint_name}
+    out += [f"{option} {shlex.quote(value)}" for option, value in named.items() if value is not None]
+    flags = {"--recover": arguments.recover, "--no-check": getattr(arguments, "no_check", False)}
+    return [*out, *(option for option, typed_it in flags.items() if typed_it)]
+
+
+def next_on_bags(
+    arguments: argparse.Namespace, command: str, bags: Sequence[Path] | None, rig: str | Path,
+    fixes: corrections.Corrections | None = None,
+) -> str:  # fmt: skip
+    """The command that usually comes next on recordings, complete.
+
+    `bags`: None for one that no fit has seen: the only other one beside those that were given, where there is one.
+    `fixes`: see :func:`as_read`.
+    """
+    named = _others(arguments.bags) if bags is None else bags
+    words = command if named else f"{command} ANOTHER_BAG"
+    return common.next_command(words, named, " ".join([f"--rig {rig} --out DIR", *as_read(arguments, fixes)]))
+
+
+def _others(bags: Sequence[Path]) -> list[Path]:
+    """The one bag that stands beside others; empty where there are none or several."""
+    given, folders = {bag.resolve() for bag in bags}, dict.fromkeys(bag.parent for bag in bags)
+    found = [path for folder in folders for path in sorted(folder.glob("*/metadata.yaml"))]
+    beside = [path.parent for path in found if path.parent.resolve() not in given]
+    return beside if len(beside) == 1 else []
 
 
 def _can_be_read(bag: Path, known: corrections.Corrections, how: Mapping[str, Any]) -> bool:

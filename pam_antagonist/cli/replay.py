@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from pam_antagonist.api.replay import ReplayResult
     from pam_antagonist.rig import Rig
 
+_LEAST_S = 20.0
+"""[s] Shorter recordings are not worth a search for an effect."""
+
 
 def parser() -> common.Parser:
     """The arguments."""
@@ -92,7 +95,9 @@ def _run(arguments: argparse.Namespace) -> int:
         replays[0].save(arguments.save)
         print(f"estimate: {arguments.save}")
     common.announce_report(arguments, arguments.out)
-    print(common.next_command("close_loop", arguments.bags, f"--rig {arguments.rig} --out DIR"))
+    if not rig.identified and sum(done.report.duration_s for done in replays) >= _LEAST_S:
+        # An identified rig is not fitted again to what it is judged by.
+        print(given.next_on_bags(arguments, "close_loop", arguments.bags, arguments.rig))
     return common.DONE
 
 

@@ -31,7 +31,7 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal, write_rig
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.units import assumption
-from pam_antagonist.shown import number, percent
+from pam_antagonist.shown import error_in_words, number, percent
 from pam_antagonist.strict_json import picked
 
 
@@ -51,7 +51,11 @@ class ClosedLoop(Diagnosis):
             (name, unit, getattr(self.errors.as_configured, name), getattr(self.errors.extended, name))
             for name, unit in (("angle", "°"), ("torque", " N m"))
         ]
-        errors = [f"{name} RMSE {a.rmse:.3g}{unit} -> {b.rmse:.3g}{unit}" for name, unit, a, b in pairs if a and b]
+        errors = [
+            f"{name} RMSE {error_in_words(a.rmse, unit, 3)} -> {error_in_words(b.rmse, unit, 3)}"
+            for name, unit, a, b in pairs
+            if a and b
+        ]
         return "; ".join([self.verdict, *errors, self.sentence])
 
     @cached_property
@@ -302,7 +306,7 @@ class ClosedTrials(FoundFromPressures):
                 {"name": name, "value": value, "std": std, "unit": unit, "recording": None}
                 for name, value, std, unit in (
                     ("encoder_zero", values.get(ZERO, 0.0), stds.get(ZERO, 0.0), "rad"),
-                    ("delay_angle", -values.get(DELAY, 0.0), stds.get(DELAY, 0.0), "s"),
+                    ("delay_angle", values.get(DELAY, 0.0), stds.get(DELAY, 0.0), "s"),
                 )
                 if abs(value) > CLEAR * std
             ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist import shown
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE
 from pam_antagonist.estimation import metrics
 from pam_antagonist.estimation.metrics import ChannelErrors, channel_errors
@@ -113,7 +115,7 @@ class RigErrors:
                 if not after <= most * before:
                     out.setdefault(what, (" in one recording ", unit, before, after))
         return tuple(
-            f"{what} error{where}{_number(after)}{unit}, before {_number(before)}{unit}"
+            f"{what} error{where}{shown.error_in_words(after, unit, 3)}, before {shown.error_in_words(before, unit, 3)}"
             for what, (where, unit, before, after) in out.items()
         )
 
@@ -127,14 +129,15 @@ class RigErrors:
     def in_words(self, now: RigErrors) -> str:
         """The first error that was measured: the filter's, if it was run, of the angle, if it was measured."""
         what, unit, before, after = self._pairs(now)[0]
-        return f"{what} error {_number(after)}{unit} instead of {_number(before)}{unit}"
+        return f"{what} error {shown.error_in_words(after, unit, 3)} instead of {shown.error_in_words(before, unit, 3)}"
 
     def _pairs(self, now: RigErrors) -> list[_Pair]:
         """Each error with this file and with another one, the most important first."""
         out = [] if self.ukf is None or now.ukf is None else _pairs(_FILTER, self.ukf, now.ukf)
         out += _pairs("the model's", self.model, now.model)
         before, after = (float(np.sqrt(np.mean(np.square(one.rmse_pa)))) / 1e3 for one in (self.model, now.model))
-        return [*out, ("the model's pressure", " kPa", before, after)]
+        # NaN where no pressure was measured.
+        return out if np.isnan(before + after) else [*out, ("the model's pressure", " kPa", before, after)]
 
 
 def _pairs(whose: str, before: Errors, after: Errors) -> list[_Pair]:
@@ -144,26 +147,23 @@ def _pairs(whose: str, before: Errors, after: Errors) -> list[_Pair]:
 
 
 def _finite(value: float) -> float:
-    """An error above 0, very large where it is no number."""
+    """An error above 0, very large where the model diverges."""
     return max(value, 1e-12) if np.isfinite(value) else 1e12
 
 
-def _number(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "without bound"
-
-
-def errors_of(measured: Floats, shown: Floats, channels: Collection[int]) -> Errors:
+def errors_of(measured: Floats, values: Floats, channels: Collection[int]) -> Errors:
     """Errors of all channels.
 
-    `measured`: (N, 4) in the order of ``CHANNELS``, NaN where nothing was measured. `shown`: by a model or the
-    estimator (N, 4).
+    `measured`: (N, 4) in the order of ``CHANNELS``, NaN where nothing was measured. `values`: of a model or the
+    estimator (N, 4), NaN where a delay leaves none.
     """
-    error = (shown - measured)[:, PRESSURE_1:]
+    pressures = metrics.pressure_errors(measured[:, PRESSURE_1:], values[:, PRESSURE_1:]).rmse_pa
+    mean = metrics.rmse((values - measured)[:, PRESSURE_1:].mean(axis=1))
     return Errors(
-        channel_errors(measured[:, ANGLE], shown[:, ANGLE], "deg") if ANGLE in channels else None,
-        channel_errors(measured[:, TORQUE], shown[:, TORQUE], "nm") if TORQUE in channels else None,
-        (metrics.rmse(error[:, 0]), metrics.rmse(error[:, 1])),
-        metrics.rmse(error.mean(axis=1)),
+        channel_errors(measured[:, ANGLE], values[:, ANGLE], "deg") if ANGLE in channels else None,
+        channel_errors(measured[:, TORQUE], values[:, TORQUE], "nm") if TORQUE in channels else None,
+        pressures,
+        mean if max(pressures) < math.inf else math.inf,
     )
 
 
@@ -173,7 +173,11 @@ def total_of(parts: Sequence[Errors], samples: Sequence[int]) -> Errors:
         return parts[0]
 
     def mean(values: Sequence[float], counts: Sequence[int]) -> float:
-        return float(np.sqrt(np.average(np.square(values), weights=counts)))
+        # A recording of which no value was held out does not count.
+        known = ~np.isnan(values)
+        if not known.any():
+            return math.nan
+        return float(np.sqrt(np.average(np.square(values)[known], weights=np.asarray(counts)[known])))
 
     def channel(own: Sequence[ChannelErrors | None]) -> ChannelErrors | None:
         known = [(item, count) for item, count in zip(own, samples, strict=True) if item is not None]

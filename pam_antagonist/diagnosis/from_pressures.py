@@ -201,7 +201,7 @@ class _Part(Experiment):
             return out
         if not np.isfinite(run.angle).any():
             return out
-        zero, delay = values.get(joint_stage.ZERO, 0.0), values.get(joint_stage.DELAY, 0.0)
+        zero, delay = values.get(joint_stage.ZERO, 0.0), -values.get(joint_stage.DELAY, 0.0)
         if not run.locked:
             out[:, ANGLE] = joint_stage.simulated(run, p, zero, delay)
         if np.isfinite(run.torque).any():

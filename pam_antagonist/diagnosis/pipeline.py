@@ -6,6 +6,7 @@ A description has a sentence, errors before and after, rigs, and what is left.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -40,6 +41,7 @@ from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
+from pam_antagonist.shown import DIVERGES
 
 
 @one_blas_thread
@@ -401,5 +403,7 @@ def _errors(own: Errors, mean_pressure: bool) -> list[tuple[float, str]]:
 
 
 def _listed(errors: Sequence[tuple[float, str]]) -> str:
+    if any(math.isinf(value) for value, _ in errors):
+        return DIVERGES.replace("that", "those", 1)
     text = ", ".join(f"{value:.2g}{unit}" for value, unit in errors)
     return text.replace(" kPa (pressure 1), ", " and ").replace(" kPa (pressure 2)", " kPa")

@@ -49,6 +49,21 @@ def _complete(series: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(series).all(axis=1))
 
 
+DIVERGED = 1e12
+"""A model whose values are larger, in SI units, or no numbers, has diverged."""
+
+
+def diverged_from(shown: FloatArray) -> int:
+    """First row from which a simulated course (N, C) has diverged; N where it has not."""
+    lost = ~np.all(np.abs(shown) < DIVERGED, axis=1)
+    return int(np.argmax(lost)) if lost.any() else len(shown)
+
+
+def has_diverged(values: ArrayLike) -> bool:
+    """Whether a model's values say that it diverges. NaN is no value, as where a delay reaches beyond the recording."""
+    return bool(np.any(np.abs(np.asarray(values, dtype=np.float64)) >= DIVERGED))
+
+
 def rmse(error: ArrayLike) -> float:
     """Root mean square of an error: the paper's I, divided by the number of samples."""
     z = _finite(error)
@@ -290,6 +305,7 @@ class ChannelErrors:
     # half width of that interval (root mean square) over `rmse`, 1.96 where it is right; None likewise.
     width: float | None = None
     delay_s: float | None = None  # delay of the estimated external torque [s]; None for other channels
+    mean: float | None = None  # mean error, in the unit; not in ``report.json``
 
     def to_json(self) -> dict[str, float]:
         """``rmse_deg`` or ``rmse_nm``, and so on."""
@@ -332,12 +348,17 @@ def channel_errors(
 ) -> ChannelErrors | None:
     """Errors of an angle [rad] or torque [N m]; None where it was not measured.
 
-    `measured`: (N,), NaN where there is no value. `value`: of the estimate or the model (N,). `variance`: of the
-    estimate (N,), to check its 95 % interval.
+    Rows in which either has no value are left out.
+
+    `measured`: (N,), NaN where there is no value. `value`: of the estimate or the model (N,), likewise. `variance`: of
+    the estimate (N,), to check its 95 % interval.
     """
-    if measured is None or not np.isfinite(measured).any():
+    known = None if measured is None else np.isfinite(measured)
+    if measured is None or known is None or not known.any():
         return None
-    if variance is None and not np.isfinite(value).all():
+    if variance is None and np.isnan(value[known]).all():
+        return None
+    if variance is None and has_diverged(value):
         return ChannelErrors(unit, math.inf, math.inf, math.inf)  # a model that diverged has no error that is a number
     error, scale = value - measured, math.degrees(1.0) if unit == "deg" else 1.0
     size, covered, width = rmse(error), None, None
@@ -345,12 +366,13 @@ def channel_errors(
         covered = coverage(error, variance, reading)
         width = rmse(interval_half_width(variance, reading)) / size if size > 0.0 else None
     largest, ratio = max_error(error) * scale, estimation_ratio(error, measured)
-    return ChannelErrors(unit, size * scale, largest, ratio, covered, width)
+    mean = None if math.isnan(size) else float(np.mean(_finite(error))) * scale
+    return ChannelErrors(unit, size * scale, largest, ratio, covered, width, mean=mean)
 
 
 def pressure_errors(measured: FloatArray, value: FloatArray) -> PressureErrors:
     """Errors of both pressures, measured and estimated (N, 2) [Pa]."""
-    if not np.isfinite(value).all():
+    if has_diverged(value):
         return PressureErrors(*((math.inf, math.inf),) * 3)
     error = value - measured
     return PressureErrors(

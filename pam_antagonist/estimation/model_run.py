@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.metrics import diverged_from
 from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -14,7 +16,7 @@ from pam_antagonist.rig import Rig
 
 @dataclass(frozen=True)
 class ModelRun:
-    """The model alone, driven by recorded voltages.
+    """The model alone, driven by recorded voltages; infinite from where it diverges on.
 
     Attributes:
         angle: (N,) [rad].
@@ -78,6 +80,9 @@ def simulate_model(
     start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
     states, torques, sigma = integration.simulate(start, held, p, every, substeps)
     readings = dynamics.readings(states[:, 2:4], p)
+    lost = slice(diverged_from(np.column_stack([states[:, :2], torques, readings])), None)
+    for column in (states, torques, readings):
+        column[lost] = math.inf
     return ModelRun(states[:, 0], states[:, 1], readings, torques, sigma)
 
 

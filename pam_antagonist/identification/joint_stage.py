@@ -41,6 +41,7 @@ Floats = NDArray[np.float64]
 _torque, _imbalance, _STATES = dynamics.torque, dynamics.imbalance, par.STATES
 
 ZERO, DELAY = "calibration.encoder_zero", "calibration.delay_angle"
+"""Names and signs are those of the rig file: the delay is negative where the angle is stamped too late."""
 WEIGHT_COS, WEIGHT_SIN = "limb: torque at angle 0", "limb: torque that grows with the sine"
 HORIZONS = (0.3, math.inf)
 """[s] Of the simulations, from short to long."""
@@ -268,7 +269,7 @@ def errors_of(
 
     `horizon`: of the simulations [s].
     """
-    zero, delay, vector = values.get(ZERO, 0.0), values.get(DELAY, 0.0), rig.parameters()
+    zero, delay, vector = values.get(ZERO, 0.0), -values.get(DELAY, 0.0), rig.parameters()
     stop = math.inf if rig.joint.stop is None else rig.joint.stop - _EYE_STD
     for name in dict.fromkeys(run.name for run in runs):
         p = par.changed(vector, {**model_values(unknown, values, name), **NO_REGULATORS})

@@ -143,7 +143,7 @@ def _read_with(corrections: Corrections, recording: Recording, state: JointCondi
 
 def calibration_of(joint: Fit) -> Corrections:
     """Zero and delay of the encoder that a joint's fit found."""
-    return Corrections(encoder_zero=joint.values.get(ZERO, 0.0), delay_angle=-joint.values.get(DELAY, 0.0))
+    return Corrections(encoder_zero=joint.values.get(ZERO, 0.0), delay_angle=joint.values.get(DELAY, 0.0))
 
 
 def moving_parts(rig: Rig, recordings: Sequence[Given], ends: Sequence[float]) -> list[Run]:

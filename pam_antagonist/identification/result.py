@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.filter_stage import Covered, Given
 from pam_antagonist.identification.parts import held_runs, is_free
-from pam_antagonist.identification.runs import Run
+from pam_antagonist.identification.runs import SWINGS, Run
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.unknowns import Fit
 from pam_antagonist.model import parameters as par
@@ -53,6 +53,8 @@ class Step(NamedTuple):
     note: str = ""
 
 
+_AGAINST = -0.5
+"""Largest correlation of an estimated angle that goes against the measured one."""
 _EXPLAINED = 0.8
 """Largest error of the modelled pressures, as a share of the error if nothing flows. With exchanged commands it is 0.97
 or more on three simulated joints, with the right ones 0.06 or less there."""
@@ -101,6 +103,19 @@ class Held:
         report = self.reports["identified" if column == "model_alone" else column]
         errors = report.model_alone.angle if column == "model_alone" else report.ukf.angle
         return math.nan if errors is None else errors.rmse
+
+    @property
+    def goes_against(self) -> bool:
+        """Whether the angle estimated with the rig file falls where the measured one rises."""
+        whole = self.replays.get("as_configured", self.whole)
+        measured = whole.recording.angle
+        if self.rows == 0 or measured is None:
+            return False
+        pair = np.column_stack([whole.run.rows["angle"], measured[whole.run.index]])
+        pair = pair[np.isfinite(pair).all(axis=1)]
+        if len(pair) < 3 or not np.ptp(pair, axis=0).all():
+            return False
+        return bool(np.corrcoef(pair.T)[0, 1] < _AGAINST)
 
     @property
     def coverage(self) -> float:
@@ -156,17 +171,10 @@ class FromPressures:
             return "the filter gives no angle on the held-out data with it."
         known = self.start.identified or self.start.model.force != "braided"
         if not self.start_saw and now > before * (_KNOWN_RIG if known else 1.0):
-            return (
-                f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file. "
-                "The recordings do not fit two muscles on one joint, their channels are exchanged, or their pressures "
-                "were read too rarely: run check."
-            )
-        if now > (linear := self.pooled("linear")):
-            return (
-                f"on the held-out data the filter errs by {now:.3g}°, a linear map of the two pressures by "
-                f"{linear:.3g}°. The recordings do not fit two muscles on one joint, the joint moved too little, or it "
-                "hit a stop that the rig file does not have."
-            )
+            what = f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file."
+            return f"{what} {self._cause(now)}"
+        if now > self.pooled("linear"):
+            return f"on the held-out data the filter errs by {now:.3g}°. {self._cause(now)}"
         if said := refusal(self.rig):
             what = f"the values that fit best are impossible ({said})"
             return f"{what}. The recordings do not fit two muscles on one joint."
@@ -178,6 +186,25 @@ class FromPressures:
                 "check."
             )
         return ""
+
+    def _cause(self, now: float) -> str:
+        """What the recordings themselves show of the cause of an error [deg], in sentences."""
+        seen = []
+        if now > (linear := self.pooled("linear")):
+            seen.append(
+                f"A linear map of the two pressures errs by {linear:.3g}°: the recordings do not fit two muscles on "
+                "one joint, the joint moved too little, or it hit a stop that the rig file does not have."
+            )
+        if against := [item.name for item in self.held if item.goes_against]:
+            seen.append(
+                f"In {', '.join(against)} the estimated angle goes against the measured one: channels are exchanged, "
+                "or the encoder counts the other way: run check."
+            )
+        if any(SWINGS in note for note in self.notes):
+            seen.append("Their pressures were read too rarely.")
+        return " ".join(seen) or (
+            "The held-out part is unlike the fitted one, or the model lacks something, which close_loop looks for."
+        )
 
 
 def pooled(every: Sequence[Held], column: str) -> float:

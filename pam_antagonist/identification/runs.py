@@ -32,6 +32,8 @@ _SWING, _LEAST_SWING = 0.2, 1e4
 """Pressures swing from row to row if the RMS of their distance [Pa] from the middle of both neighbours is more, as a
 share of their standard deviation too. Sixteen simulated rigs have a share of at most 0.023, two whose pressure loop
 swings 0.5 and 1.2 at least."""
+SWINGS = "swing from row to row"
+"""What is said of such pressures."""
 _HOLE = 2.5
 """A distance of more median periods is a hole."""
 
@@ -191,7 +193,7 @@ def notes_of(runs: Sequence[Run]) -> tuple[str, ...]:
     swinging = dict.fromkeys(run.name for run in runs if _swings(run))
     if not swinging:
         return slow_ones
-    return (*slow_ones, f"The pressures of {', '.join(swinging)} swing from row to row: what they do in between is not "
+    return (*slow_ones, f"The pressures of {', '.join(swinging)} {SWINGS}: what they do in between is not "
             "known, and moves the joint. Calm the loop that sets the valves, or log faster.")  # fmt: skip
 
 

@@ -17,7 +17,7 @@ _MOST_PULLED = 3
 def values_in_words(joint: Fit, air: Fit | None) -> tuple[str, ...]:
     """What a user should know of the values that were found, in sentences."""
     out = []
-    late, std = joint.values.get(DELAY, 0.0), joint.stds.get(DELAY, 0.0)
+    late, std = -joint.values.get(DELAY, 0.0), joint.stds.get(DELAY, 0.0)
     if abs(late) > max(CLEAR * std, 2e-3):
         words = "late against" if late > 0.0 else "ahead of"
         out.append(f"The angle is {words} the pressures by {abs(late) * 1e3:.1f} ± {std * 1e3:.1f} ms (corrected).")

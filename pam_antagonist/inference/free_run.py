@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.estimation.metrics import DIVERGED, diverged_from
 from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.model import dynamics, equilibrium, lanes
@@ -20,8 +21,6 @@ _Result = TypeVar("_Result")
 Course = tuple[Floats, Floats]
 """States (N, n) and torques (N,) [N m]."""
 
-SANE = 1e12
-"""Largest number of a model's course, in SI units; a simulation with larger ones, or with none, has diverged."""
 _START_S = 0.02
 """[s] At the beginning of a recording: a straight line through it tells the first sample's true values."""
 _LATEST_ANGLE_S = 0.5
@@ -136,16 +135,14 @@ def predict_each(
 
 
 def _shown(trial: Trial, model: Run, course: Course) -> Floats:
-    """What the sensors show (N, 4) of a model's course; from where it diverges on, :data:`SANE`."""
+    """What the sensors show (N, 4) of a model's course; from where it diverges on, ``DIVERGED``."""
     states, torque = course
     shown = np.empty((len(states), 2))
     with np.errstate(over="ignore", invalid="ignore"):
         for rows, vector in _parts(trial, model):
             shown[rows] = dynamics.readings(states[rows, 2:4], vector)
     out = np.column_stack([states[:, 0], torque, shown])
-    lost = ~np.all(np.abs(out) < SANE, axis=1)
-    if lost.any():
-        out[int(np.argmax(lost)) :] = SANE
+    out[diverged_from(out) :] = DIVERGED
     return out
 
 

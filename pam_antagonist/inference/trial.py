@@ -12,6 +12,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model.integration import substeps_of
 from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.recording import Recording
+from pam_antagonist.recording.faults import SensorFault, faults
 from pam_antagonist.recording.rows import between, slow
 from pam_antagonist.rig import Rig
 from pam_antagonist.shown import unlike
@@ -28,7 +29,6 @@ BLOCK_S = 0.02
 _SHORTEST = 5.0
 _LEAST_SWING = 30e3
 _LEAST_VOLTAGE_SWING = 0.2
-_SATURATED_SHARE = 0.02
 _LARGEST_MISSING_SHARE = 0.2
 _NEIGHBOURS = 0.05
 """Least share of neighbouring levels of a converted signal that are one step apart."""
@@ -208,27 +208,24 @@ def check(trial: Trial, drive: str = "valve") -> None:
         )
     swing = np.nanpercentile(pressure, 99.5, axis=0) - np.nanpercentile(pressure, 0.5, axis=0)
     for muscle in (0, 1):
-        _stands(trial, pressure[:, muscle], f"pressure_{muscle + 1}", 1e-3, "kPa")
+        _refuse_saturated(trial, f"pressure_{muscle + 1}", pressure[:, muscle])
         if swing[muscle] < _LEAST_SWING:
             raise BadInput(
                 f"{trial.name}: pressure_{muscle + 1} moves by {swing[muscle] / 1e3:.0f} kPa only; expected at least "
                 f"{_LEAST_SWING / 1e3:.0f} kPa, so that flow and force can be told from noise"
             )
     if trial.has(TORQUE):
-        _stands(trial, trial.measured[:, TORQUE], "torque", 1.0, "N m")
+        _refuse_saturated(trial, "measured torque", trial.measured[:, TORQUE])
 
 
-def _stands(trial: Trial, series: Floats, name: str, scale: float, unit: str) -> None:
-    """Refuse a channel whose sensor is saturated at one end of its range."""
-    values = series[np.isfinite(series)]
-    if np.ptp(values) == 0.0:
-        return
-    for bound, word in ((values.max(), "upper"), (values.min(), "lower")):
-        share = float(np.mean(values == bound))
-        if share > _SATURATED_SHARE and share * len(values) * trial.dt > 0.5:
+def _refuse_saturated(trial: Trial, sensor: str, values: Floats) -> None:
+    """Refuse a channel whose sensor ends within the signal. `values`: its readings (N,)."""
+    for fault in faults(values, trial.dt):
+        one = SensorFault(sensor, fault)
+        if fault.kind == "end" and not one.is_possible:
             raise BadInput(
-                f"{trial.name}: {name} stands at its {word} end, {bound * scale:.4g} {unit}, in "
-                f"{100 * share:.0f} % of the samples: the sensor is saturated; use a sensor with a larger range"
+                f"{trial.name}: {sensor} reads exactly {one.size} in {100 * fault.rows.mean():.0f} % of the samples: "
+                "the sensor is saturated; use one with a larger range, or leave such readings out (--leave-out-faults)"
             )
 
 

@@ -7,15 +7,14 @@ options are made from the same table.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.recording.faults import without_faults
 from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS, canonical, unwrapped
 from pam_antagonist.recording.recording import Recording
 from pam_antagonist.recording.rows import slow
@@ -48,7 +47,7 @@ class Corrections:
     """Changes to a recording before it is used; numbers in SI units."""
 
     pressure_unit: str = _fix("Pa", "unit of the pressures in the bag (default: Pa)")
-    gauge: bool = _fix(False, "the pressures are gauge pressures: add 101.325 kPa")
+    gauge: bool = _fix(False, "the pressures are gauge pressures: add the atmosphere's of the rig file")
     swap_pressures: bool = _fix(False, "the pressure lines or sensors are exchanged")
     swap_valves: bool = _fix(False, "the valves or their voltages are exchanged")
     angle_unit: str = _fix("rad", "unit of the measured angle (default: rad)")
@@ -65,9 +64,14 @@ class Corrections:
     delay_angle: float = _fix(0.0, "milliseconds by which the stamps of the angle are too early", _MILLISECONDS)
     delay_torque: float = _fix(0.0, "milliseconds by which the stamps of the torque are too early", _MILLISECONDS)
     delay_pressure: float = _fix(0.0, "milliseconds by which the stamps of the pressures are too early", _MILLISECONDS)
+    leave_out_faults: bool = _fix(
+        False, "leave out readings that are no measurement: lost and held ones, and those at the end of a range"
+    )
     align_clocks: bool = _fix(
         False, "shift the stamps of topics that another clock stamps than the pressures, by times of reception"
     )
+    atmosphere: float = field(default=STANDARD_ATMOSPHERE, compare=False)
+    """What gauge pressures count from [Pa]: no option, but a value of the rig file."""
 
     def __post_init__(self) -> None:
         for quantity in ("pressure", "angle", "torque"):
@@ -83,7 +87,7 @@ class Corrections:
 
     def pressure(self, values: Floats) -> Floats:
         """Absolute pressure [Pa] of recorded values (N,)."""
-        offset = STANDARD_ATMOSPHERE if self.gauge else 0.0
+        offset = self.atmosphere if self.gauge else 0.0
         return np.asarray(values * UNITS["pressure"][self.pressure_unit] + offset)
 
     def angle(self, values: Floats) -> Floats:
@@ -102,6 +106,7 @@ class Corrections:
 
         Angle and torque are NaN where a delay leaves them without a value; voltages and pressures keep their first one.
         """
+        recording = without_faults(recording) if self.leave_out_faults else recording
         pressure, voltage = recording.pressure, recording.voltage
         if self.swap_pressures:
             pressure = pressure[:, ::-1]
@@ -126,7 +131,7 @@ class Corrections:
             angle = _later(time, angle, self.delay_angle, again.get("angle"))
         if self.delay_torque and torque is not None:
             torque = _later(time, torque, self.delay_torque, again.get("torque"))
-        return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque)
+        return replace(recording, pressure=pressure, voltage=voltage, angle=angle, torque=torque, corrected=True)
 
     def replaced(self, **values: Any) -> Corrections:
         """These corrections with other values, by name."""
@@ -164,7 +169,7 @@ class Corrections:
     def options(self) -> list[str]:
         """Command line options for these corrections."""
         out = []
-        for item in fields(self):
+        for item in _OPTIONS:
             value = getattr(self, item.name)
             if value == item.default:
                 continue
@@ -177,7 +182,8 @@ class Corrections:
         return out
 
 
-_TYPED: dict[str, _Typed] = {one.name: one.metadata["typed"] for one in fields(Corrections) if one.metadata["typed"]}
+_OPTIONS = tuple(one for one in fields(Corrections) if one.metadata)
+_TYPED: dict[str, _Typed] = {one.name: one.metadata["typed"] for one in _OPTIONS if one.metadata["typed"]}
 """Zeros, scale and delays."""
 
 
@@ -204,7 +210,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "corrections of a recording (`check` and `close_loop` say which ones it needs)",
         "Zeros, scale and delays that are not given are those of the rig file (calibration).",
     )
-    for item in fields(Corrections):
+    for item in _OPTIONS:
         option: dict[str, Any] = {"help": item.metadata["help"], "default": item.default}
         if isinstance(item.default, bool):
             option["action"] = "store_true"
@@ -215,17 +221,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         group.add_argument(_option(item.name), **option)
 
 
-def from_options(arguments: argparse.Namespace, known: Mapping[str, float] = MappingProxyType({})) -> Corrections:
-    """The corrections of the command line, completed by the rig file's calibration.
+def from_options(arguments: argparse.Namespace, known: Corrections | None = None) -> Corrections:
+    """The corrections of the command line, completed by those of the rig file.
 
-    `arguments`: of a parser with :func:`add_options`. `known`: zeros, scale and delays of the rig file, by name;
+    `arguments`: of a parser with :func:`add_options`. `known`: zeros, scale, delays and atmosphere of the rig file;
     default: none.
     """
-    values = {item.name: getattr(arguments, item.name) for item in fields(Corrections)}
+    known = known or Corrections()
+    values = {item.name: getattr(arguments, item.name) for item in _OPTIONS}
     for name, typed in _TYPED.items():
         given = values.pop(name)
-        if given is not None:
-            values[name] = given * typed.factor
-        elif name in known:
-            values[name] = known[name]
-    return Corrections(**values)
+        values[name] = getattr(known, name) if given is None else given * typed.factor
+    return Corrections(**values, atmosphere=known.atmosphere)

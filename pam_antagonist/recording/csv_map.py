@@ -207,7 +207,7 @@ class CsvMap(Strict):
         reference, air = getattr(entry, "reference", None) or "absolute", self.atmosphere
         # Without gauge pressures the atmosphere is only needed to judge.
         atmosphere = STANDARD_ATMOSPHERE if air is None else air.pressure * UNITS["pressure"][air.unit]
-        return Signal(label, quantity, values, entry.unit, reference, atmosphere, mapped=True)
+        return Signal(label, quantity, values, entry.unit, reference, atmosphere, mapped=True, stated=air is not None)
 
 
 def map_names() -> list[str]:

@@ -81,18 +81,19 @@ class _Range(NamedTuple):
     expected: str  # what was expected, in words
 
 
-MIN_PRESSURE, MAX_PRESSURE = 80e3, 2e6
-"""[Pa] Absolute: a vented muscle holds atmospheric pressure, 79 kPa at 2,000 m; muscles work up to about 0.9 MPa."""
+MIN_PRESSURE, MAX_PRESSURE = 50e3, 2e6
+"""[Pa] Absolute: a vented muscle holds the atmosphere's pressure, 54 kPa at 5,000 m; muscles work up to 0.9 MPa."""
+_BELOW = 0.8
+"""Least possible pressure of a muscle, by the atmosphere's where that is stated: a vented one, read with an error."""
 STANDARD_ATMOSPHERE = 101_325.0
 """[Pa]"""
-_PRESSURE_TEXT = "80 to 2000 kPa absolute"
 _RANGES = {
     "pressure": _Range(
         MIN_PRESSURE,
         MAX_PRESSURE,
         300e3,
-        f"outside {_PRESSURE_TEXT}",
-        f"the pressures of a filled muscle, {_PRESSURE_TEXT}",
+        "outside {low:.3g} to 2000 kPa absolute",
+        "the pressures of a filled muscle, {low:.3g} to 2000 kPa absolute",
     ),
     # Valves take 0 to 10 V; a measured voltage has an error.
     "voltage": _Range(-0.5, 10.5, 5.0, "outside 0 to 10 V", "0 to 10 V"),
@@ -123,12 +124,23 @@ class Signal:
     reference: str = "absolute"  # of pressures: "absolute" or "gauge"
     atmosphere: float = STANDARD_ATMOSPHERE  # what gauge pressures count from [Pa]
     mapped: bool = False  # whether a map says the unit, which the user can change there
+    stated: bool = False  # whether the atmosphere was stated
 
     def si(self, unit: str = "", reference: str = "") -> Floats:
         """The values in SI units, pressures absolute; as if they were in another unit, where one is given."""
         is_gauge = self.quantity == "pressure" and (reference or self.reference) == "gauge"
         factor = UNITS[self.quantity][unit or self.unit]
         return np.asarray(self.values * factor + (self.atmosphere if is_gauge else 0.0))
+
+    @property
+    def range(self) -> _Range:
+        """Plausible values. No pressure is far below an atmosphere that was stated."""
+        of = _RANGES[self.quantity]
+        if self.quantity != "pressure":
+            return of
+        low = _BELOW * self.atmosphere if self.stated else of.low
+        words = {name: getattr(of, name).format(low=low / 1e3) for name in ("odd", "expected")}
+        return of._replace(low=low, **words)
 
     @property
     def finite(self) -> Floats:
@@ -158,13 +170,16 @@ def few(count: int, size: int) -> bool:
 
 def possible(quantity: str, values: Floats) -> bool:
     """Whether numbers in SI units are plausible but for a few; also where there are none."""
-    count, size = _odd(quantity, values)
-    return few(count, size)
+    return _possible(_RANGES[quantity], values)
 
 
-def _odd(quantity: str, values: Floats) -> tuple[int, int]:
+def _possible(of: _Range, values: Floats) -> bool:
+    return few(*_odd(of, values))
+
+
+def _odd(of: _Range, values: Floats) -> tuple[int, int]:
     """Number of implausible values, and of all that are there."""
-    known, of = values[np.isfinite(values)], _RANGES[quantity]
+    known = values[np.isfinite(values)]
     return int(np.count_nonzero((known < of.low) | (known > of.high))), known.size
 
 
@@ -179,13 +194,13 @@ def judge(where: str, signal: Signal, issues: list[str]) -> None:
             what = f"value in {len(signal.values)} rows" if signal.mapped else f"finite {quantity}"
             raise BadInput(f"{where}: {signal.label} holds no {what}")
         return
-    count, size = _odd(quantity, signal.si())
+    count, size = _odd(signal.range, signal.si())
     tiny = quantity == "voltage" and signal.unit != "V" and 0.0 < np.nanmax(np.abs(signal.si())) < _TINY
     turning = quantity == "angle" and _turns(signal)
     if not few(count, size) or tiny or turning:
         raise refusal(where, signal)
     if count:
-        text = f"{count} of {size} values on {signal.label} lie {_RANGES[quantity].odd}"
+        text = f"{count} of {size} values on {signal.label} lie {signal.range.odd}"
         issues.append(f"{text}: kept, for the estimator to judge")
     if quantity == "angle" and signal.unit == "deg":
         moved = float(np.ptp(finite))
@@ -230,7 +245,7 @@ def refusal(where: str, signal: Signal) -> BadInput:
             hint += "; give offset if the sensor counts from elsewhere"  # many encoders count degrees from another zero
     else:
         hint = _looks_like(signal)
-    return BadInput(f"{text}, expected {_RANGES[quantity].expected}{hint}")
+    return BadInput(f"{text}, expected {signal.range.expected}{hint}")
 
 
 def _other_pressure(signal: Signal) -> str:
@@ -240,7 +255,7 @@ def _other_pressure(signal: Signal) -> str:
         for reference in ("gauge", "absolute"):
             values = signal.si(unit, reference)
             gauge = _top(values) - signal.atmosphere
-            if gauge >= _PRESSURIZED and possible("pressure", values):
+            if gauge >= _PRESSURIZED and _possible(signal.range, values):
                 fits[unit, reference] = abs(math.log(gauge / _RANGES["pressure"].usual))
     # The most likely mistake first: the other reference, then another unit, then both.
     for chosen in (

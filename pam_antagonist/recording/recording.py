@@ -212,6 +212,8 @@ class Recording(Shown):
         episode_ns: Stamps of the first samples of episodes (E,) [ns]; None for a recording in one piece. The joint's
             motion between two episodes is not known.
         drive: What drove the joint: "valve" or "regulator".
+        corrected: Whether its values were corrected (:class:`~pam_antagonist.recording.corrections.Corrections`). Of
+            one that was not, the functions of the API remove the rig file's calibration, as of a bag.
     """
 
     path: Path
@@ -233,6 +235,7 @@ class Recording(Shown):
     signals: Mapping[str, FurtherSignal] = field(default_factory=dict)
     episode_ns: Stamps | None = None
     drive: str = "valve"
+    corrected: bool = False
 
     def __post_init__(self) -> None:
         size = np.size(self.stamp_ns)
@@ -275,7 +278,7 @@ class Recording(Shown):
             return ()
         apart = np.abs(self.pressure - self.voltage)
         moves = np.ptp(self.voltage, axis=0) > 0.0
-        return tuple(k for k in (0, 1) if moves[k] and np.nanmax(apart[:, k]) <= _ROUNDING)
+        return tuple(k for k in (0, 1) if moves[k] and np.fmax.reduce(apart[:, k]) <= _ROUNDING)
 
     def driven_by(self, drive: str) -> Recording:
         """This recording, if it has the given drive.

@@ -2,7 +2,8 @@
 
 A file of many short recordings has resets where its episode column is lost and its time runs on. Because of inertia,
 the angle moves in one row about as far as in the rows around it. A row with a much larger move, after which the angle
-stays, is a reset. Nor can the pressure of a muscle jump within a few milliseconds.
+stays, is a reset. Nor can the pressure of a muscle jump within a few milliseconds. Where one sensor jumps and
+all others go on, its zero jumped, whether or not an episode is marked there.
 
 Where a sensor is slower than the log, the log repeats a reading until the next one comes. A repeated reading is no
 measurement (:mod:`pam_antagonist.estimation.stamps` tells it from a coarse converter). A fit takes straight lines
@@ -40,17 +41,25 @@ _SHOWN = 3
 
 @dataclass(frozen=True)
 class Resets:
-    """Resets of a recording."""
+    """Resets of a recording, or jumps of one sensor's zero."""
 
     signal: str
     rows: tuple[int, ...]  # first rows after the jumps (K,)
     times: tuple[float, ...]  # times of these rows from the start of the recording (K,) [s]
+    size: str  # of the first jump, with its unit
+    alone: bool = False  # whether all other signals go on
 
     @property
     def sentence(self) -> str:
         """The observation, its likely cause, and the remedy."""
         where = ", ".join(f"{time:.3f}" for time in self.times[:_SHOWN]) + (" ..." if len(self.times) > _SHOWN else "")
         places = f"at {len(self.times)} places" if len(self.times) > 1 else "at one place"
+        if self.alone:
+            return (
+                f"{self.signal} jumps {places} from one row to the next, at {where} s, first by {self.size}, and all "
+                "other signals go on: the zero of this sensor jumped, as by an index pulse, lost counts or an "
+                "exchanged plug; use only a part in which it stays"
+            )
         return (
             f"{self.signal} jumps {places} from one row to the next, at {where} s: these look like several recordings "
             "in one, without a mark where each begins; name the column that counts them in the map of import_csv "
@@ -59,14 +68,15 @@ class Resets:
 
 
 def resets(recording: Recording) -> Resets | None:
-    """Unmarked resets of a recording; None where there are none."""
+    """Unmarked resets of a recording in SI units, or jumps of one sensor's zero; None where there are none."""
     if len(recording) < 4 * _ROWS:
         return None
     apart = np.diff(recording.stamp_ns) * 1e-9
     period = float(np.median(apart))
     joined = apart <= _GAP * period
+    marked = np.zeros(0, dtype=np.intp)
     if recording.episode_ns is not None:
-        joined[np.searchsorted(recording.stamp_ns, recording.episode_ns[1:]) - 1] = False
+        marked = np.searchsorted(recording.stamp_ns, recording.episode_ns[1:])
     signals = [("the measured angle", recording.angle, recording.angle, _LEAST_ANGLE, _LONGEST_ANGLE_ROW)]
     measured = [k for k in (0, 1) if k not in recording.logged_commands]
     signals += [
@@ -86,9 +96,37 @@ def resets(recording: Recording) -> Resets | None:
                 whole = np.logical_and.reduceat(joined, own[:-1])
                 rows = own[_jumps(values[own], whole & (steps <= _GAP * np.median(steps)), least)]
         if len(rows):
+            alone = np.array([_others_go_on(recording, name, int(row)) for row in rows])
+            jumped = 2 * int(alone.sum()) > len(rows)
+            rows = rows[alone] if jumped else np.setdiff1d(rows, marked)
+        if len(rows):
             since = (recording.stamp_ns[rows] - recording.stamp_ns[0]) * 1e-9
-            return Resets(name, tuple(rows.tolist()), tuple(since.tolist()))
+            by = float(values[rows[0]] - values[rows[0] - 1])
+            size = f"{np.degrees(by):+.1f}°" if values is recording.angle else f"{by / 1e3:+.3g} kPa"
+            return Resets(name, tuple(rows.tolist()), tuple(since.tolist()), size, jumped)
     return None
+
+
+def _others_go_on(recording: Recording, name: str, row: int) -> bool:
+    """Whether no other sensor jumps at a row; false where no other was measured."""
+    sensors = {"the measured angle": recording.angle, "the measured torque": recording.torque}
+    sensors |= {f"pressure_{k + 1}": recording.pressure[:, k] for k in (0, 1) if k not in recording.logged_commands}
+    others = (values for other, values in sensors.items() if values is not None and other != name)
+    known = [seen for values in others if (seen := _goes_on(values, row)) is not None]
+    return bool(known) and all(known)
+
+
+def _goes_on(values: Floats, row: int) -> bool | None:
+    """Whether a signal (N,) moves over a few rows around a row as it does beside it; None where it is not known."""
+    middle = np.arange(row - 5 * _ROWS, row + 5 * _ROWS + 1)
+    middle = middle[(middle >= _ROWS) & (middle < len(values) - _ROWS)]
+    moved = values[middle + _ROWS - 1] - values[middle - _ROWS]
+    beside = np.abs(middle - row) >= 2 * _ROWS
+    here = moved[middle == row]
+    if not len(here) or not beside.any() or not np.isfinite(moved).all():
+        return None
+    low, high = min(float(moved[beside].min()), 0.0), max(float(moved[beside].max()), 0.0)
+    return bool(low - _FURTHER * (high - low) <= here[0] <= high + _FURTHER * (high - low))
 
 
 def _jumps(values: Floats, joined: NDArray[np.bool_], least: float) -> NDArray[np.intp]:
@@ -118,6 +156,10 @@ _STEADY = 1.1
 """Largest range of the readings' ages, in rows of the log: 1 but for the jitter of its stamps."""
 _FEW_REPEATS = 0.1
 """A sensor that repeats fewer of its readings is as quick as the log."""
+
+_EVEN = 0.5
+"""Of the distances between changes of a slow sensor, the 5 % quantile is at least this share of the 25 % quantile. A
+sensor with 1.5 rows a reading has 1; the distances of chance have 0.18."""
 
 SLOW = ("pressures", "angle", "torque")
 """Sensors that may be slower than the log. One board reads both pressures."""
@@ -155,7 +197,11 @@ def slow_sentence(name: str, again: NDArray[np.bool_]) -> str:
 
 def _repeated(values: Floats, stamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     columns = values if values.ndim == 2 else values[:, None]
-    if (np.diff(columns, axis=0) == 0.0).all(axis=1).sum() <= _FEW_REPEATS * len(columns):
+    moved = np.diff(columns, axis=0)
+    # A slow sensor changes at one distance while the signal moves; one that shows a joint at rest, at any distance.
+    apart = np.diff(np.flatnonzero((np.abs(moved) > 0.0).any(axis=1)))
+    steady = len(apart) > 0 and float(np.quantile(apart, 0.05)) >= _EVEN * float(np.quantile(apart, 0.25))
+    if not steady or (moved == 0.0).all(axis=1).sum() <= _FEW_REPEATS * len(columns):
         return np.zeros(len(columns), dtype=bool)
     from ..estimation.stamps import repeated  # takes a second, which most recordings do not need
 

@@ -27,7 +27,7 @@ from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.live import LiveComparison, Plan
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.units import assumption
-from pam_antagonist.shown import Shown, number
+from pam_antagonist.shown import Shown, error_in_words, number
 from pam_antagonist.strict_json import picked, plain
 
 FloatArray = NDArray[np.float64]
@@ -177,7 +177,7 @@ class Replay(Shown):
     def _brief(self) -> str:
         report = self.report
         errors = [
-            f"{name} RMSE {filtered.rmse:.3g}{unit} (model alone {alone.rmse:.3g}{unit})"
+            f"{name} RMSE {error_in_words(filtered.rmse, unit, 3)} (model alone {error_in_words(alone.rmse, unit, 3)})"
             for name, unit, filtered, alone in (
                 ("angle", "°", report.ukf.angle, report.model_alone.angle),
                 ("torque", " N m", report.ukf.torque, report.model_alone.torque),
@@ -226,8 +226,8 @@ class Channel(NamedTuple):
         return errors.angle if self.name == "angle" else errors.torque
 
     def write(self, value: float) -> str:
-        """A value with its unit."""
-        return f"{number(value, 2)}{'' if self.unit == '°' else ' '}{self.unit}"
+        """A value with its unit; of a model that diverges, it says so."""
+        return "diverges" if math.isinf(value) else f"{number(value, 2)}{'' if self.unit == '°' else ' '}{self.unit}"
 
 
 ANGLE, TORQUE = Channel("angle", "°"), Channel("torque", "N m")

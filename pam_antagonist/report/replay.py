@@ -223,6 +223,8 @@ def overview(reports: Sequence[ReplayReport]) -> Table:
 
 HONEST_COVERAGE = 0.88
 """Least coverage of a 95 % interval that is called honest."""
+CONSTANT = 0.95
+"""Share of the RMS error from which on a mean error is called the same at each sample: the rest is a third of it."""
 MARGIN = 1.05
 """Errors within this ratio of each other are called equal."""
 NIS_HIGH, NIS_LOW = 3.0, 1.0
@@ -279,7 +281,25 @@ def _against_model(item: Judged) -> Finding:
     return note(f"{text}. The correction by the pressures changes little.")
 
 
+def _constant(item: Judged) -> bool:
+    """Whether too few values lie in the interval since nearly the whole error is the same at each sample."""
+    mean = item.ukf.mean
+    return item.coverage < HONEST_COVERAGE and mean is not None and abs(mean) >= CONSTANT * item.ukf.rmse
+
+
+def _zero(item: Judged) -> Finding:
+    """A zero that is missing."""
+    by, channel = -(item.ukf.mean or 0.0), item.channel
+    sensor, option = ("encoder", "--encoder-zero") if channel.name == "angle" else ("torque meter", "--torque-zero")
+    return warn(
+        f"{channel.title}: the error is nearly the same at each sample. The {sensor} seems to read "
+        f"{channel.write(abs(by))} too {'high' if by > 0.0 else 'low'}. To correct that, type {option} {by:.4g}."
+    )
+
+
 def _honesty(known: Sequence[Judged]) -> list[Finding]:
+    if constant := [item for item in known if _constant(item)]:
+        return [*map(_zero, constant), *_honesty([item for item in known if not _constant(item)])]
     if not known:
         return []
     shares = [f"{percent(item.coverage)} of the measured {item.channel.name}s" for item in known]

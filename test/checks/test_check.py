@@ -62,7 +62,8 @@ def test_what_is_wrong_is_named_with_what_to_type(free: Recording, rig: Rig, dam
     assert wrong(checked) == expected
     # What was found makes it the recording that it was.
     corrected = checked.corrections.applied(damaged)
-    np.testing.assert_allclose(corrected.pressure, free.pressure, rtol=1e-5)
+    # The rig file's atmosphere is added, which is 25 Pa from the one that was subtracted.
+    np.testing.assert_allclose(corrected.pressure, free.pressure, rtol=1e-4)
     np.testing.assert_array_equal(corrected.voltage, free.voltage)
     np.testing.assert_allclose(corrected.angle, free.angle, atol=1e-12)  # type: ignore[arg-type]
     assert not check_recording(corrected, rig).wrong
@@ -124,3 +125,74 @@ def test_late_measurements_are_measured(rig: Rig, joint: str) -> None:
     (option,) = late[0].options
     # Rig A's recordings are stamped 22 ms late.
     assert float(option.split()[1]) == pytest.approx(22.0, abs=3.0)
+
+
+def with_angle(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    assert recording.angle is not None
+    return replace(recording, angle=change(recording.angle))
+
+
+@pytest.mark.parametrize("degrees", [-6.0, 10.0, 90.0])
+def test_an_encoder_whose_zero_was_lost(free: Recording, rig: Rig, degrees: float) -> None:
+    bad = with_angle(free, lambda angle: angle + np.radians(degrees))
+    checked = check_recording(bad, rig)
+    ((found,), (option,)) = checked.wrong, checked.corrections.options()
+    assert "differs from the model's by the same at each sample" in found.text and found.options == (option,)
+    assert float(option.removeprefix("--encoder-zero ")) == pytest.approx(degrees, abs=0.5)
+    assert ("beyond the rig's stop of 25°" in found.text) is (degrees > 25.0)
+    assert not check_recording(bad, rig, typed=checked.corrections).wrong
+
+
+def test_a_torque_meter_that_was_not_tared(locked: Recording, rig: Rig) -> None:
+    assert locked.torque is not None
+    checked = check_recording(replace(locked, torque=locked.torque + 1.0), rig)
+    (found,) = checked.wrong
+    assert "the torque meter reads" in found.text and checked.corrections.torque_zero == pytest.approx(1.0, abs=0.05)
+
+
+def test_one_sensor_that_jumps_is_no_reset(free: Recording, rig: Rig) -> None:
+    jumped = with_angle(free, lambda angle: angle + np.radians(5.0) * (free.time_s >= 3.0))
+    marked = replace(jumped, episode_ns=free.stamp_ns[[0, 3000]])
+    for bad in (jumped, marked):
+        (found,) = check_recording(bad, rig).wrong
+        assert "the measured angle jumps at one place" in found.text and "at 3.000 s, first by +5.0°" in found.text
+        assert "the zero of this sensor jumped" in found.text and "episode" not in found.text
+    pressure = free.pressure + np.where(free.time_s >= 2.0, 6e4, 0.0)[:, None] * [0.0, 1.0]
+    (found,) = check_recording(replace(free, pressure=pressure), rig).wrong
+    assert "pressure_2 jumps at one place" in found.text and "first by +60." in found.text
+    assert not check_recording(replace(free, episode_ns=free.stamp_ns[[0, 3000]]), rig).wrong
+
+
+def test_one_channel_in_another_unit_is_named(free: Recording, rig: Rig) -> None:
+    (found,) = check_recording(replace(free, pressure=free.pressure * [1.0, 1e-3]), rig).wrong
+    assert "pressure_1 in Pa" in found.text and "pressure_2 in kPa" in found.text and not found.options
+    checked = check_recording(replace(free, pressure=free.pressure - [101_325.0, 0.0]), rig)
+    assert not checked.wrong
+    assert any("pressure_1 seems to be gauge pressure and pressure_2 absolute" in f.text for f in checked.findings)
+
+
+def test_readings_that_are_none_are_named_with_what_to_type(free: Recording, rig: Rig) -> None:
+    lost = np.random.default_rng(3).random(len(free)) < 0.01
+    bad = with_angle(free, lambda angle: np.where(lost, 0.0, angle))
+    bad = replace(bad, pressure=np.where(lost[:, None], 101_325.0, bad.pressure))
+    highest = float(np.quantile(free.pressure[:, 1], 0.6))
+    for recording, words in (
+        (bad, (f"{lost.sum()} rows hold exactly one value", "pressure_1 101.325 kPa", "these readings were lost")),
+        (
+            replace(free, pressure=np.minimum(free.pressure, [1e6, highest])),
+            ("pressure_2 reads exactly", "% of the rows", "its range ends there"),
+        ),
+    ):
+        checked = check_recording(recording, rig)
+        (found,) = checked.wrong
+        assert all(word in found.text for word in words) and found.options == ("--leave-out-faults",)
+        # Nothing else is said of the rig, the valves or a slow sensor.
+        assert not [other.text for other in checked.findings if other.status == "doubtful" or "slower" in other.text]
+        again = check_recording(recording, rig, typed=checked.corrections)
+        assert not again.wrong and any(f.text.endswith(": left out") for f in again.findings)
+
+
+def test_a_channel_of_another_rig_is_not_only_a_wrong_unit(free: Recording, rig: Rig) -> None:
+    found = check_recording(with_angle(free, lambda angle: 4.0 * angle), rig).findings
+    (text,) = [finding.text for finding in found if "converted from rev" in finding.text]
+    assert "a factor of 6.28" in text and "or this is a recording of another rig" in text

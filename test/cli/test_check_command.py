@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pam_antagonist.cli import check, replay
+from pam_antagonist.cli import check, identify, replay
+from pam_antagonist.cli.recordings import next_on_bags
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.file import write_rig
@@ -52,6 +53,38 @@ def test_what_is_wrong_is_said_with_the_option(exchanged, capsys):
     out = capsys.readouterr().out
     assert "✗ the pressure lines are exchanged" in out
     assert "Type --swap-pressures" in out
+
+
+def test_the_next_command_has_what_was_advised_and_what_was_typed(exchanged, in_kilopascals, free, capsys):
+    arguments = [str(exchanged), "--rig", "shin2022"]
+    assert check.main(arguments) == 2
+    assert f"identify {exchanged} --rig shin2022 --out DIR --swap-pressures\n" in capsys.readouterr().out
+    assert check.main([*arguments, "--swap-pressures", "--joint", "free"]) == 0
+    line = capsys.readouterr().out.partition("next:\n")[2]
+    assert line.endswith(f"identify {exchanged} --rig shin2022 --out DIR --swap-pressures --joint free\n")
+    # No options correct two bags that need others.
+    assert check.main([*arguments, str(in_kilopascals)]) == 2 and "next:" not in capsys.readouterr().out
+
+
+def test_the_next_command_names_the_one_other_bag(tmp_path: Path) -> None:
+    for name in ("free", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "metadata.yaml").touch()
+    typed = [str(tmp_path / "free"), "--rig", "r.yaml", "--out", "o", "--flip-angle", "--joint", "locked"]
+    typed += ["--lock-angle", "5", "--topic", "pressure_1=/p 1", "--no-check"]
+    arguments = identify.parser().parse_args(typed)
+    own = next_on_bags(arguments, "close_loop", arguments.bags, "rig.yaml")
+    options = "--rig rig.yaml --out DIR --flip-angle --joint locked --lock-angle 5 --topic 'pressure_1=/p 1' --no-check"
+    assert own.endswith(f"close_loop {tmp_path / 'free'} {options}")
+    assert f"replay {tmp_path / 'other'} --rig" in next_on_bags(arguments, "replay", None, "rig.yaml")
+    (tmp_path / "third").mkdir()
+    (tmp_path / "third" / "metadata.yaml").touch()
+    assert "replay ANOTHER_BAG --rig" in next_on_bags(arguments, "replay", None, "rig.yaml")
+
+
+def test_no_fit_of_everything_follows_a_short_recording_or_an_identified_rig(free, tmp_path, capsys):
+    assert replay.main([str(free.path), "--rig", "shin2022", "--out", str(tmp_path / "out"), "--no-figures"]) == 0
+    assert "next:" not in capsys.readouterr().out, "six seconds"
 
 
 def test_findings_as_json_on_standard_output(in_kilopascals, capsys):

@@ -46,6 +46,15 @@ def arguments(file: Path, out: Path) -> list[str]:
     return [str(file), "--map", str(file.parent / "map.yaml"), "--out", str(out)]
 
 
+def test_the_next_command_names_the_one_rig_file(as_csv, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments(as_csv, tmp_path / "one")) == 0
+    assert f"check {tmp_path / 'one'} --rig RIG\n" in capsys.readouterr().out
+    (tmp_path / "bench.yaml").write_text("based_on: shin2022\nname: bench\n")
+    assert main(arguments(as_csv, tmp_path / "two")) == 0
+    assert f"check {tmp_path / 'two'} --rig bench.yaml\n" in capsys.readouterr().out
+
+
 def test_a_recording_comes_back_from_its_csv_file(bag, as_csv, tmp_path, capsys):
     assert main(arguments(as_csv, tmp_path / "deep" / "out")) == 0
     before, after = read_bag(bag), read_bag(tmp_path / "deep" / "out")

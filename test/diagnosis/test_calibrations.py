@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields, replace
 
 import numpy as np
@@ -10,9 +11,13 @@ import pytest
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose
+from pam_antagonist.diagnosis.errors import RigErrors, errors_of
 from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
+from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.search import hypotheses, search
+from pam_antagonist.estimation.metrics import DIVERGED
+from pam_antagonist.inference import calibration
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
@@ -47,6 +52,30 @@ def test_late_stamps_are_a_calibration_and_no_effect(late) -> None:
     assert found.value == pytest.approx(0.03, abs=1.5e-3)
     assert 1e-4 < found.std < 1.5e-3
     assert late.warnings == ()
+
+
+def test_rows_that_a_delay_does_not_reach_are_in_no_error() -> None:
+    """One of 20,000 simulated angles, the last, once made all errors infinite."""
+    time = 1e-3 * np.arange(2000)
+    exact = np.column_stack([np.sin(time), np.cos(time), 3e5 + 1e4 * time, 4e5 - 1e4 * time])
+    shown = calibration.readings(exact, 1e-3, {"delay_angle": 0.02, "delay_pressure": -0.05})
+    assert np.isnan(shown[-20:, 0]).all() and np.isnan(shown[:50, 2:]).all()
+    found = errors_of(exact, shown, (0, 1))
+    assert found.angle is not None and found.torque is not None and found.mean_rmse_pa is not None
+    assert 0.0 < found.angle.rmse < np.degrees(0.02) and found.torque.rmse == 0.0
+    assert found.rmse_pa == pytest.approx((500.0, 500.0)) and found.mean_rmse_pa == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_infinite_error_is_no_number_in_a_sentence() -> None:
+    exact = np.ones((100, 4))
+    lost = errors_of(exact, np.where(np.arange(100)[:, None] > 90, DIVERGED, exact), (0, 1))
+    now = errors_of(exact, 1.1 * exact, (0, 1))
+    assert lost.angle is not None and lost.angle.rmse == lost.mean_rmse_pa == max(lost.rmse_pa) == np.inf
+    before, after = RigErrors(lost), RigErrors(now)
+    said = [before.in_words(after), *after.larger(before, 1.0), change_in_words(lost, now), change_in_words(now, lost)]
+    assert len(said) == 6 and all("a model that diverges" in text for text in said)
+    assert not re.search(r"\binf|\bnan|without bound|–", " ".join(said))
+    assert before.ratio(after) < 1e-6 and not before.larger(after, 1.0)
 
 
 def test_a_report_says_the_calibration_and_what_to_type(late, rig) -> None:

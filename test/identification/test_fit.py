@@ -64,7 +64,9 @@ def test_recordings_of_two_rigs_are_refused_with_what_differs() -> None:
 
 def test_a_torque_meter_at_its_end_is_refused() -> None:
     recording = replace(record("locked", 1), torque=np.minimum(record("locked", 1).torque, 0.1))  # type: ignore[type-var]
-    with pytest.raises(BadInput, match=r"bag: torque stands at its upper end, 0.1 N m"):
+    with pytest.raises(
+        BadInput, match=r"bag: measured torque reads exactly 0.1 N m in .* % of the samples: the sensor is saturated"
+    ):
         check(make_trial(recording, RIG, "locked", 0.0, "bag"))
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from pam_antagonist import simulate
+from pam_antagonist.estimation.metrics import DIVERGED
 from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
-from pam_antagonist.inference.free_run import SANE, stride_blocks
+from pam_antagonist.inference.free_run import stride_blocks
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import PRESSURE_1, block_noise, blocks, make_trial
@@ -79,7 +80,7 @@ def test_a_locked_joint_tells_nothing_of_friction(rig, recorded, experiment_of) 
 def test_a_model_that_runs_away_is_wrong_and_finite(recorded, experiment_of) -> None:
     experiment = experiment_of(recorded(seconds=20.0), "locked")
     far = Point(experiment.origin.theta, {"effects.thermal.share_1": 0.5, "effects.thermal.time": 1e-9})
-    assert not np.all(np.abs(experiment.simulated(far)) < SANE)
+    assert not np.all(np.abs(experiment.simulated(far)) < DIVERGED)
     # Not one sample is left out from there on, and none looks right.
     residual = experiment.residual(far)
     assert np.all(np.isfinite(residual)) and np.all(np.abs(residual[1:]) > 1e3 * experiment.noise)

@@ -256,7 +256,7 @@ def test_rare_outliers_stay_and_are_counted(rig: FakeRig, tmp_path: Path) -> Non
     recording = read_bag(rig.write(tmp_path / "bag", rig.streams()))
     rig.assert_same(recording)
     assert len(recording.issues) == 2
-    assert "1 of 40 values on /pam/pressure_1 lie outside 80 to 2000 kPa absolute: kept" in recording.issues[0]
+    assert "1 of 40 values on /pam/pressure_1 lie outside 50 to 2000 kPa absolute: kept" in recording.issues[0]
     assert "1 of 80 values on /pam/valve_state lie outside 0 to 10 V: kept" in recording.issues[1]
 
 

@@ -150,10 +150,10 @@ def test_time_that_creeps_backwards(rig: FakeRig, tmp_path: Path, options: dict[
     ("name", "change", "said"),
     [
         ("pressure", lambda p: np.linspace(0.0, 3e5, len(p)), "; 2.97e+05 looks like gauge pressure"),
-        ("pressure", lambda p: p / 1e6, "80 to 2000 kPa absolute; 0.605 looks like MPa"),
+        ("pressure", lambda p: p / 1e6, "50 to 2000 kPa absolute; 0.605 looks like MPa"),
         ("pressure", lambda p: p / 1e3, "/pam/pressure_2 goes from 494.6 to 606.8 Pa absolute, which makes 0.49"),
         ("pressure", lambda p: p * 0.0, "it is the same throughout: is the sensor connected?"),
-        ("pressure", lambda p: p * 10.0, "expected the pressures of a filled muscle, 80 to 2000 kPa absolute"),
+        ("pressure", lambda p: p * 10.0, "expected the pressures of a filled muscle, 50 to 2000 kPa absolute"),
         ("pressure", lambda p: p * np.nan, "/pam/pressure_2 holds no finite pressure"),
         ("voltage", lambda v: 11.5, "/pam/valve_state goes from 11.5 to 11.5 V, expected 0 to 10 V"),
         ("voltage", lambda x: 10.0 * x, "expected 0 to 10 V; 78.9 looks like percent"),

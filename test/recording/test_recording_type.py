@@ -99,7 +99,7 @@ def smooth() -> Recording:
 def typed(*arguments: str, **known: float) -> Corrections:
     parser = argparse.ArgumentParser()
     add_options(parser)
-    return from_options(parser.parse_args(arguments), known)
+    return from_options(parser.parse_args(arguments), Corrections(**known))
 
 
 def test_zeros_and_scale_are_taken_away() -> None:

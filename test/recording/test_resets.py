@@ -155,6 +155,14 @@ def test_a_pressure_at_rest_is_measured_at_the_sensor_s_own_rate() -> None:
     assert not repeated(np.full((600, 2), 3e5), stamps(0.02)).any()
 
 
+def test_a_joint_that_stands_still_has_no_slow_encoder() -> None:
+    """Between two moves of a row or two its readings stay the same, and are readings."""
+    rng = np.random.default_rng(8)
+    moves = np.where(rng.random(600) < 0.15, rng.normal(0.0, 0.02, 600), 0.0)
+    still = recording(MOVING, np.cumsum(moves), 0.005)
+    assert slow(still) == {}
+
+
 @pytest.mark.parametrize("rows", [1, 2, 5])
 def test_a_few_rows_are_no_sensor(rows: int) -> None:
     assert not repeated(held(2)[:rows], stamps(0.02, rows)).any()

@@ -138,12 +138,26 @@ def test_table_marks_the_better_one_only_where_it_can_be_seen(report: ReplayRepo
 
 
 def test_a_model_that_diverged_has_no_error_that_is_a_number(report: ReplayReport) -> None:
-    measured, value = np.linspace(0.0, 1.0, 9), np.array([*np.linspace(0.0, 1.0, 8), np.nan])
+    measured, value = np.linspace(0.0, 1.0, 9), np.array([*np.linspace(0.0, 1.0, 8), np.inf])
     lost = channel_errors(measured, value, "deg")
     assert lost is not None and lost.rmse == lost.largest == np.inf
+    value[-1] = np.nan  # as where a delay reaches beyond the recording: no value, and no error either
+    apart = channel_errors(measured, value, "deg")
+    assert apart is not None and np.isfinite([apart.rmse, apart.largest]).all()
+    assert channel_errors(measured, np.full(9, np.nan), "deg") is None
     now = replace(report, model_alone=replace(report.model_alone, angle=lost))
     assert "The model alone diverges: this rig file does not describe the joint." in said(now, "warn")
     assert "×" not in said(now, "warn")
+    assert tiles(now)[0].note == "model alone diverges"
+
+
+def test_an_error_that_is_the_same_at_each_sample_is_a_zero(report: ReplayReport) -> None:
+    off = replace(ANGLE, rmse=10.0, coverage95=0.0, mean=-9.99)
+    now = replace(report, ukf=replace(report.ukf, angle=off))
+    assert "The encoder seems to read 10.0° too high. To correct that, type --encoder-zero 9.99." in said(now, "warn")
+    assert "covariance is too small" not in said(now, "warn") and "honest" in said(now, "good")
+    varies = replace(report, ukf=replace(report.ukf, angle=replace(off, mean=-5.0)))
+    assert "covariance is too small" in said(varies, "warn") and "zero" not in said(varies, "warn")
 
 
 def test_a_filter_is_not_judged_by_a_few_samples(report: ReplayReport) -> None:

@@ -27,7 +27,7 @@ COUNT, SEED = (int(os.environ.get(name, default)) for name, default in (("SWEEP_
 
 BLAMED = re.compile(r"(--[a-z][a-z-]*)(?: [^:\s]+)?: ")
 """An option that an error gives as its reason."""
-NO_NUMBER = re.compile(r"(?<![\w-])(nan|inf|-inf)(?![\w-])", re.IGNORECASE)
+NO_NUMBER = re.compile(r"(?<![\w-])(nan|inf|-inf|infinity|without bound)(?![\w-])", re.IGNORECASE)
 RESULTS = "rmse_deg", "rmse_nm", "rmse_pa", "max_deg", "max_nm", "max_pa", "nis_mean", "value", "identified"
 """Keys of report.json whose numbers were asked for: JSON has null where one is not finite."""
 ALWAYS = 10
@@ -101,6 +101,23 @@ def _of_files(status: int, folder: Path) -> Iterator[str]:
     if status == 0 and (report := folder / "report.json").is_file():
         content = json.loads(report.read_text(encoding="utf-8"), parse_constant=pytest.fail)
         yield from (f"no number in the report: {place}" for place in _missing(content))
+        yield from (f"no number in the report: {text}" for text in texts(content) if NO_NUMBER.search(text))
+
+
+def test_no_stored_report_has_a_sentence_with_a_number_that_is_none() -> None:
+    reports = sorted((Path(__file__).parents[1] / "golden").glob("*.json"))
+    said = [text for path in reports for text in texts(json.loads(path.read_text(encoding="utf-8")))]
+    assert len(reports) > 4 and len(said) > 100
+    assert [text for text in said if NO_NUMBER.search(text)] == []
+
+
+def texts(content: Any) -> Iterator[str]:
+    """All sentences of a report."""
+    if isinstance(content, str):
+        yield content
+    elif isinstance(content, dict | list):
+        for item in content.values() if isinstance(content, dict) else content:
+            yield from texts(item)
 
 
 def _missing(content: Any, place: str = "") -> Iterator[str]:

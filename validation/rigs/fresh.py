@@ -182,7 +182,7 @@ def laboratory(seed: int, declared: bool = False) -> Laboratory:
         return Recording(
             path=Path(f"{name}_{number}"), stamp_ns=np.rint(time[rows] * 1e9).astype(np.int64) + FIRST_STAMP_NS,
             pressure=pressure[rows], voltage=command[rows],
-            angle=(np.interp(time - truth[DELAY], time, angle) + truth[ZERO])[rows], torque=None, drive=typed.drive,
+            angle=(np.interp(time + truth[DELAY], time, angle) + truth[ZERO])[rows], torque=None, drive=typed.drive,
         )  # fmt: skip
 
     return Laboratory(f"{name} ({kind.words})", typed, *sets(recorded, kind.trials), truth)
