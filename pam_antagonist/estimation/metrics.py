@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincc, gammaincinv, ndtr, ndtri
 
+from pam_antagonist.estimation.divergence import has_diverged
 from pam_antagonist.rig import Reading
 
 FloatArray = NDArray[np.float64]
@@ -47,21 +48,6 @@ def _finite(values: ArrayLike) -> FloatArray:
 def _complete(series: FloatArray) -> NDArray[np.bool_]:
     """Rows (N, m) in which everything is finite, (N,)."""
     return np.asarray(np.isfinite(series).all(axis=1))
-
-
-DIVERGED = 1e12
-"""A model whose values are larger, in SI units, or no numbers, has diverged."""
-
-
-def diverged_from(shown: FloatArray) -> int:
-    """First row from which a simulated course (N, C) has diverged; N where it has not."""
-    lost = ~np.all(np.abs(shown) < DIVERGED, axis=1)
-    return int(np.argmax(lost)) if lost.any() else len(shown)
-
-
-def has_diverged(values: ArrayLike) -> bool:
-    """Whether a model's values say that it diverges. NaN is no value, as where a delay reaches beyond the recording."""
-    return bool(np.any(np.abs(np.asarray(values, dtype=np.float64)) >= DIVERGED))
 
 
 def rmse(error: ArrayLike) -> float:

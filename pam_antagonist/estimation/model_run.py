@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.metrics import diverged_from
+from pam_antagonist.estimation.divergence import diverged_from
 from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig

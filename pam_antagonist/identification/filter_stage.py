@@ -240,9 +240,7 @@ def _next(seen: Sequence[tuple[float, float, float, object]]) -> float:
     return below[0] + min(max(share, 0.1), 0.9) * (above[0] - below[0])
 
 
-def _errors(
-    rig: Rig, channel: str, recording: Recording, state: JointCondition, _name: str
-) -> tuple[Floats, Floats]:
+def _errors(rig: Rig, channel: str, recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
     """Errors of the estimated angle [rad] or torque [N m] and their standard deviations (M,).
 
     At its stop the filter is sure of the angle whatever the torque: such rows would ask for any torque.

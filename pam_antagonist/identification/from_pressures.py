@@ -237,8 +237,11 @@ def concluded(
         tuple(steps),
         options,
         start_saw,
-        {recording_hash(one): min(end, one.duration_s)
-         for (one, _, _), end in zip(recordings, until, strict=True) if end > 0.0},
+        {
+            recording_hash(one): min(end, one.duration_s)
+            for (one, _, _), end in zip(recordings, until, strict=True)
+            if end > 0.0
+        },
     )
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.estimation.metrics import DIVERGED, diverged_from
+from pam_antagonist.estimation.divergence import DIVERGED, diverged_from
 from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.model import dynamics, equilibrium, lanes

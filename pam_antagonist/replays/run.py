@@ -319,7 +319,10 @@ def _judged(
             dict(recording.topics),
             int(recording.stamp_ns[0]),
             (
-                *recording.issues, *_episodes(recording), *_sealed(recording, rig), *_other_joint(recording, rig),
+                *recording.issues,
+                *_episodes(recording),
+                *_sealed(recording, rig),
+                *_other_joint(recording, rig),
                 *filter(None, [seen_in_words(recording, rig.fitted, rig.name)]),
             ),
             _rigs(recording, rig),

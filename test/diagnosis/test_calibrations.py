@@ -16,7 +16,7 @@ from pam_antagonist.diagnosis.hypotheses import Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.search import hypotheses, search
-from pam_antagonist.estimation.metrics import DIVERGED
+from pam_antagonist.estimation.divergence import DIVERGED
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import make_trial

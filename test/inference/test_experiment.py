@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist import simulate
-from pam_antagonist.estimation.metrics import DIVERGED
+from pam_antagonist.estimation.divergence import DIVERGED
 from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
 from pam_antagonist.inference.free_run import stride_blocks
 from pam_antagonist.inference.gauss_newton import refit

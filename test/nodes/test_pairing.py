@@ -132,6 +132,13 @@ def test_the_first_of_two_messages_with_one_stamp_counts():
     assert pairing.counts.duplicates == 1
 
 
+def test_a_message_with_the_stamp_of_the_sample_that_has_just_gone_is_late():
+    clock, pairing = fresh()
+    assert run([message(t, 7) for t in TOPICS], clock, pairing) == [sample(7)]
+    assert run([message(PRESSURE_1, 7)], clock, pairing) == []
+    assert (pairing.counts.late, pairing.counts.duplicates) == (1, 0)
+
+
 def test_a_jump_backwards_starts_anew():
     clock, pairing = fresh()
     run([message(t, k) for k in range(2000, 2010) for t in TOPICS], clock, pairing)
