@@ -1,8 +1,8 @@
 """Break twenty behaviours on purpose, one at a time, in a copy of the checkout, and count how many the tests notice.
 
 The behaviours stand in validation/broken.yaml. Each is tried with the tests beside it, then with those of ./run test,
-then with those of ./run test --all. It is noticed by a test that fails with it and passes without it. This takes half
-an hour on two cores.
+then with those of ./run test --all. It is noticed by a test that fails with it and passes without it. A behaviour
+takes seconds to minutes.
 
 examples:
   {run} broken --out broken.json
