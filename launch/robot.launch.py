@@ -7,7 +7,6 @@ ros2 launch pam_antagonist robot.launch.py joints:=robot.yaml source:=bridge rec
 import json
 from pathlib import Path
 
-import yaml
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -15,6 +14,7 @@ from launch_ros.actions import Node
 
 from pam_antagonist.nodes import processes
 from pam_antagonist.paths import config_dir
+from pam_antagonist.strict_yaml import read_mapping
 
 PACKAGE = "pam_antagonist"
 
@@ -40,9 +40,7 @@ def namespaces(path: str) -> list[str]:
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"joints:={path}: no such file; expected a YAML file with parameters of all joints")
-    content = yaml.safe_load(Path(path).read_text())
-    sections = content.items() if isinstance(content, dict) else ()
-    for name, section in sections:
+    for name, section in read_mapping(Path(path), "parameter", "config/robot.yaml").items():
         if name.rsplit("/", 1)[-1] == "joints" and isinstance(section, dict):
             joints = (section.get("ros__parameters") or {}).get("joints")
             if isinstance(joints, list) and joints:

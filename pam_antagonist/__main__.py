@@ -72,10 +72,15 @@ def main(
     argv: Sequence[str] | None = None, commands: Mapping[str, Command] = COMMANDS, places: Mapping[str, str] = _PLACES
 ) -> int:
     """Run the executable that the first argument names; gives its exit status, 2 for an unknown name."""
-    from pam_antagonist.program import piped
+    from pam_antagonist.program import INTERRUPTED, alone, piped
 
     arguments = list(sys.argv[1:] if argv is None else argv)
-    return piped(lambda: _main(arguments, commands, places))
+
+    def work() -> int:
+        return piped(lambda: _main(arguments, commands, places))
+
+    node = bool(arguments) and arguments[0] in (*_NODES, "monitor")
+    return work() if argv is not None else alone(work, 0 if node else INTERRUPTED)
 
 
 def _main(arguments: list[str], commands: Mapping[str, Command], places: Mapping[str, str]) -> int:

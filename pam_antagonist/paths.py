@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.program import UNFINISHED
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -33,16 +34,35 @@ def config_dir() -> Path:
 
 
 def check_output(path: Path, overwrite: bool = False) -> Path:
-    """Refuse an output path that exists, before any work; with overwrite, unless it has a ``report.json``."""
-    earlier = overwrite and (path / "report.json").is_file() and not path.is_symlink()
-    if not earlier and (path.exists() or path.is_symlink()):
-        raise BadInput(f"{path}: exists; expected the name of a new folder, nothing is overwritten")
-    ancestor = path.absolute().parent
+    """Refuse an output path that exists or cannot be made, before any work.
+
+    `overwrite`: whether the path may be a folder with a ``report.json``.
+    """
+    try:
+        earlier = overwrite and (path / "report.json").is_file() and not path.is_symlink()
+        if not earlier and (path.exists() or path.is_symlink()):
+            raise BadInput(f"{path}: exists; expected the name of a new folder, nothing is overwritten")
+        check_makable(path)
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+        raise BadInput(f"{path}: cannot be made: {getattr(error, 'strerror', None) or error}") from None
+    return path
+
+
+def check_makable(path: Path) -> None:
+    """Refuse a path that cannot be made: it is tried, beside the place where it would be.
+
+    Raises:
+        BadInput: no folder above it can be written to.
+        OSError: the file system refuses the name.
+    """
+    target = path.resolve()
+    ancestor = target.parent
     while not ancestor.exists():
         ancestor = ancestor.parent
     if not ancestor.is_dir() or not os.access(ancestor, os.W_OK | os.X_OK):
         raise BadInput(f"{path}: cannot be made, {ancestor} is not a folder that can be written to")
-    return path
+    with tempfile.TemporaryDirectory(prefix=".", dir=ancestor) as aside:
+        (Path(aside) / target.relative_to(ancestor)).mkdir(parents=True)
 
 
 @contextmanager
@@ -55,6 +75,7 @@ def output_folder(path: Path, make: bool = True, overwrite: bool = False) -> Ite
         aside = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     except OSError as error:
         raise BadInput(f"{path}: cannot be made: {error.strerror}") from None
+    UNFINISHED.add(aside)
     try:
         partial = aside / target.name
         if make:
@@ -67,3 +88,4 @@ def output_folder(path: Path, make: bool = True, overwrite: bool = False) -> Ite
         raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+        UNFINISHED.discard(aside)

@@ -17,7 +17,7 @@ from typing import Any, TypeVar, get_args
 import pydantic
 import yaml
 from pydantic import BaseModel, ValidationError
-from typing_extensions import Self
+from typing_extensions import Self, override
 
 from pam_antagonist.errors import BadInput
 
@@ -50,6 +50,13 @@ class Strict(BaseModel):
 
     else:
         model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @override
+    def __dir__(self) -> list[str]:
+        """Fields, and what this package's classes add: not what pydantic does."""
+        kinds = [kind for kind in type(self).__mro__ if issubclass(kind, Strict)]
+        own = {name for kind in kinds for name in vars(kind) if not name.startswith(("_", "model_", "Config"))}
+        return sorted({*fields_of(type(self)), *own})
 
     def unchecked(self, **fields: Any) -> Self:
         """A copy with some fields replaced, whose values are not checked: for trials of a fit."""
@@ -129,13 +136,43 @@ def unknown(name: str, known: Iterable[str]) -> str:
     return f"unknown {name!r}" + (f" (did you mean {close[0]!r}?)" if close else "")
 
 
+_SCALARS = {
+    "null": ("~|null|Null|NULL|", ("~", "n", "N", "")),
+    "bool": ("true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": ("[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+    "merge": ("<<", "<"),
+}
+"""Tag -> how such a value is written, and its first characters: the core schema of YAML 1.2, and merge keys.
+
+PyYAML follows YAML 1.1, where 0512 is 330, 12:30 is 750, no is false, and 1e5 is a text.
+"""
+
+
 class _StrictLoader(yaml.SafeLoader):
-    """YAML without code, and without keys that silently replace earlier ones."""
+    """YAML 1.2 without code, and without keys that silently replace earlier ones."""
+
+    yaml_implicit_resolvers = {}  # instead of those of YAML 1.1
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes what YAML 1.1 or 1.2 would take for something else than a text."""
+
+
+for _tag, (_pattern, _first) in _SCALARS.items():
+    yaml.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(rf"^(?:{_pattern})$"), list(_first), _StrictLoader, _Dumper
+    )
 
 
 def _mapping_without_duplicates(loader: _StrictLoader, node: yaml.MappingNode) -> dict[Any, Any]:
     seen: set[Any] = set()
     for key_node, _ in node.value:
+        if key_node.tag == "tag:yaml.org,2002:merge":  # which does not replace what the mapping has itself
+            continue
         key = loader.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
         if key in seen:
             raise yaml.YAMLError(f"key {key!r} stands twice, again in line {key_node.start_mark.line + 1}")
@@ -143,15 +180,25 @@ def _mapping_without_duplicates(loader: _StrictLoader, node: yaml.MappingNode) -
     return loader.construct_mapping(node, deep=True)
 
 
-def _sane_integer(loader: _StrictLoader, node: yaml.ScalarNode) -> int:
+def _integer(_loader: _StrictLoader, node: yaml.ScalarNode) -> int:
     """An integer that can be printed; Python refuses to print thousands of digits."""
     if len(node.value) > _LONGEST_NUMBER:
         raise yaml.YAMLError(f"a number in line {node.start_mark.line + 1} is too large: {len(node.value)} characters")
-    return int(loader.construct_yaml_int(node))  # type: ignore[no-untyped-call]
+    return int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10))
 
 
-_StrictLoader.add_constructor("tag:yaml.org,2002:int", _sane_integer)
+def _float(_loader: _StrictLoader, node: yaml.ScalarNode) -> float:
+    return float(re.sub(r"\.(?=inf|nan)", "", node.value.lower()))
+
+
+_StrictLoader.add_constructor("tag:yaml.org,2002:int", _integer)
+_StrictLoader.add_constructor("tag:yaml.org,2002:float", _float)
 _StrictLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping_without_duplicates)
+
+
+def dump(value: Any, **how: Any) -> str:
+    """A value as YAML that :func:`load_bounded` reads as the same value. `how`: as of ``yaml.dump``."""
+    return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, **how))
 
 
 def load_bounded(text: str, most: int = _MOST_NODES) -> Any:
@@ -172,6 +219,15 @@ def load_bounded(text: str, most: int = _MOST_NODES) -> Any:
         raise yaml.YAMLError("a value is not of the type that its tag names") from None
     finally:
         loader.dispose()  # type: ignore[no-untyped-call]
+
+
+def leading_zeros(text: str) -> list[str]:
+    """Numbers of a text such as 0512, which readers of YAML 1.1 take in base 8 without an error."""
+    try:
+        scalars = [token for token in yaml.scan(text, _StrictLoader) if isinstance(token, yaml.ScalarToken)]
+    except yaml.YAMLError:
+        return []
+    return [token.value for token in scalars if token.plain and re.fullmatch("[-+]?0[0-7]+", token.value)]
 
 
 def _expanded_size(node: yaml.Node, known: dict[int, int]) -> int:

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from pam_antagonist.__main__ import COMMANDS
+from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import bridge, controller, estimator, plant
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import load_rig
@@ -180,6 +181,10 @@ def test_robot_launch_file_refuses_what_it_cannot_use(
 ) -> None:
     with pytest.raises(FileNotFoundError, match="no such file"):
         robot_launch_file["nodes"](defaults(robot_launch_file, joints=str(tmp_path / "absent.yaml")))
+    twice = tmp_path / "twice.yaml"
+    twice.write_text("/**/joints: {}\n/**/joints: {}\n", encoding="utf-8")
+    with pytest.raises(BadInput, match="twice.yaml: not valid YAML: key '/\\*\\*/joints' stands twice"):
+        robot_launch_file["nodes"](defaults(robot_launch_file, joints=str(twice)))
     with pytest.raises(ValueError, match="no section /\\*\\*/joints"):
         robot_launch_file["nodes"](defaults(robot_launch_file, joints=str(config_dir() / "pipeline.yaml")))
     with pytest.raises(ValueError, match="autostart:=yes: expected true or false"):

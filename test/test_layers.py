@@ -17,11 +17,13 @@ API = set(pam_antagonist.__all__) - {"__version__"}
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
-BASE = "base"  # errors, optional, blas, program, shown, _jit: what every module may use
+BASE = "base"  # errors, optional, blas, numbers, program, shown, start, _jit: what every module may use
 FILES = "files"  # paths, strict_yaml, strict_json: reading and writing files
 PLACES = {
     "errors": BASE,
     "blas": BASE,
+    "numbers": BASE,
+    "start": BASE,
     "optional": BASE,
     "program": BASE,
     "shown": BASE,
@@ -68,7 +70,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "model": ("numpy", "numba", "typing_extensions"),
     "control": ("numpy",),
     "safety": (),
-    "estimation": ("numpy", "numba", "scipy"),
+    "estimation": ("numpy", "numba", "scipy", "typing_extensions"),
 }
 """Layer -> the libraries that it may import. Layers that are not here may import any except ROS."""
 

@@ -165,3 +165,20 @@ class TestReady:
             check=True,
         )
         assert done.stdout.split() == [str(ROOT / "pam_antagonist/__init__.py"), str(tmp_path)]
+
+
+def test_nothing_is_imported_from_where_one_happens_to_be(tmp_path: Path) -> None:
+    """Nor from folders that PYTHONPATH names for another Python, or without a place."""
+    other = tmp_path / "lib" / "python3.8" / "site-packages"
+    other.mkdir(parents=True)
+    for name in ("difflib", "signal", "re", "numpy", "pam_antagonist"):
+        for folder in (tmp_path, other):
+            (folder / f"{name}.py").write_text("raise SystemExit('a script of somebody was run')\n", encoding="utf-8")
+    for words, status in ((["reachable", "--rig", "shin2022"], 0), (["reachabel"], 2)):
+        environment = {**os.environ, "PYTHONPATH": f":{other}:.:", "PYTHONHOME": str(tmp_path)}
+        done = subprocess.run(
+            [ROOT / "run", *words], env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == status, done.stderr
+        assert "of somebody" not in done.stdout + done.stderr
+    assert "did you mean reachable?" in done.stderr

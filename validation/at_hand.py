@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from pam_antagonist.cli import import_csv, new_rig
 from pam_antagonist.errors import BadInput
+from pam_antagonist.strict_yaml import load_bounded
 
 STRANGERS = ("wrist", "elbow", "bench")
 ARM_SIGNALS = ("joint1_p1", "joint1_p2")
@@ -74,7 +73,7 @@ def joint(name: str, folder: Path, scratch: Path) -> Joint:
 
 
 def _stranger(kind: str, folder: Path, scratch: Path) -> Joint:
-    knows = yaml.safe_load((folder / "knows.yaml").read_text(encoding="utf-8"))
+    knows = load_bounded((folder / "knows.yaml").read_text(encoding="utf-8"))
     rig = scratch / f"{kind}.yaml"
     _typed(new_rig.main, ["--out", str(rig), *(str(word) for word in knows["new_rig"])])
     bags: dict[str, list[Path]] = {"fit": [], "held_out": []}

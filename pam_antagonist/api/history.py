@@ -18,6 +18,7 @@ from pam_antagonist.inference.unknowns import Fit, parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash
+from pam_antagonist.recording.csv_import import began_ns
 from pam_antagonist.report import identify_episodes
 from pam_antagonist.report.history import FORCE, HistoryResult, Limit, values_of
 from pam_antagonist.report.result import Result
@@ -101,17 +102,16 @@ def log(
         BadInput: it cannot be written.
     """
     books = [book for book in (book_of(rig_file), None if written is None else book_of(written)) if book is not None]
-    append(books, entry(command, recordings, rig, result), book_of(rig_file))
+    made = None if written is None else load_rig(written, regulators=True)
+    append(books, entry(command, recordings, rig, result, made), book_of(rig_file))
 
 
-def entry(command: str, recordings: Sequence[Recording], rig: Rig, result: object) -> Entry:
-    """What a command found, as an entry."""
-    spans = tuple(
-        Span.of(bag_name(one.path), int(one.stamp_ns[0]), one.duration_s, recording_hash(one)) for one in recordings
-    )
+def entry(command: str, recordings: Sequence[Recording], rig: Rig, result: object, made: Rig | None = None) -> Entry:
+    """What a command found, as an entry. `made`: the rig that came out of it."""
+    spans = tuple(Span.of(bag_name(one.path), began_ns(one), one.duration_s, recording_hash(one)) for one in recordings)
     return Entry(
         at=datetime.datetime.now(datetime.timezone.utc).replace(microsecond=0), command=command, rig=identity(rig),
-        recordings=spans, **_content(result),
+        recordings=spans, made="" if made is None else identity(made), **_content(result),
     )  # fmt: skip
 
 

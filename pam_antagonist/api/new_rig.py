@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.numbers import plain
 from pam_antagonist.recording.plausible import UNITS, canonical
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.new import Facts, starting_point
@@ -30,32 +31,23 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _NUMBER = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*)\s*")
 
 
-def _quantity(quantity: str, low: float, high: float) -> Callable[[str], float]:
-    """Reads a number with its unit; the bounds are in SI units."""
+def _quantity(quantity: str, low: float, high: float, own: str = "") -> Callable[[str], float]:
+    """Reads a number with its unit; the bounds are in SI units.
+
+    `own`: unit of a number without one; empty: it has to have one, unless it is 0.
+    """
 
     def read(text: str) -> float:
         units = UNITS[quantity]
-        example = {"length": "36.5mm", "pressure": "6bar", "force": "120N", "angle": "25deg", "voltage": "10V"}
-        found = _NUMBER.fullmatch(text)
-        if found is None or not found[2]:
-            raise BadInput(f"{text!r}: expected a number and its unit, such as {example.get(quantity, '250g')}")
-        unit = canonical(repr(text), quantity, found[2])
+        example = {"length": "36.5mm", "pressure": "6bar", "force": "120N", "angle": "25deg"}
+        found = _NUMBER.fullmatch(plain(text))
+        if found is None or not (found[2] or own or float(found[1]) == 0.0):
+            expected = f"{low:g} to {high:g} {own}" if own else f"such as {example.get(quantity, '250g')}"
+            raise BadInput(f"{text!r}: expected a number and its unit, {expected}")
+        unit = canonical(repr(text), quantity, found[2] or own or next(iter(units)))
         value = float(found[1]) * units[unit]
         if not low <= value <= high:
             raise BadInput(f"{text!r}: expected {low / units[unit]:g} to {high / units[unit]:g} {unit}")
-        return value
-
-    return read
-
-
-def _number(low: float, high: float, unit: str) -> Callable[[str], float]:
-    def read(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            raise BadInput(f"{text!r}: expected {low:g} to {high:g} {unit}".rstrip())
         return value
 
     return read
@@ -95,7 +87,7 @@ def _or_none(quantity: str, low: float, high: float) -> Callable[[str], float | 
 
 def _volts(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
-    read = _number(0.0, 10.0, "V")
+    read = _quantity("voltage", 0.0, 10.0, "V")
     values = (read(low), read(high)) if colon else (math.nan, math.nan)
     if not values[0] < values[1]:
         raise BadInput(f"{text!r}: expected the least and the largest voltage [V], such as 0:10")
@@ -106,6 +98,8 @@ def _gauge_range(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
     values = (math.nan, math.nan)
     if colon:
+        known, unit = _NUMBER.fullmatch(plain(low)), _NUMBER.fullmatch(plain(high))
+        low += "" if known is None or known[2] or unit is None else unit[2]  # as in 1:6bar
         values = _quantity("pressure", 0.0, 9e5)(low), _quantity("pressure", 2e4, 1.5e6)(high)
     if not values[0] < values[1]:
         raise BadInput(f"{text!r}: expected the least and the largest gauge pressure, such as 0bar:6bar")
@@ -197,7 +191,7 @@ _FIELDS = (
     ("muscle-force", "Force of the muscle at that pressure, without contraction",
      "its data sheet, or a scale between its ends", _quantity("force", 1.0, 5e4), None, _NO_MUSCLE),
     ("muscle-contraction", "Contraction of the muscle at that pressure, without load, in percent",
-     "inflate it and measure its length", _number(3.0, 45.0, "%"), None, _NO_MUSCLE),
+     "inflate it and measure its length", _quantity("share", 3.0, 45.0, "%"), None, _NO_MUSCLE),
     ("nominal-length", "Length of the muscle without pressure and load", "the hose between the fittings, by ruler",
      _metres(0.03, 1.5)),
     ("length", "Length of a muscle in the joint at angle 0", "the same hose, joint in the middle, no pressure",
@@ -210,16 +204,17 @@ _FIELDS = (
     ("regulator-range", "Least and largest gauge pressure of a regulator", _SHEET, _gauge_range, "0bar:6bar",
      ("regulator", OWN)),
     ("regulator-time", "Time of a regulator from 10 to 90 % of a small step, with the muscle on it [s]",
-     "a recorded step, or its data sheet", _number(0.002, 1.0, "s"), "0.03", _REGULATORS),
+     "a recorded step, or its data sheet", _quantity("time", 0.002, 1.0, "s"), "0.03", _REGULATORS),
     ("valve", "Valve", _list(valve_parts), _part("valve", valve_parts), None, _VALVES),
-    ("valve-flow", "Standard nominal flow of the valve [l/min]", _SHEET, _number(0.1, 5e3, "l/min"), None,
+    ("valve-flow", "Standard nominal flow of the valve [l/min]", _SHEET, _quantity("flow", 0.1, 5e3, "l/min"), None,
      ("valve", OWN)),
     ("valve-centre", "Middle position of the valve: closed or open",
      "its data sheet: closed if no air passes in the middle, as in a 5/3 valve with closed centre",
      _one_of("closed", "open"), "closed", ("valve", OWN)),
     ("voltage", "Least and largest voltage of a valve [V]", "what your driver can put out", _volts, "0:10", _VALVES),
     ("inertia", "Inertia of the parts that turn with the joint [kg m²]",
-     "roughly the mass times the squared distance of its centre from the axis", _number(2e-7, 5.0, "kg m²")),
+     "roughly the mass times the squared distance of its centre from the axis",
+     _quantity("inertia", 2e-7, 5.0, "kg m²")),
     ("mass", "Mass of the parts that the shaft carries", "a scale", _quantity("mass", 0.0, 80.0)),
     ("limb-mass", "Mass of a limb that the joint carries in a vertical plane",
      "a scale; type none if there is no limb, or if its weight is not known", _or_none("mass", 1e-3, 80.0), "none"),
@@ -233,8 +228,8 @@ _FIELDS = (
      _or_none("angle", math.radians(1.0), math.radians(89.0)), "none"),
     ("sensor-range", "Range of a pressure sensor", _SHEET, _pascals(1e5, 2e6), "10bar"),
     ("sensor-bits", "Bits of the converter that reads the pressure sensor", "the board's data sheet",
-     _number(8, 24, "bits"), "12"),
-    ("rate", "Samples a second that your driver takes", "your driver", _number(10, 10000, "Hz"), "1000"),
+     _quantity("bits", 8, 24, "bits"), "12"),
+    ("rate", "Samples a second that your driver takes", "your driver", _quantity("rate", 10, 10000, "Hz"), "1000"),
 )  # fmt: skip
 QUESTIONS = tuple(Question(*fields) for fields in _FIELDS)
 """In the order in which they are asked."""

@@ -40,7 +40,7 @@ from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.common import real
 from pam_antagonist.cli.progress import phases
 from pam_antagonist.errors import BadInput
-from pam_antagonist.program import typed
+from pam_antagonist.program import INTERRUPTED, typed
 from pam_antagonist.recording import corrections
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
             f"  {typed('close_loop')} {shlex.join(again)}",
             file=sys.stderr,
         )
-        return common.INTERRUPTED
+        return INTERRUPTED
     except BadInput:
         if not store.finished():
             shutil.rmtree(kept, ignore_errors=True)

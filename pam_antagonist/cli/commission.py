@@ -34,6 +34,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.driving import SIMULATED, add_limits, add_source
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
+from pam_antagonist.program import INTERRUPTED
 from pam_antagonist.rig import load_rig
 
 _FREE_S = 30.0
@@ -88,7 +89,7 @@ def _main(arguments: argparse.Namespace) -> int:
         return common.FAILED
     except KeyboardInterrupt:
         print("\ninterrupted: type the same command again to go on", file=sys.stderr)
-        return common.INTERRUPTED
+        return INTERRUPTED
     finally:
         work.report()
     print(f"report: {arguments.out / 'report.html'} and report.json")

@@ -28,7 +28,7 @@ from pam_antagonist.control.reference import Wanted
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.design import Plan
 from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
-from pam_antagonist.design.first_fill import pulse_faults
+from pam_antagonist.design.first_fill import TURNS, pulse_faults
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.identification import air_stage, joint_stage
@@ -142,7 +142,10 @@ class GuessedCommission(Commission):
         if found := pulse_faults(self._rig, recording, program.pulses):
             raise StepFailed("\n".join(fault.sentence for fault in found))
         turned = ", ".join(f"{math.degrees(pulse.turned):+.1f}" for pulse in program.pulses)
-        return {"said": f"each valve fills its muscle; a little air turned the joint by {turned} deg", **driven}
+        said = f"each valve fills its muscle; a little air turned the joint by {turned} deg"
+        if still := [str(i) for i, pulse in enumerate(program.pulses, 1) if not abs(pulse.turned) > TURNS]:
+            said += f"; with valve {' and '.join(still)} too little to show the encoder's sign: check it by hand"
+        return {"said": said, "doubt": bool(still), **driven}
 
     def _slow(self) -> dict[str, Any]:
         self._ask("slow", "Joint free; it will turn slowly:")
@@ -150,7 +153,7 @@ class GuessedCommission(Commission):
         driven = self._explored("slow", program)
         recording = read_bag(self._out / driven["bag"], judge=False)
         assert recording.angle is not None
-        low, high = (math.degrees(float(value)) for value in np.nanquantile(recording.angle, [0.02, 0.98]))
+        low, high = (math.degrees(float(bound(recording.angle))) for bound in (np.nanmin, np.nanmax))
         if not program.confined:
             raise StepFailed(
                 "slow: the difference of the pressures did not turn the joint to its middle: is a muscle off, does a "

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, drive, how_to_watch, limits_of, stay_apart
 from pam_antagonist.cli.progress import counted
@@ -34,6 +33,7 @@ from pam_antagonist.report.experiments import CommissionResult, ExciteResult
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.shown import widened
+from pam_antagonist.strict_yaml import dump
 
 if TYPE_CHECKING:
     from pam_antagonist.api.diagnose import IdentifyResult
@@ -198,14 +198,15 @@ class Commission:
         found = faults(self._rig, recording.pressure[place], angle, plan)
         if found:
             raise StepFailed("\n".join(fault.sentence for fault in found))
-        said = "each valve fills its muscle, signs and zeros are right, no leak"
+        said, doubt = "each valve fills its muscle, signs and zeros are right, no leak", False
         if angle is not None and not turns_visibly(self._rig, plan):
             said = said.replace("signs and zeros", "zeros")
             said += "; the encoder's sign was not tested: below --max-pressure the joint hardly turns"
-        elif angle is not None:
-            low, high = (math.degrees(float(bound(angle))) for bound in (np.nanmin, np.nanmax))
+            doubt = True
+        elif recording.angle is not None:
+            low, high = (math.degrees(float(bound(recording.angle))) for bound in (np.nanmin, np.nanmax))
             said += f"; the joint turned from {low:+.1f} to {high:+.1f} deg"
-        return {"said": said, "rig_s": plan.duration}
+        return {"said": said, "doubt": doubt, "rig_s": plan.duration}
 
     def _free(self) -> dict[str, Any]:
         self._ask("free", "Joint free:")
@@ -323,7 +324,7 @@ class Commission:
             "/**": {"ros__parameters": {"rig": str((self._out / "rig.yaml").resolve())}},
             "/**/controller": {"ros__parameters": of_controller},
         }
-        (self._out / "parameters.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        (self._out / "parameters.yaml").write_text(dump(content), encoding="utf-8")
 
     def _gains(self) -> dict[str, Any]:
         rig = self.found_rig()

@@ -7,8 +7,11 @@ A command ends with status 0 (done), 2 (bad input or usage: one line on stderr, 
 from __future__ import annotations
 
 import argparse
+import codecs
 import contextlib
 import math
+import os
+import re
 import shlex
 import signal
 import sys
@@ -22,20 +25,18 @@ from typing import Any, NoReturn
 from typing_extensions import override
 
 from pam_antagonist.errors import BadInput, NoResult
+from pam_antagonist.numbers import number_of
 from pam_antagonist.optional import available, install
-from pam_antagonist.paths import check_output, output_folder
-from pam_antagonist.program import piped, program, typed
+from pam_antagonist.paths import check_makable, check_output, output_folder
+from pam_antagonist.program import INTERRUPTED, SIGNALS, Interrupts, alone, escaped, piped, program, typed
 
 
 def real(low: float, high: float, what: str = "a number", bounds: str = "") -> Callable[[str], float]:
     """Type of an argument that is a number between two bounds; what it is and its bounds in words, for the message."""
 
     def convert(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
+        value = number_of(text)
+        if value is None or not low <= value <= high:
             raise argparse.ArgumentTypeError(f"{text!r}: expected {what}{bounds or f' from {low:g} to {high:g}'}")
         return value
 
@@ -66,7 +67,7 @@ JOBS = whole(1, 64)
 
 __all__ = ["check_output", "output_folder"]  # beside what is defined here
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 class Parser(argparse.ArgumentParser):
@@ -82,6 +83,7 @@ class Parser(argparse.ArgumentParser):
             prog=typed(name), description=description, epilog=(begin + examples + epilog).replace("{run}", program()),
             formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
         )  # fmt: skip
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # also of -5:5, -20kPa and -1e-3, which are no options
 
     def option(
         self,
@@ -176,6 +178,7 @@ def run(
     def work() -> int:
         words = sys.argv[1:] if argv is None else list(argv)
         arguments = parser().parse_args(words, argparse.Namespace(words=words))
+        _check_writable(arguments)
         if "writes_report_json" not in arguments:
             return command(arguments)
         with json_alone(arguments.json):
@@ -186,7 +189,26 @@ def run(
             give_json(arguments.json, report.read_text(encoding="utf-8"))
         return status
 
-    return ended(work)
+    return ended(work) if argv is not None else alone(lambda: ended(work))
+
+
+def _check_writable(arguments: argparse.Namespace) -> None:
+    """Refuse what ``--out``, ``--json`` and ``--save`` name and cannot be written, before minutes of work."""
+    for option in ("out", "json", "save"):
+        given = getattr(arguments, option, None)
+        path = Path("-" if given is None else given)
+        if str(path) == "-":
+            continue
+        try:
+            if path.exists():  # whether it may exist is up to the command
+                if not os.access(path, os.W_OK):
+                    raise BadInput(f"--{option} {path}: cannot be written to")
+            else:
+                check_makable(path)
+                if option == "json" and not path.absolute().parent.is_dir():
+                    raise BadInput(f"--json {path}: there is no folder {path.parent}")
+        except (OSError, ValueError) as error:
+            raise BadInput(f"--{option} {path}: cannot be made: {getattr(error, 'strerror', None) or error}") from None
 
 
 def command(parser: Callable[[], Parser], work: Callable[[argparse.Namespace], int]) -> Callable[..., int]:
@@ -230,15 +252,21 @@ def _interrupted() -> int:
 @contextmanager
 def _terminable() -> Iterator[None]:
     """Let SIGTERM end a command as Ctrl-C does, so that it cleans up."""
+    before = [(number, signal.getsignal(number)) for number in SIGNALS]
+    own = any(isinstance(handler, Interrupts) for _, handler in before)
     try:
-        previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        if own:
+            Interrupts(INTERRUPTED, raises=True).install()
+        else:
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
     except ValueError:  # not in the main thread: whoever runs us there handles signals
         yield
         return
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in before:
+            signal.signal(number, handler)
 
 
 def lock_angle(arguments: argparse.Namespace) -> float | None:
@@ -280,7 +308,8 @@ def json_alone(where: str | None) -> contextlib.AbstractContextManager[object]:
 def give_json(where: str, text: str) -> None:
     """Write JSON where ``--json`` says."""
     if where == "-":
-        sys.stdout.write(text)
+        unicode = codecs.lookup(sys.stdout.encoding or "utf-8").name.startswith("utf")
+        sys.stdout.write(text if unicode else escaped(text))
     else:
         write_text(Path(where), text)
 

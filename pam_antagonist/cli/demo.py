@@ -35,8 +35,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import yaml
-
 from pam_antagonist.cli import common
 from pam_antagonist.cli.common import real
 from pam_antagonist.cli.driving import how_to_watch, stay_apart
@@ -49,8 +47,10 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes.processes import Processes, ProcessFailed, ros_arguments
 from pam_antagonist.optional import needs_ros
+from pam_antagonist.program import INTERRUPTED
 from pam_antagonist.rig import Rig, RigIdentity, differences, load_rig
 from pam_antagonist.rig.physical import angle_range, largest_torque
+from pam_antagonist.strict_yaml import read_mapping
 
 if TYPE_CHECKING:
     from pam_antagonist.nodes.client import ReferenceClient
@@ -154,7 +154,7 @@ def _main(arguments: argparse.Namespace) -> int:
         return common.FAILED
     except KeyboardInterrupt:
         print(f"\ninterrupted: {left}", file=sys.stderr)
-        return common.INTERRUPTED
+        return INTERRUPTED
     return common.FAILED if stopped else common.DONE
 
 
@@ -310,14 +310,9 @@ def found_gains(gains: str | None) -> dict[str, Any]:
     path = Path(str(gains))
     if path.suffix not in (".yaml", ".yml"):
         raise BadInput(f"--gains {gains}: expected {', '.join(GAINS)}, {MODEL}, or a YAML file as commission writes it")
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(f"--gains {path}: cannot be read: {error}") from None
-    blocks = content.items() if isinstance(content, dict) else ()
-    for node, block in blocks:
+    for node, block in read_mapping(path, "parameter", "parameters.yaml of commission").items():
         given = block.get("ros__parameters") if isinstance(block, dict) else None
-        if str(node).split("/")[-1] == "controller" and isinstance(given, dict) and given:
+        if node.split("/")[-1] == "controller" and isinstance(given, dict) and given:
             return given
     raise BadInput(f"--gains {path}: holds no parameters of the controller; expected what commission writes")
 

@@ -37,6 +37,7 @@ from pam_antagonist.cli.driving import Owner
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.optional import needs_ros
+from pam_antagonist.program import INTERRUPTED
 from pam_antagonist.shown import widened
 
 if TYPE_CHECKING:
@@ -160,7 +161,7 @@ def _driven(arguments: argparse.Namespace, owner: Owner, plan: Plan, out: Path, 
         return common.FAILED
     except KeyboardInterrupt:
         print(f"\ninterrupted: what was recorded until now is in {out / 'bag'}", file=sys.stderr)
-        return common.INTERRUPTED
+        return INTERRUPTED
     if ended:
         print(f"stopped: {ended}. What was recorded until then is in {out / 'bag'}", file=sys.stderr)
         return common.FAILED

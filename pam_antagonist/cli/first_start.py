@@ -19,6 +19,7 @@ from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.model import integration, lanes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.lane_values import LANES
+from pam_antagonist.program import started
 from pam_antagonist.rig import Rig, load_rig
 
 _RIG, _WITH_EFFECTS = "shin2022", "shin2022_external_torque"
@@ -71,9 +72,7 @@ def compile_first(parts: Sequence[str], rig: Rig) -> None:
 
 def _compiling(part: str) -> subprocess.Popen[bytes]:
     # One that fails leaves its part to whoever calls the kernel, and to the message of that.
-    return subprocess.Popen(
-        [sys.executable, "-m", __name__, part], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    return subprocess.Popen(started(__name__, part), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def _missing(kernel: Any) -> bool:

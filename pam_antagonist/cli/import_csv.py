@@ -55,7 +55,7 @@ def _main(arguments: argparse.Namespace) -> int:
     _check_given(arguments)
     common.check_output(arguments.out)
     file, mapping = arguments.file, load_map(arguments.map)
-    with counted(file.stat().st_size if file.is_file() else 0, f"import {file.name}") as done:
+    with counted(1.0, f"import {file.name}") as done:
         recording = import_csv(file, arguments.map, arguments.out, done)
     print(_summary(recording, mapping, arguments))
     return common.DONE

@@ -1,8 +1,9 @@
 """Write the rig file of a new joint.
 
 Asks for what a person can measure with a ruler, a scale and data sheets. Every answer can also be given as an option;
-then it is not asked for. Lengths, pressures and so on are given with their unit, such as 36.5mm or 6bar. What nobody
-can measure by hand is filled in, marked as assumed, and has a wide prior: identify moves it.
+then it is not asked for. Lengths, pressures and so on are given with their unit, such as 36.5mm or 6bar. Where a
+question names a unit, a number is enough. What nobody can measure by hand is filled in, marked as assumed, and has a
+wide prior: identify moves it.
 
 Muscles, valves and regulators by name: {parts}.
 Status: 0 done, 2 bad input (one line says what and where).

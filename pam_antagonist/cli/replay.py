@@ -83,13 +83,13 @@ def _run(arguments: argparse.Namespace) -> int:
         check_estimate(arguments.save)
     rig = given.begun(arguments, REPLAY)
     rig.tuning(arguments.tuning)
-    replays = []
+    replays: list[ReplayResult] = []
     for bag in arguments.bags:
-        for done in _replays(bag, rig, arguments):
-            replays.append(done)
-            print(f"\n{done.summary()}")
+        replays += _replays(bag, rig, arguments)
     with common.output_folder(arguments.out) as folder:
         html.write(folder, document(replays, not arguments.no_figures), numbers(replays))
+    for done in replays:
+        print(f"\n{done.summary()}")
     print()
     if arguments.save is not None:
         replays[0].save(arguments.save)

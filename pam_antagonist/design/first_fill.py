@@ -42,7 +42,7 @@ _ZERO = 12e3
 """[Pa] A sensor that differs more from the atmosphere while its muscle is vented has a wrong zero."""
 _STILL = 2e3
 """[Pa] A vented pressure that changes less than this in half a second is at rest."""
-_TURNS = 4.4e-3
+TURNS = 4.4e-3
 """[rad] A quarter of a degree: a smaller turn does not show its direction."""
 _PLAUSIBLE = 40e3
 """[Pa] No vented muscle has a lower absolute pressure."""
@@ -144,7 +144,7 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None =
 
 def turns_visibly(rig: Rig, plan: Plan) -> bool:
     """Whether the experiment turns the joint far enough to show the encoder's sign; the lowest pressures do not."""
-    return bool(np.all(np.abs(_turns(_course(rig, plan)[:, 0], STEP, _ends())) > 2.0 * _TURNS))
+    return bool(np.all(np.abs(_turns(_course(rig, plan)[:, 0], STEP, _ends())) > 2.0 * TURNS))
 
 
 def _ends() -> Floats:
@@ -205,7 +205,7 @@ def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> lis
         off -= rig.command_limits[0] if rig.drive == "regulator" else rig.atmosphere.pressure
         if abs(off) > _ZERO:
             found.append(_fault("zero", i, off=off / 1e3))
-    return [*found, *(_encoder(shown) if np.all(np.abs(turned) > _TURNS) else [])]
+    return [*found, *(_encoder(shown) if np.all(np.abs(turned) > TURNS) else [])]
 
 
 def _of_valves(
@@ -247,7 +247,7 @@ def _lost(full: Floats) -> list[Fault]:
 
 def _shows(turned: tuple[Floats, Floats]) -> bool:
     seen, model = turned
-    return bool(np.all(np.abs(seen) > _TURNS) and np.all(np.abs(model) > _TURNS) and np.isfinite(seen).all())
+    return bool(np.all(np.abs(seen) > TURNS) and np.all(np.abs(model) > TURNS) and np.isfinite(seen).all())
 
 
 def _sign(turned: tuple[Floats, Floats]) -> float:
@@ -260,5 +260,5 @@ def _encoder(turned: tuple[Floats, Floats] | None) -> list[Fault]:
         return []
     if _shows(turned):
         return [_fault("flipped_encoder")] if _sign(turned) < 0 else []
-    still = np.all(np.abs(turned[1]) > 2.0 * _TURNS) and not np.any(np.abs(turned[0]) > _TURNS)
+    still = np.all(np.abs(turned[1]) > 2.0 * TURNS) and not np.any(np.abs(turned[0]) > TURNS)
     return [_fault("still")] if still else []

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import encoder, possible, push, stamps, ukf
@@ -181,6 +182,8 @@ class Estimator:
             change_noise=chosen.change**2,
             **_angle_sensor(rig, angle_sensor),
         )
+        held = f" at {lock_angle:g} rad" if joint == "locked" else ""
+        self._shown = f"rig {rig.name}, tuning {tuning}, joint {joint}{held}, angle sensor {angle_sensor}"
         self._added = par.added_states(sets[0])
         self._memory = make_memory(n, m)
         self._identity = FilterIdentity(
@@ -202,6 +205,10 @@ class Estimator:
         self._bytes = rows.view(f"V{ESTIMATE_DTYPE.itemsize}")
         self._drive = rig.drive
         self._compile(4e5 if rig.drive == "regulator" else 5.0)
+
+    @override
+    def __repr__(self) -> str:
+        return f"Estimator: {self._shown}"
 
     def _compile(self, command: float) -> None:
         """Compile, or load from the cache, everything that a sample needs, so that the loop compiles nothing."""

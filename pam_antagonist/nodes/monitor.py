@@ -6,7 +6,6 @@ import datetime
 import json
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Mapping
@@ -26,6 +25,7 @@ from pam_antagonist.nodes.pairing import ANGLE, Feed
 from pam_antagonist.nodes.parameters import ANGLE_SENSORS, SIMULATED_JOINT, Parameter
 from pam_antagonist.nodes.sources import SampleSources
 from pam_antagonist.nodes.spin import run_node
+from pam_antagonist.program import started
 from pam_antagonist.recording.topics import TOPICS
 from pam_antagonist_msgs.msg import Health as HealthMessage
 
@@ -68,7 +68,7 @@ class Search:
         except OSError:
             self._files.cleanup()
             raise
-        command = [sys.executable, "-m", "pam_antagonist", "monitor", "--search", str(folder / "order.json")]
+        command = started("pam_antagonist", "monitor", "--search", str(folder / "order.json"))
         with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
             self._process = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
         # Neither the estimator's time nor the controller's: this process gets what is left over.

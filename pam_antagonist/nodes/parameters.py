@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import angle_range, largest_torque, rest_pressure, rest_voltage, stop_angle
+from pam_antagonist.strict_yaml import leading_zeros
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -222,6 +226,25 @@ def declare(node: Node, table: Sequence[Parameter], known_elsewhere: Sequence[st
         node.declare_parameter(parameter.name, value, _descriptor(parameter), ignore_override=True)
         values[parameter.name] = value
     return values
+
+
+def refuse_base_8(arguments: Sequence[str]) -> None:
+    """Refuse a number with a leading zero among a node's arguments, and in its parameter files.
+
+    ROS 2 would read it in base 8, without an error.
+    """
+    for option, word in pairwise(arguments):
+        name, text = "", ""
+        if option in ("-p", "--param"):
+            name, _, text = word.partition(":=")
+        elif option == "--params-file":
+            with contextlib.suppress(OSError, UnicodeDecodeError):  # ROS 2 says what is wrong with it
+                name, text = word, Path(word).read_text(encoding="utf-8")
+        for number in leading_zeros(text):
+            raise BadInput(
+                f"{name}: {number} begins with a zero, with which ROS 2 reads a number in base 8; expected it without "
+                "the leading zero"
+            )
 
 
 def _descriptor(parameter: Parameter) -> Any:

@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pam_antagonist.program import started
+
 PARENT_VARIABLE = "PAM_ANTAGONIST_PARENT"
 """Environment variable with the id of the parent process; a node ends with it, even if the parent is killed."""
 
@@ -162,7 +164,7 @@ class Processes:
         env = {**usual, **os.environ, PARENT_VARIABLE: str(os.getpid()), **(environment or {})}
         with log.open("wb") as output:
             popen = subprocess.Popen(
-                [sys.executable, "-m", module, name, *arguments],
+                started(module, name, *arguments),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

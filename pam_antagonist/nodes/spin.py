@@ -19,12 +19,12 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text
+from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter, help_text, refuse_base_8
 from pam_antagonist.nodes.processes import PARENT_VARIABLE, PRIORITY_VARIABLE
 from pam_antagonist.nodes.sections import parameter_files, unused
 from pam_antagonist.optional import needs_ros
 from pam_antagonist.paths import config_dir
-from pam_antagonist.program import piped, typed
+from pam_antagonist.program import SIGNALS, Interrupts, alone, piped, typed
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -88,31 +88,17 @@ def own_parameters(arguments: Sequence[str]) -> list[str]:
 
 
 _PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _WAIT = 0.1  # [s] longest time until a signal is noticed
 _FAREWELL = 0.15  # [s] from the last message to the end of its publisher: three heartbeats of config/fastdds.xml
-_MOMENT = 0.05  # [s] for a signal to be passed from another thread of the process to the main thread
-
-
-class _Interrupted(BaseException):
-    """A signal came before the node was made."""
 
 
 class _Stop:
-    """Handler of signals, which stores the signal.
+    """Handler of signals for a loop that looks for one: it only stores the signal."""
 
-    `waits`: whether the attribute ``signal`` is checked soon. This is not so while a node is made, which may compile
-    for a minute; then the first signal raises ``_Interrupted``.
-    """
-
-    def __init__(self) -> None:
-        self.signal: int | None = None
-        self.waits = True
+    signal: int | None = None
 
     def __call__(self, number: int, _frame: Any) -> None:
-        first, self.signal = self.signal is None, number
-        if first and not self.waits:
-            raise _Interrupted
+        self.signal = number
 
 
 def no_options(arguments: list[str]) -> None:
@@ -151,15 +137,16 @@ def run_node(
             return 0
         try:
             check(arguments)
+            refuse_base_8(arguments)
             _run(create, arguments, name, options)
         except BadInput as error:
             print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
             return 2
-        except _Interrupted:  # nothing has been published or subscribed
+        except KeyboardInterrupt:  # nothing has been published or subscribed
             pass
         return 0
 
-    return piped(work)
+    return piped(work) if argv is not None else alone(lambda: piped(work), 0)
 
 
 def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
@@ -173,8 +160,8 @@ def usage(name: str, description: str, table: Sequence[Parameter]) -> str:
 
 
 def _run(create: Callable[..., PamNode], arguments: list[str], name: str, options: Callable[[list[str]], Any]) -> None:
-    stop = _Stop()
-    handlers = {number: signal.signal(number, stop) for number in _SIGNALS}
+    handlers = {number: signal.getsignal(number) for number in SIGNALS}
+    Interrupts(0, raises=True).install()
     needs_ros(name)
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -182,7 +169,7 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
 
     try:
         stay_on_this_machine()
-        alone = local_only()
+        limited = local_only()
         tune_middleware()
         try:
             others = remove_ros_args(args=arguments)
@@ -190,17 +177,15 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
         except Exception as error:
             raise BadInput(f"{name}: {_first_sentence(error)}") from None
         given = options(others)
-        node = _made(
-            partial(create, *(() if given is None else (given,)), cli_args=own_parameters(arguments)), name, stop
-        )
+        node = _made(partial(create, *(() if given is None else (given,)), cli_args=own_parameters(arguments)), name)
         every = [one.get_fully_qualified_name() for one in (node, *node.members)]
         for path in parameter_files(arguments):
             if words := unused(path, every, node.joint_namespaces):
                 node.get_logger().warning(words)
-        if alone:
+        if limited:
             node.get_logger().info("discovery is limited to this machine (ROS_AUTOMATIC_DISCOVERY_RANGE)")
         try:
-            spin(node, stop)
+            spin(node)
         finally:
             for one in (node, *reversed(node.members)):
                 one.close()
@@ -209,24 +194,16 @@ def _run(create: Callable[..., PamNode], arguments: list[str], name: str, option
             for one in (*node.members, node):
                 one.destroy_node()
     finally:
-        stop.waits = True
         rclpy.try_shutdown()
         for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
-def _made(create: Callable[[], PamNode], name: str, stop: _Stop) -> PamNode:
-    """The node; a signal meanwhile raises ``_Interrupted``."""
+def _made(create: Callable[[], PamNode], name: str) -> PamNode:
+    """The node; slow, since it may compile."""
     try:
-        stop.waits = False
-        node = create()
-        stop.waits = True
-        return node
+        return create()
     except Exception as error:
-        stop.waits = True
-        time.sleep(_MOMENT)
-        if stop.signal is not None:
-            raise _Interrupted from None  # raised in a callback of the compiler, which failed with another error
         if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true" and "secur" in str(error).lower():
             raise BadInput(f"{name}: ROS_SECURITY_ENABLE is true, but {_first_sentence(error)}") from None
         if type(error).__name__ == "RCLError":  # by the environment or the arguments: none of this package's
@@ -273,13 +250,14 @@ def tune_middleware() -> None:
         print(f"warning: {profiles} is missing: samples will be lost when a node stalls", file=sys.stderr)
 
 
-def spin(node: PamNode, stop: _Stop) -> None:
+def spin(node: PamNode) -> None:
     """Spin a node and its members until a signal comes, the node has finished, or the parent process is gone."""
     import rclpy
 
     executor = make_executor(node)
+    stop = _Stop()
     # asio, inside the executor, has installed its own handlers.
-    for number in _SIGNALS:
+    for number in SIGNALS:
         signal.signal(number, stop)
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))
     # All present objects live as long as the node, so the garbage collector need not check them again.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,12 @@ from ..errors import BadInput
 from . import plausible
 from .csv_map import CsvMap, Time
 from .csv_table import Table, read_table
-from .notes import REGULATOR, SEALED, Issue, sha256
+from .notes import REGULATOR, SEALED, Issue, read_notes, sha256
 from .plausible import UNITS, Signal, unwrapped
 from .recording import FurtherSignal, Recording
 from .rows import resets
 from .stamps import interpolate, judge_pairing
+from .storage import SUFFIXES
 from .topics import ALSO
 
 Floats = NDArray[np.float64]
@@ -29,7 +31,9 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 START_NS = 1_000_000_000_000_000_000
-"""Stamp of the first row (in 2001) where the column does not count from 1970; fixed for reproducible bags."""
+"""Stamp of the first row (in 2001) where neither column nor map tells a date; fixed for reproducible bags."""
+SOURCE_TIME = "pam_antagonist.source_time"
+"""Name of the note with the time at which the file was written last."""
 
 LEAST_ROWS = 10
 """Fewest rows of an episode; a shorter one is mostly its start."""
@@ -37,6 +41,7 @@ PAUSE_NS = 2_000_000_000
 """[ns] Pause between two episodes, over a second so that a filter starts anew."""
 
 _FIRST_EPOCH, _LAST_EPOCH = 900_000_000.0, 2_147_483_000.0  # [s] since 1970; ROS stamps end with 31 bits of seconds
+_DAY_NS = 86_400_000_000_000
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 20e-6, 0.5  # [s] that are plausible
 _USUAL_PERIOD = 2e-3  # [s]
 _LONGEST = 100_000_000.0  # [s] from the first to the last row: three years
@@ -100,12 +105,31 @@ def notes(path: str | Path, mapping: CsvMap) -> dict[str, str]:
     Returns name -> text, for :func:`~pam_antagonist.recording.notes.write_notes`.
     """
     path = Path(path)
-    found = {"pam_antagonist.source": path.name, "pam_antagonist.source_sha256": sha256(path).hex()}
+    written = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc).isoformat(timespec="seconds")
+    found = {
+        "pam_antagonist.source": path.name,
+        "pam_antagonist.source_sha256": sha256(path).hex(),
+        SOURCE_TIME: written,
+    }
     if mapping.sealed:
         found[SEALED] = " ".join(map(str, mapping.sealed))
     if mapping.drive == "regulator" and mapping.command_1 is None:
         found[REGULATOR] = "true"
     return found
+
+
+def began_ns(recording: Recording) -> int | None:
+    """When a recording began [ns]: its first stamp; for an import without a date, the time of its file, if known."""
+    first = int(recording.stamp_ns[0])
+    if not START_NS <= first < START_NS + _DAY_NS:
+        return first
+    path = recording.path
+    try:
+        if path.is_file() and not path.name.endswith(SUFFIXES):  # the table itself
+            return path.stat().st_mtime_ns
+        return round(datetime.fromisoformat(read_notes(path)[SOURCE_TIME]).timestamp()) * 1_000_000_000
+    except (BadInput, OSError, ValueError, KeyError):
+        return None
 
 
 def _apart(table: Table) -> tuple[str, ...]:
@@ -275,8 +299,9 @@ def _piece(
     where: str, time: Time, table: Table, sampled: NDArray[np.bool_], issues: list[str]
 ) -> tuple[int, Stamps, NDArray[np.intp]]:
     """Stamp of the first row [ns], times of the kept rows since then (M,) [ns], and their indices (M,)."""
+    start = START_NS if time.date_ns is None else time.date_ns
     if time.rate is not None:
-        return START_NS, _grid(len(table), time.rate), np.arange(len(table))
+        return start, _grid(len(table), time.rate), np.arange(len(table))
     assert time.unit is not None
     label, factor = table.labels["time"], UNITS["time"][time.unit]
     rows = _in_order(where, time, table, issues)
@@ -292,7 +317,9 @@ def _piece(
         raise BadInput(f"{where}: {label} has steps of less than a nanosecond")
     begin, end = cells[0] * factor, cells[-1] * factor
     is_epoch = _FIRST_EPOCH <= begin and end <= _LAST_EPOCH
-    return round(float(begin) * 1e6) * 1000 if is_epoch else START_NS, since, rows
+    if is_epoch and time.date is not None:
+        raise BadInput(f"{where}: time.date is {time.date}, but {label} counts from 1970: leave time.date out")
+    return round(float(begin) * 1e6) * 1000 if is_epoch else start, since, rows
 
 
 def _of_episodes(where: str, time: Time, table: Table, issues: list[str]) -> tuple[Stamps, NDArray[np.intp], Stamps]:

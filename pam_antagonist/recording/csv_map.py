@@ -10,6 +10,7 @@ import contextlib
 import difflib
 import re
 from collections.abc import Iterator, Mapping
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Dict, Literal, Optional, Tuple, Union
 
@@ -29,6 +30,7 @@ Name = Union[StrictInt, StrictStr]
 Delimiter = Literal[",", ";", "|", "\t", "tab", "space"]
 _SWITCHES = ("header", "sealed")
 _LOWEST_ATMOSPHERE, _HIGHEST_ATMOSPHERE = 50e3, 120e3  # [Pa], as in rigs
+_FIRST_DATE, _LAST_DATE = 946_684_800_000_000_000, 2_145_916_799_000_000_000  # [ns] 2000 to 2037
 QUANTITIES = {
     "time": "time", "atmosphere": "pressure", "pressure_1": "pressure", "pressure_2": "pressure",
     "valve_1": "voltage", "valve_2": "voltage", "command_1": "pressure", "command_2": "pressure",
@@ -67,6 +69,9 @@ class Time(Strict):
 
     column: Optional[Name] = Field(None, description="name of the column, or its number from 1")
     unit: Optional[str] = Field(None, description="unit of that column")
+    date: Optional[str] = Field(
+        None, description="day, or day and time, of the first row, where the column does not count from 1970"
+    )
     rate: Optional[float] = Field(None, ge=2.0, le=50_000.0, description="rows a second, without a column [Hz]")
     resample: Optional[float] = Field(
         None, ge=2.0, le=50_000.0, description="rate of an even grid to put the rows on [Hz]"
@@ -78,6 +83,14 @@ class Time(Strict):
     out_of_order: Literal["refuse", "drop"] = Field(
         "refuse", description="what to do about rows that are not later than those before them"
     )
+
+    @property
+    def date_ns(self) -> Optional[int]:
+        """Stamp of the date [ns]; None without one. A time without a zone is UTC."""
+        if self.date is None:
+            return None
+        when = datetime.fromisoformat(self.date)
+        return round((when if when.tzinfo else when.replace(tzinfo=timezone.utc)).timestamp()) * 1_000_000_000
 
 
 class Column(Strict):
@@ -286,6 +299,12 @@ def _time_contradictions(time: Time, has_episodes: bool) -> Iterator[str]:
         yield "time: expected either column (with its unit) or rate"
     if time.column is not None and time.unit is None:
         yield f"time.unit is missing: expected one of {', '.join(UNITS['time'])}"
+    try:
+        stamp_ns = time.date_ns
+    except ValueError:
+        stamp_ns = 0
+    if stamp_ns is not None and not _FIRST_DATE <= stamp_ns <= _LAST_DATE:
+        yield f"time.date is {time.date!r}: expected a day such as 2026-11-28, or 2026-11-28 14:30, from 2000 to 2037"
     if has_episodes and (time.resample is not None or time.begin or time.end is not None):
         yield "time: expected no resample, begin or end in a file of episodes"
 

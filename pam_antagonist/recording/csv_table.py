@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
+from ..numbers import number_of, plain
 from .array_files import kind_of, listed, no_column, read_columns, shown
 from .csv_map import Layout, Name
 from .notes import Issue
@@ -33,7 +34,9 @@ _SNIFFED = 4096
 _LONGEST_HEAD = 200  # lines of a LabVIEW header
 _BINARY = {b"PK\x03\x04": "a zip file, such as of a spreadsheet program: save it as CSV there",
            b"\x1f\x8b": "packed with gzip: unpack it first", b"\x89MCAP": "a bag already"}  # fmt: skip
-_NO_VALUE = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"})
+_NO_VALUE = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "---", "?"} | {
+    f"#{error}" for error in ("n/a", "na", "div/0!", "value!", "num!", "ref!", "name?", "null!")  # of spreadsheets
+})  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,16 +223,6 @@ def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
     return rows
 
 
-def number(layout: Layout, cell: str) -> float | None:
-    """The number in a cell; None where it holds none. An underscore is no part of a number in a file."""
-    if "_" in cell or (layout.decimal == "," and "." in cell):
-        return None
-    try:
-        return float(cell.replace(",", ".") if layout.decimal == "," else cell)
-    except ValueError:
-        return None
-
-
 @dataclass
 class _Reader:
     """Reads the header, and turns blocks of lines into columns of numbers."""
@@ -324,7 +317,7 @@ class _Reader:
         return Table(values, np.concatenate(self.numbers), labels, tuple(self.issues))
 
     def _number(self, cell: str) -> float | None:
-        return number(self.layout, cell)
+        return number_of(cell, self.layout.decimal)
 
     def _label(self, quantity: str) -> str:
         column = self.index[quantity]
@@ -392,7 +385,7 @@ class _Reader:
         values = np.full(len(cells), np.nan)
         missing = {str(cell).strip().lower() for cell in self.layout.missing} | _NO_VALUE
         for place, cell in enumerate(cells):
-            if cell.strip().lower() in missing:
+            if plain(cell).strip().lower() in missing:
                 continue
             value = self._number(cell)
             if value is None:
@@ -407,8 +400,13 @@ class _Reader:
     def _hint(self, cell: str, first: bool) -> str:
         other = other_delimiter(self.layout, cell)
         decimal = "," if self.layout.decimal == "." else "."
-        if re.fullmatch(rf"\s*[+-]?\d*\{decimal}\d+([eE][+-]?\d+)?\s*", cell):
+        if re.fullmatch(rf"[+-]?\d*\{decimal}\d+([eE][+-]?\d+)?", plain(cell).strip()):
             return f'; decimals after a {"comma" if decimal == "," else "point"}? give file.decimal: "{decimal}"'
+        if re.fullmatch(r"[+-]?\d{1,3}([., ]\d{3})+([.,]\d*)?", plain(cell).strip()):
+            return "; are the thousands set apart? write the numbers without that"
+        unit = re.fullmatch(r"(.*\d)\s*([A-Za-zµμ°Ω%][\w/°%² ]*)", plain(cell).strip())
+        if unit and self._number(unit[1]) is not None:
+            return f"; is {unit[2]!r} a unit? leave it out of the cells"
         if re.search(r"\d[:/]\d|\d-\d+-\d", cell):
             return "; dates and times of day are not read: give time: {rate: ROWS_PER_SECOND} in place of the column"
         if other and other not in ("','", "space"):

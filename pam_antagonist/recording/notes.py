@@ -18,7 +18,7 @@ from typing import Any
 import yaml
 
 from ..errors import BadInput
-from ..strict_yaml import load_bounded
+from ..strict_yaml import dump, load_bounded
 
 NAME = "metadata.yaml"
 INFORMATION = "rosbag2_bagfile_information"
@@ -108,7 +108,7 @@ def _custom_data(information: Any) -> dict[str, str]:
 def write_information(folder: Path, information: Mapping[str, Any]) -> None:
     """Write metadata.yaml; after a power cut either the old or the new file is there."""
     part = folder / f".{NAME}.part"
-    text = yaml.safe_dump({INFORMATION: dict(information)}, sort_keys=False, allow_unicode=True)
+    text = dump({INFORMATION: dict(information)})
     try:
         with part.open("w", encoding="utf-8") as stream:
             stream.write(text)

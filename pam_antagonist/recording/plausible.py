@@ -38,15 +38,20 @@ _TABLE = {
     "volume": {"m3": 1.0, "dm3": 1e-3, "l": 1e-3, "cm3": 1e-6, "ml": 1e-6, "mm3": 1e-9},
     "mass": {"kg": 1.0, "g": 1e-3},
     "force": {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": _POUND_FORCE},
+    "inertia": {"kg m2": 1.0, "kg cm2": 1e-4, "kg mm2": 1e-6, "g m2": 1e-3, "g cm2": 1e-7, "g mm2": 1e-9},
+    "flow": {"l/min": 1.0, "l/h": 1.0 / 60.0, "m3/h": 1e3 / 60.0},
+    "rate": {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0},
+    "share": {"%": 1.0, "percent": 1.0},
+    "bits": {"bits": 1.0, "bit": 1.0},
 }  # fmt: skip
 
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {quantity: MappingProxyType(units) for quantity, units in _TABLE.items()}
 )
-"""Quantity -> unit -> its value in SI units (s, Pa, rad, N m, V, m, m³, kg, N; degC for temperatures)."""
+"""Quantity -> unit -> its value in SI units (s, Pa, rad, N m, V, m, m³, kg, N, kg m², Hz), else in the first unit."""
 
-_ALIASES = {"µs": "us", "μs": "us", "°": "deg", "degrees": "deg", "degree": "deg",
-            "m³": "m3", "dm³": "dm3", "cm³": "cm3", "mm³": "mm3", "L": "l", "mL": "ml"}  # fmt: skip
+_ALIASES = {"°": "deg", "degrees": "deg", "degree": "deg", "L": "l", "mL": "ml", "L/min": "l/min"}
+_SPELT = str.maketrans({"²": "2", "³": "3", "^": None, "µ": "u", "μ": "u", **dict.fromkeys(" ·⋅*.-\u00a0")})
 
 
 def canonical(where: str, quantity: str, unit: str) -> str:
@@ -68,7 +73,7 @@ def canonical(where: str, quantity: str, unit: str) -> str:
 
 
 def _bare(unit: str) -> str:
-    return "".join(letter for letter in unit if letter not in " ·*.-")
+    return unit.translate(_SPELT)
 
 
 class _Range(NamedTuple):

@@ -2,17 +2,20 @@
 
 A malicious database can run computations (views, checks, generated columns), and damaged pages can form endless loops.
 So only plain tables are read, all pages are checked first, and the number of steps is limited by the size of the file.
-Nothing is ever written; journals beside the file are ignored.
+Nothing is ever written beside the file. A write-ahead log there is brought in, in a copy. A rollback journal is not: it
+may name any file of the machine, which sqlite3 would delete.
 """
 
 from __future__ import annotations
 
 import re
+import shutil
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
@@ -32,6 +35,43 @@ _NEEDED = {"topics": ("id", "name", "type", "serialization_format"), "messages":
 
 class SqliteDamage(Exception):
     """The file is no valid rosbag2 database; the text says why."""
+
+
+def log_of(file: Path) -> Path | None:
+    """The write-ahead log beside a file, with what a recorder that was killed had not yet brought into the file."""
+    log = file.with_name(f"{file.name}-wal")
+    return log if log.is_file() and log.stat().st_size else None
+
+
+@contextmanager
+def with_log(file: Path) -> Iterator[tuple[Path, int]]:
+    """The file, or a copy of it with its write-ahead log brought in; with the number of pages that the log held."""
+    log = log_of(file)
+    if log is None:
+        yield file, 0
+        return
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy.db3"
+        shutil.copyfile(file, copy)
+        shutil.copyfile(log, f"{copy}-wal")
+        if not copy.stat().st_size:
+            copy.write_bytes(_first_page(log))  # sqlite3 deletes the log of an empty file
+        try:
+            with closing(sqlite3.connect(copy)) as database:
+                _, pages, _ = database.execute("PRAGMA wal_checkpoint(FULL)").fetchone()
+        except sqlite3.Error:  # what is wrong is said of the file, when it is read
+            pages = 0
+        yield copy, max(int(pages), 0)
+
+
+def _first_page(log: Path) -> bytes:
+    """The first page of a database as its log holds it (file format, section 4.1); empty where it holds none."""
+    with log.open("rb") as stream:
+        size = int.from_bytes(stream.read(32)[8:12], "big")
+        while 512 <= size <= 65536 and len(frame := stream.read(24 + size)) == 24 + size:
+            if int.from_bytes(frame[:4], "big") == 1:
+                return frame[24:]
+    return b""
 
 
 def _cut_off(file: Path) -> str | None:

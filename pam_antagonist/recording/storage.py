@@ -18,12 +18,13 @@ from .mcap import Lost, scan_mcap
 from .notes import Issue, one_line
 from .raw import ZSTD_MAGIC, CompressionError, RawBag, RawTopic, Room, inflate_file, most_unpacked
 from .sqlite import MAGIC as SQLITE_MAGIC
-from .sqlite import read_sqlite
+from .sqlite import log_of, read_sqlite, with_log
 
 if TYPE_CHECKING:
     from .recording import Recording
 
-_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+"""Endings of the message files of bags."""
 _EXPECTED = "expected a folder with metadata.yaml, a .mcap or a .db3 file"
 _LISTED = 5
 MAX_UNPACKED = 4 << 30
@@ -60,14 +61,16 @@ def bag_hash(path: str | Path) -> str:
     """SHA-256 of a bag's message files, as 64 hex digits.
 
     For a bag of one file this equals the output of ``sha256sum``; for several files it is the hash of their hashes in
-    order. ``metadata.yaml`` is left out, because editing a name there does not change the recording.
+    order. A write-ahead log counts as a file. ``metadata.yaml`` is left out, because editing a name there does not
+    change the recording.
 
     Raises:
         BadInput: Not a bag, or not readable.
     """
     path = Path(path)
     try:
-        digests = [notes.sha256(file) for file in _locate(path)[0]]
+        files = [one for file in _locate(path)[0] for one in (file, log_of(file)) if one is not None]
+        digests = [notes.sha256(file) for file in files]
     except OSError as exc:
         raise BadInput(f"{path}: cannot be read ({exc.strerror or exc})") from exc
     return digests[0].hex() if len(digests) == 1 else hashlib.sha256(b"".join(digests)).hexdigest()
@@ -137,7 +140,7 @@ def _locate(path: Path) -> tuple[list[Path], _Digests | None]:
         raise BadInput(f"{path}: neither a file nor a folder, {_EXPECTED}")
     information = notes.read_information(path)
     if information is None:
-        found = [file for file in path.iterdir() if file.name.endswith(_SUFFIXES) and file.is_file()]
+        found = [file for file in path.iterdir() if file.name.endswith(SUFFIXES) and file.is_file()]
         if not found:
             bags = sorted(file.parent.name for file in path.glob(f"*/{notes.NAME}"))[:_LISTED]
             inside = f"; folders in it are: {', '.join(bags)}" if bags else ""
@@ -158,7 +161,7 @@ def _read_file(
     In a recording that was not closed, an incomplete end is expected: what is left is read, with an issue. In a closed
     recording damage is unexpected, and the user decides by ``recover``.
     """
-    with _unpacked(file) as (plain, packing_damage):
+    with _unpacked(file) as (unpacked, packing_damage), with_log(unpacked) as (plain, pages):
         with plain.open("rb") as stream:
             magic = stream.read(len(SQLITE_MAGIC))
         if not magic.strip(b"\0") and packing_damage is None:
@@ -172,9 +175,9 @@ def _read_file(
             damage = packing_damage or damage
         elif magic == SQLITE_MAGIC and damage is None:
             parts, damage = read_sqlite(plain, types, whole=closed and not recover)
-            log = file.with_name(f"{file.name}-wal")
-            if log.exists() and log.stat().st_size:
-                bag.issues.append(f"{log} holds messages that were not read; let sqlite3 bring them into {file.name}")
+            if (log := log_of(file)) is not None:
+                held = f"was read as well: it holds what a killed recorder had not yet brought into {file.name}"
+                bag.issues.append(f"{log} {held if pages else 'holds nothing that can be read'}")
         elif damage is None:
             raise BadInput(f"{file}: neither MCAP nor sqlite3, {_EXPECTED}")
         else:

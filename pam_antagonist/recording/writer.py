@@ -7,10 +7,10 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from .topics import ALSO, DEFAULT_NAMESPACE, STATE_TOPICS, TOPICS, Topic
 
 _FLUSH_S = 1.0  # [s] between flushes: the most that is lost when the recorder is killed or loses power
 _BATCH = 4096  # messages that are handed to the writing thread at once
+_PART = 65_536  # messages of a Recording that are in memory at once
+_AHEAD = 8  # batches of it that may wait for the disk
 
 Item = tuple[str, int, bytes | memoryview]
 
@@ -149,6 +151,11 @@ class BagWriter:
             self._put(batch)
         return len(items)
 
+    def keep_up(self) -> None:
+        """Wait until little waits for the disk, so that a long recording does not fill the memory."""
+        while self._thread.is_alive() and self._queue.qsize() > _AHEAD:
+            time.sleep(0.001)
+
     def close(self) -> None:
         """Write the remaining messages and finish the files; a second call does nothing.
 
@@ -231,6 +238,7 @@ def write_bag(
     namespace: str = DEFAULT_NAMESPACE,
     estimate: RecordedEstimate | None = None,
     pressure_variance: float = 0.0,
+    progress: Callable[[float], object] | None = None,
 ) -> None:
     """Write a Recording as a bag with the package's topics.
 
@@ -243,6 +251,7 @@ def write_bag(
         namespace: Namespace of the topics.
         estimate: Estimate to write in place of ``recording.estimate``.
         pressure_variance: Variance of the pressures to state [Pa^2]; 0 means unknown.
+        progress: Called with the share of all messages that was written since the last call (0 to 1).
 
     Raises:
         BadInput: The path exists already, or cannot be made.
@@ -252,20 +261,29 @@ def write_bag(
     if not isinstance(recording, Recording):
         raise BadInput(f"recording: found a value of type {type(recording).__name__}, expected a Recording")
     blocks = _blocks(recording, recording.estimate if estimate is None else estimate, pressure_variance)
+    topics = [(topic.resolve(namespace), topic.type) for topic in blocks]
+    times = [_log_times(recording, topic.name, block.stamp_ns) for topic, block in blocks.items()]
+    # Which message comes next: its topic and its row. Messages of one time keep the order of the topics.
+    kind = np.repeat(np.arange(len(times), dtype=np.int8), [len(its) for its in times])
+    order = np.argsort(np.concatenate(times), kind="stable")
+    first = np.cumsum([0, *map(len, times)])
     with BagWriter(path) as bag:
-        items: list[Item] = []
-        for kind, (stamp_ns, matrix) in blocks.items():
-            topic = kind.resolve(namespace)
-            bag.add_topic(topic, kind.type)
-            width, view = matrix.shape[1], np.ascontiguousarray(matrix).reshape(-1).data
-            times = _log_times(recording, kind.name, stamp_ns)
-            items.extend((topic, log, view[i * width : (i + 1) * width]) for i, log in enumerate(times.tolist()))
-        if recording.checkpoints:
-            topic = TOPICS["filter_checkpoint"].resolve(namespace)
-            bag.add_topic(topic, TOPICS["filter_checkpoint"].type)
-            items.extend((topic, item.stamp_ns, signals.checkpoint_message(item)) for item in recording.checkpoints)
-        items.sort(key=lambda item: item[1])  # stable: messages of one time keep the order of the topics
-        bag.write_many(items)
+        for topic, msgtype in topics:
+            bag.add_topic(topic, msgtype)
+        for begin in range(0, len(order), _PART):
+            part = order[begin : begin + _PART]
+            items = dict[int, Item]()
+            for number, ((topic, msgtype), block) in enumerate(zip(topics, blocks.values(), strict=True)):
+                place = np.flatnonzero(kind[part] == number)
+                rows = part[place] - first[number]
+                messages = block.messages(msgtype, rows)
+                log_ns = times[number][rows].tolist()
+                for k, log, data in zip(place.tolist(), log_ns, messages, strict=True):
+                    items[k] = (topic, log, data)
+            bag.write_many([items[k] for k in range(len(part))])
+            bag.keep_up()
+            if progress is not None:
+                progress(len(part) / len(order))
 
 
 def _log_times(recording: Recording, name: str, stamp_ns: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -284,6 +302,25 @@ def _time(path: str, stamp_ns: NDArray[np.int64]) -> dict[str, Any]:
     return {f"{path}.sec": stamp_ns // 1_000_000_000, f"{path}.nanosec": stamp_ns % 1_000_000_000}
 
 
+class _Block(NamedTuple):
+    """Messages of one topic: their stamps (K,) [ns], and the columns of :func:`encode`; K values, or one for all."""
+
+    stamp_ns: NDArray[np.int64]
+    columns: Mapping[str, Any]
+    stamps: Mapping[str, NDArray[np.int64]]  # path of a time in the message -> times (K,) [ns]
+
+    def messages(self, msgtype: str, rows: NDArray[np.intp]) -> Sequence[bytes | memoryview]:
+        """The messages of some rows (M,), as CDR."""
+        columns = {
+            path: values[rows] if isinstance(values, np.ndarray) else values for path, values in self.columns.items()
+        }
+        for path, stamp_ns in self.stamps.items():
+            columns |= _time(path, stamp_ns[rows])
+        matrix = encode(msgtype, len(rows), columns)
+        width, view = matrix.shape[1], np.ascontiguousarray(matrix).reshape(-1).data
+        return [view[k * width : (k + 1) * width] for k in range(len(rows))]
+
+
 def _joint_fields(name: str, **given: NDArray[np.float64]) -> dict[str, Any]:
     """Fields of JointState messages of one joint beside their headers."""
     nothing = np.empty((len(next(iter(given.values()))), 0))
@@ -291,15 +328,27 @@ def _joint_fields(name: str, **given: NDArray[np.float64]) -> dict[str, Any]:
     return {"name": [name], **fields, **{field: values[:, None] for field, values in given.items()}}
 
 
-def _blocks(
-    recording: Recording, estimate: RecordedEstimate | None, variance: float
-) -> dict[Topic, tuple[NDArray[np.int64], NDArray[np.uint8]]]:
-    """Topic -> stamps (K,) and messages (K, L)."""
-    blocks = {}
+class _Ready(NamedTuple):
+    """The same, of messages that are few and serialised."""
 
-    def add(topic: Topic, stamp_ns: NDArray[np.int64], fields: dict[str, Any], frame: str = signals.FRAME) -> None:
-        columns = {**_time("header.stamp", stamp_ns), "header.frame_id": frame, **fields}
-        blocks[topic] = (stamp_ns, encode(topic.type, len(stamp_ns), columns))
+    stamp_ns: NDArray[np.int64]
+    data: Sequence[bytes]
+
+    def messages(self, _msgtype: str, rows: NDArray[np.intp]) -> Sequence[bytes | memoryview]:
+        """The messages of some rows (M,), as CDR."""
+        return [self.data[k] for k in rows.tolist()]
+
+
+def _blocks(recording: Recording, estimate: RecordedEstimate | None, variance: float) -> dict[Topic, _Block | _Ready]:
+    """The messages of each topic."""
+    blocks: dict[Topic, _Block | _Ready] = {}
+
+    def add(
+        topic: Topic, stamp_ns: NDArray[np.int64], fields: dict[str, Any], frame: str = signals.FRAME,
+        **stamps: NDArray[np.int64],
+    ) -> None:  # fmt: skip
+        columns = {"header.frame_id": frame, **fields}
+        blocks[topic] = _Block(stamp_ns, columns, {"header.stamp": stamp_ns, **stamps})
 
     stamp_ns = recording.stamp_ns
     there: Any  # mask of the samples that have a value (N,)
@@ -334,7 +383,7 @@ def _blocks(
     if estimate is not None:
         columns = {name: getattr(estimate, name).reshape(len(estimate), -1) for name in ESTIMATE_SHAPES}
         columns = {name: values if values.shape[1] > 1 else values[:, 0] for name, values in columns.items()}
-        add(TOPICS["joint_estimate"], estimate.stamp_ns, {**_time("started", estimate.started_ns), **columns})
+        add(TOPICS["joint_estimate"], estimate.stamp_ns, columns, started=estimate.started_ns)
     for name, (values, unit) in recording.signals.items():
         kind, field = next((kind, field) for kind, (field, its) in signals.KINDS.items() if its == unit)
         there = np.isfinite(values)
@@ -342,6 +391,9 @@ def _blocks(
         fields = _joint_fields(name, position=values[there]) if unit == "rad" else fields
         add(Topic(name, f"{ALSO}{name}", kind, ""), stamp_ns[there], fields)
     if (marks := recording.episode_ns) is not None:
-        mark = {**_time("stamp", marks), "frame_id": signals.FRAME}
-        blocks[signals.EPISODE] = marks, encode(signals.EPISODE.type, len(marks), mark)
+        blocks[signals.EPISODE] = _Block(marks, {"frame_id": signals.FRAME}, {"stamp": marks})
+    if recording.checkpoints:
+        stamps = np.array([item.stamp_ns for item in recording.checkpoints], np.int64)
+        data = [signals.checkpoint_message(item) for item in recording.checkpoints]
+        blocks[TOPICS["filter_checkpoint"]] = _Ready(stamps, data)
     return blocks

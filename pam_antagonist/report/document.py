@@ -13,12 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-import yaml
-
 from pam_antagonist import shown
 from pam_antagonist.program import versions
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.rig.units import readable
+from pam_antagonist.strict_yaml import load_bounded
 
 MISSING, number, percent = shown.MISSING, shown.number, shown.percent
 _AFTER_NUMBER = re.compile(r"(?<=[0-9]) (?=(%|N|kPa|Pa|s|ms|min|h|V|Hz|mm|cm|kg|×)(\W|$|²|³))")
@@ -226,7 +225,7 @@ class Document:
 def words(page: str) -> tuple[tuple[str, str], ...]:
     """What the words of a page mean, from ``templates/words.yaml``."""
     text = (Path(__file__).parent / "templates" / "words.yaml").read_text(encoding="utf-8")
-    return tuple(yaml.safe_load(text)[page].items())
+    return tuple(load_bounded(text)[page].items())
 
 
 def page(

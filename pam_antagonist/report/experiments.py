@@ -107,7 +107,8 @@ class CommissionResult(Result):
     def to_json(self) -> dict[str, Any]:
         steps = [
             {
-                "name": name, "done": bool(step["done"]), "said": step["said"], "seconds": step.get("seconds", 0.0),
+                "name": name, "done": bool(step["done"]), "doubt": bool(step.get("doubt")), "said": step["said"],
+                "seconds": step.get("seconds", 0.0),
                 "rig_seconds": step.get("rig_s", 0.0), "folder": step.get("folder", ""),
             }
             for name, step in self.steps.items()
@@ -118,7 +119,9 @@ class CommissionResult(Result):
     @override
     def document(self, figures: bool = True) -> Document:
         steps = self.to_json()["steps"]
-        found = tuple((good if step["done"] else warn)(f"{step['name']}: {step['said']}") for step in steps)
+        found = tuple(
+            (good if step["done"] and not step["doubt"] else warn)(f"{step['name']}: {step['said']}") for step in steps
+        )
         rows = tuple((step["name"], f"{step['seconds']:.0f}", f"{step['rig_seconds']:.0f}") for step in steps)
         blocks: list[Block] = [Findings(found)]
         if self.next_line and not self.left and all(step["done"] for step in steps):

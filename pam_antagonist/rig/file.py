@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel
 
 from pam_antagonist.errors import BadInput
@@ -18,9 +19,11 @@ from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import learned
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.rig.schema import Rig
-from pam_antagonist.strict_yaml import described, fields_of, names, read_mapping, unknown, validated
+from pam_antagonist.strict_yaml import described, dump, fields_of, names, read_mapping, unknown, validated
 
 _LONGEST_CHAIN = 4
+_LISTED = 50
+"""Files of a folder that are looked at for a rig."""
 _SWITCHES = ("consider", "sealed")
 _DOTTED = ("uncertainty", "priors", "bounds", "directions")
 _OPEN = (*_DOTTED, "effects", "signals", "encoder")
@@ -127,6 +130,8 @@ def _half_linear(content: Mapping[str, Any], rig: Rig) -> str:
 
 def _locate(name_or_path: str, folder: Path) -> Path:
     path = Path(name_or_path)
+    if os.path.isdir(folder / path):  # False for a name that is none
+        raise BadInput(f"{path}: a folder, expected a rig file{_offered(folder / path)}")
     if path.suffix in (".yaml", ".yml"):
         return folder / path
     if name_or_path not in rig_names():
@@ -134,6 +139,16 @@ def _locate(name_or_path: str, folder: Path) -> Path:
         hint = f" Did you mean {close[0]!r}?" if close else ""
         raise BadInput(f"unknown rig {name_or_path!r}: expected a .yaml file or one of {', '.join(rig_names())}.{hint}")
     return config_dir() / "rigs" / f"{name_or_path}.yaml"
+
+
+def _offered(folder: Path) -> str:
+    """The rig files in a folder, for a message."""
+    found = []
+    for path in sorted(folder.glob("*.y*ml"))[:_LISTED]:
+        with contextlib.suppress(BadInput):
+            if {"geometry", "based_on"} & read_mapping(path, "rig", "a rig file").keys():
+                found.append(str(path))
+    return f" such as {' or '.join(found)}" if found else ", and there is none in it"
 
 
 def _read_with_base(path: Path, depth: int = 0) -> dict[str, Any]:
@@ -272,4 +287,4 @@ def _scalar(value: Any) -> str:
         return text
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_scalar(item) for item in value) + "]"
-    return yaml.safe_dump(value, default_flow_style=True, width=10**6).strip().removesuffix("...").strip()
+    return dump(value, default_flow_style=True, width=10**6).strip().removesuffix("...").strip()

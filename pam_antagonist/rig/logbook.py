@@ -38,9 +38,9 @@ class Span(Line):
     sha256: str = ""
 
     @classmethod
-    def of(cls, name: str, begin_ns: int, seconds: float, sha256: str) -> Span:
-        """A recording whose first stamp is `begin_ns` [ns]."""
-        begin = datetime.datetime.fromtimestamp(begin_ns * 1e-9, datetime.timezone.utc)
+    def of(cls, name: str, begin_ns: int | None, seconds: float, sha256: str) -> Span:
+        """A recording that began at `begin_ns` [ns]; None where that is not known."""
+        begin = datetime.datetime.fromtimestamp((begin_ns or 0) * 1e-9, datetime.timezone.utc)
         return cls(name=name, begin=begin if begin >= _EARLIEST else None, seconds=seconds, sha256=sha256)
 
 
@@ -51,6 +51,8 @@ class Entry(Line):
     command: str
     rig: str
     """Identity of the rig that was given, as :class:`RigIdentity` writes it."""
+    made: str = ""
+    """Identity of the rig that came out, which may differ from the given one by more than two files of one rig may."""
     recordings: tuple[Span, ...] = ()
     verdict: str = ""
     said: str = ""
@@ -73,6 +75,19 @@ class Logbook(NamedTuple):
 
     entries: tuple[Entry, ...]
     notes: tuple[str, ...]
+
+
+class _Read(NamedTuple):
+    """An entry as it was read."""
+
+    book: Path
+    number: int  # of the line
+    entry: Entry
+    rigs: list[RigIdentity]  # the given one, and the one that came out
+
+    def agrees(self, known: Sequence[RigIdentity]) -> bool:
+        """Whether one of its rigs is one of those that are known."""
+        return any(not differences(one, other) for one in known for other in self.rigs)
 
 
 def book_of(rig: str | Path) -> Path | None:
@@ -118,39 +133,46 @@ def _ended(book: Path) -> bool:
 def read(books: Sequence[Path], rig: Rig) -> Logbook:
     """Read the log books of a rig.
 
-    Recordings count once for each command. Damaged entries, and those of other rigs, are left out.
+    An entry is of this rig if the rig that it was made with, or the one that came out, is this one or one of another
+    entry of this rig: so the history of a file goes on in those that were identified from it. Recordings count once for
+    each command. Damaged entries, and those of other rigs, are left out.
 
     Raises:
         BadInput: a file cannot be read.
     """
-    found, notes, ours = list[Entry](), list[str](), RigIdentity.of(rig)
+    read, notes, found = list[_Read](), list[str](), list[Entry]()
     for book in books:
         try:
             lines = book.read_bytes().split(b"\n")
         except OSError as error:
             raise BadInput(f"{book}: the log book cannot be read: {error.strerror}") from None
-        damaged, others = list[int](), dict[str, list[int]]()
+        damaged = list[int]()
         for number, line in enumerate(lines, 1):
             if not line.strip():
                 continue
             try:
                 entry = Entry.read(line)
-                apart = differences(ours, RigIdentity.read(entry.rig))
+                rigs = [RigIdentity.read(text) for text in (entry.rig, entry.made) if text]
             except (ValidationError, BadInput):
                 damaged.append(number)
                 continue
-            if apart:
-                others.setdefault(apart[0], []).append(number)
-            else:
-                found.append(entry)
+            read.append(_Read(book, number, entry, rigs))
         if damaged:
             notes.append(
                 f"{book}: {_lines(damaged)} cannot be read and {_are(damaged)} left out; the file is unchanged"
             )
-        notes += [
-            f"{book}: {_lines(numbers)} {_are(numbers)} of another rig ({why}) and left out"
-            for why, numbers in others.items()
-        ]
+    known = [RigIdentity.of(rig)]
+    while ours := [one for one in read if one.agrees(known)]:
+        found += [one.entry for one in ours]
+        known += [rig for one in ours for rig in one.rigs]
+        read = [one for one in read if one not in ours]
+    others: dict[tuple[Path, str], list[int]] = {}
+    for one in read:
+        others.setdefault((one.book, differences(known[0], one.rigs[0])[0]), []).append(one.number)
+    notes += [
+        f"{book}: {_lines(numbers)} {_are(numbers)} of another rig ({why}) and left out"
+        for (book, why), numbers in others.items()
+    ]
     # The same recordings, worked on again by the same command, are one observation; so are copies of an entry.
     latest = {
         (entry.command, tuple(span.sha256 for span in entry.recordings) or entry.at): entry

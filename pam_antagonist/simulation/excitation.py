@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import flow, muscle
+from pam_antagonist.numbers import number_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import rest_pressure
 
@@ -168,10 +169,10 @@ def read_table(path: Path) -> tuple[FloatArray, FloatArray]:
         raise BadInput(f"{path}: the first line is {','.join(rows[0]) if rows else 'missing'!r}, expected t_s,u1,u2")
     table = np.empty((len(rows) - 1, 3))
     for number, row in enumerate(rows[1:], 2):
-        try:
-            table[number - 2] = [float(cell) for cell in row]
-        except ValueError:
-            raise BadInput(f"{path}: row {number} is {','.join(row)!r}, expected three numbers") from None
+        values = [number_of(cell) for cell in row]
+        if len(row) != 3 or None in values:
+            raise BadInput(f"{path}: row {number} is {','.join(row)!r}, expected three numbers")
+        table[number - 2] = values
         if not all(math.isfinite(value) for value in table[number - 2]):
             raise BadInput(f"{path}: row {number} is {','.join(row)!r}, expected finite numbers")
     if len(table) < 2:

@@ -297,3 +297,12 @@ def test_a_bag_is_corrected_by_the_calibration_of_its_rig() -> None:
     # Read elsewhere, it is taken as it is.
     assert given.as_recording(plain, off) is plain
     assert given.corrections([bag], off).encoder_zero == 0.1 and given.corrections(plain, off).encoder_zero == 0.0
+
+
+def test_what_a_console_shows_is_short_and_what_it_completes_is_ours() -> None:
+    rig = load_rig("shin2022")
+    shown = repr(Estimator(rig, joint="locked", lock_angle=0.1))
+    assert shown == "Estimator: rig shin2022, tuning default, joint locked at 0.1 rad, angle sensor none"
+    for one in (rig, rig.geometry):
+        assert not [name for name in dir(one) if name.startswith(("_", "model_")) or name in ("copy", "json", "dict")]
+    assert {"geometry", "value", "with_value", "parameters", "plain", "replaced"} <= set(dir(rig))

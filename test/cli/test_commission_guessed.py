@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.cli import commission, new_rig
-from pam_antagonist.cli.commission_guessed import held_angles, tried_gains
+from pam_antagonist.cli.commission_guessed import GuessedCommission, held_angles, tried_gains
 from pam_antagonist.cli.demo import found_gains
 from pam_antagonist.cli.driving import rehearse
 from pam_antagonist.control.model_law import ModelGains
@@ -127,3 +127,21 @@ def test_gains_with_which_a_heavy_joint_swings_are_not_taken(tmp_path):
     swinging = held_angles(rig, Plant(rig, seed=1), ModelGains())
     assert swinging.error > max(2.0 * held.error, held.allowed) and "run away" in swinging.in_words()
     assert gains.integral < ModelGains().integral
+
+
+def test_air_that_does_not_turn_the_joint_has_no_tick_and_angles_are_those_of_the_bag(tmp_path, monkeypatch):
+    found = {}
+    for name, length, steps in (("slack", "272mm", ("wiring",)), ("stretched", "297mm", ("wiring", "slow"))):
+        monkeypatch.setattr(GuessedCommission, "STEPS", steps)
+        monkeypatch.setitem(DRIVES, name, f"{DRIVES['valves']} --length {length}")
+        guess(tmp_path, name)
+        out = tmp_path / name
+        given = ["--rig", str(tmp_path / "rig.yaml"), "--out", str(out), "--source", "rehearsal", "--unattended"]
+        commission.main(given)
+        (tmp_path / "rig.yaml").unlink()
+        found[name] = json.loads((out / "report.json").read_text(encoding="utf-8"))["steps"]
+    slack, (wiring, slow) = found["slack"][0], found["stretched"][:2]
+    assert slack["done"] and slack["doubt"] and "too little to show the encoder's sign" in slack["said"]
+    assert wiring["done"] and not wiring["doubt"]
+    angle = np.degrees(read_bag(next((tmp_path / "stretched").glob("slow_1/bag")), judge=False).angle)
+    assert f"from {np.nanmin(angle):+.1f} to {np.nanmax(angle):+.1f} deg" in slow["said"]

@@ -96,8 +96,8 @@ def test_nothing_is_left_of_an_output_that_failed(as_csv, tmp_path, monkeypatch,
     before = sorted(tmp_path.iterdir())
     real = getattr(importing, where)
 
-    def full_disk(folder: Path, *rest: object) -> None:
-        real(folder, *rest)
+    def full_disk(folder: Path, *rest: object, **named: object) -> None:
+        real(folder, *rest, **named)
         assert (folder / "metadata.yaml").exists() and not (tmp_path / "out").exists()
         raise OSError(28, "No space left on device")
 

@@ -204,3 +204,39 @@ def test_answers_are_not_lost_where_the_questions_end_early(tmp_path, capsys, mo
     said = capsys.readouterr().err
     assert f"new_rig --out {path} --name left_elbow --kind pulley --radius 21.6mm" in said
     assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "plain"),
+    [
+        ("inertia", "0.00005 kg m²", "5e-05"),
+        ("inertia", "500 g·cm^2", "5e-05"),
+        ("rate", "0.5kHz", "500"),
+        ("sensor-bits", "16 bits", "16"),
+        ("voltage", "1V : 9 V", "1:9"),
+        ("stop", "25 °", "25deg"),
+    ],
+)
+def test_a_unit_may_stand_beside_a_number_that_needs_none(tmp_path, option, given, plain):
+    one = written({**BOUGHT, option: given}, tmp_path / "one.yaml")
+    assert one.plain() == written({**BOUGHT, option: plain}, tmp_path / "other.yaml").plain()
+
+
+@pytest.mark.parametrize("given", ["0:6bar", "0 : 6 bar", "0kPa:6bar"])
+def test_a_range_may_have_its_unit_once(tmp_path, given):
+    assert new_rig.main(typed({**REGULATED, "regulator-range": given}, tmp_path / "rig.yaml")) == 0
+    assert load_rig(tmp_path / "rig.yaml", regulators=True).command_limits == pytest.approx((101.3e3, 701.3e3))
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "words"),
+    [
+        ("inertia", "3 N m", "unknown unit 'N m' of inertia, expected one of kg m2, kg cm2"),
+        ("inertia", "9 kg m²", "expected 2e-07 to 5 kg m2"),
+        ("rate", "often", "expected a number and its unit, 10 to 10000 Hz"),
+        ("mass", "1", "expected a number and its unit, such as 250g"),
+        ("voltage", "-5:5", "expected 0 to 10 V"),
+    ],
+)
+def test_a_number_that_cannot_be_is_refused_with_its_unit(refused, tmp_path, option, given, words):
+    refused(new_rig.main, typed({**BOUGHT, option: given}, tmp_path / "rig.yaml"), f"--{option}", words)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -13,8 +15,10 @@ from pam_antagonist import __version__
 from pam_antagonist.__main__ import COMMANDS, main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.serial_device import SerialTransport
-from pam_antagonist.program import VARIABLE, program, typed
+from pam_antagonist.program import VARIABLE, program, started, typed
 from validation.__main__ import COMMANDS as MEASUREMENTS
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(
@@ -185,3 +189,96 @@ def test_without_shtab_completion_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["--completion", "bash"]) == 2
     assert "'pam_antagonist[completion]'" in capsys.readouterr().err
+
+
+SCRIPTS = ("signal", "queue", "numpy", "yaml", "pam_antagonist")
+
+
+@pytest.fixture
+def stranger(tmp_path: Path) -> Path:
+    """A folder of recordings with scripts that must not be run."""
+    for name in SCRIPTS:
+        text = 'import sys\nsys.stderr.write("a script beside the recordings was run\\n")\n'
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def test_scripts_beside_the_recordings_are_not_imported(stranger: Path) -> None:
+    """Nor from what PYTHONPATH names for another Python, nor by processes that a command starts."""
+    words = started("pam_antagonist", "reachable", "--rig", "shin2022")
+    for given in ("", f"{os.pathsep}{os.pathsep}{stranger}"):
+        path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]) + given
+        environment = {**os.environ, "PYTHONPATH": path}
+        done = subprocess.run(words, cwd=stranger, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize(
+    "words", ["reachable --rig shin2022", "new_rig --help", "replay {bag} --rig shin2022 --no-figures --out {out}"]
+)
+def test_an_output_that_lacks_marks_gets_plain_ones(words: str, encoding: str, bag: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    command = started("pam_antagonist", *words.format(bag=bag, out=tmp_path / "out").split())
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"\\x" not in done.stdout and b"\\u" not in done.stdout
+    assert done.stdout.decode(encoding)
+
+
+_IMPORTS = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name == "pam_antagonist.recording":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from pam_antagonist.__main__ import main
+sys.argv[1:] = ["check", "bag", "--rig", "shin2022"]
+sys.exit(main())
+"""
+_COMPILES = """
+import os, signal, sys
+from pathlib import Path
+from pam_antagonist import program
+from pam_antagonist.cli import common
+from pam_antagonist.paths import output_folder
+def work(arguments):
+    with output_folder(Path("out")) as folder:
+        (folder / "half").touch()
+        # As the compiler's callback does: what is raised there is lost.
+        exec("import os, signal\\ntry: os.kill(os.getpid(), signal.SIGINT)\\nexcept BaseException: pass",
+             {"__name__": "llvmlite.binding.executionengine"})
+        raise RuntimeError("no compiled object yet")
+sys.argv[1:] = []
+sys.exit(common.run(lambda: common.Parser("thing", "Do a thing."), work))
+"""
+_DONE = """
+import os, signal, sys, threading, time
+from pam_antagonist import program
+sys.argv[1:] = ["--version"]
+from pam_antagonist.__main__ import main
+status = main()
+os.kill(os.getpid(), signal.SIGINT)
+sys.exit(status)
+"""
+
+
+@pytest.mark.parametrize(("code", "status"), [(_IMPORTS, 130), (_COMPILES, 130), (_DONE, 0)])
+def test_an_interrupt_at_a_bad_moment_leaves_no_traceback_and_nothing_broken(code, status, tmp_path, python):
+    """While modules are imported, while numba compiles, and when all is done."""
+    done = python("-c", code, cwd=tmp_path)
+    assert done.returncode == status and "Traceback" not in done.stderr, done.stderr
+    assert done.stderr == ("interrupted\n" if status else "")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "status"), [("check", 130), ("estimator", 0)])
+def test_a_signal_that_came_while_python_started_ends_an_executable(name, status):
+    """``./run`` blocks signals until then."""
+    code = "import os, signal, sys; signal.pthread_sigmask(signal.SIG_BLOCK, [2]); os.kill(os.getpid(), 2); "
+    code += "os.execv(sys.argv[1], sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *started("pam_antagonist", name)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", "interrupted\n" if status else "")

@@ -61,7 +61,7 @@ REFUSED = {
         ("--mode impedance --rig shin2022", "does not have the state external_torque"),
         ("--mismatch 1", "--mismatch"),
         ("--gains quick", "--gains quick: expected fast, published, model, or a YAML file"),
-        ("--gains no_such.yaml", "no_such.yaml: cannot be read"),
+        ("--gains no_such.yaml", "no_such.yaml: no such parameter file"),
         ("--seed -1", "--seed"),
         ("bag", "bag"),
     ],
@@ -110,3 +110,26 @@ def test_an_output_that_exists_is_left_alone(name, bag, tmp_path, capsys):
     assert str(tmp_path) in error and error.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["precious"]
     assert (tmp_path / "precious").read_text() == "data"
+
+
+@pytest.mark.parametrize("place", ["file/out", f"{'x' * 300}", "/proc/out", "a/../file/out"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "replay bag --rig shin2022", "identify bag --rig shin2022", "close_loop bag --rig shin2022",
+        "simulate --rig shin2022", "static --rig shin2022 --volume v.csv", "reachable --rig shin2022",
+        "import_csv f.csv --map sealed_joint", "history rig.yaml", "excite --rig shin2022 --source rehearsal",
+        "commission --rig shin2022 --source rehearsal --unattended", "demo",
+    ],
+)  # fmt: skip
+def test_a_folder_that_cannot_be_made_is_refused_before_anything_else(refused, tmp_path, monkeypatch, words, place):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("x")
+    refused(main, [*words.split(), "--out", place], f"{place}: cannot be made")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_other_outputs_are_tried_before_any_work_as_well(refused, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused(main, ["replay", "bag", "--rig", "shin2022", "--out", "out", "--json", "none/x.json"], "--json none/x.json")
+    refused(main, ["check", "bag", "--rig", "shin2022", "--json", "/proc/x.json"], "--json /proc/x.json")

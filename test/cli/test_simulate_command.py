@@ -105,3 +105,9 @@ def test_profiles_start_at_rest_and_stay_within_their_span(name):
 def test_an_unknown_profile_is_refused():
     with pytest.raises(BadInput, match="paper, steps, multisine"):
         excitation.profile("square", 1.0, 1e-3)
+
+
+def test_voltages_may_have_the_signs_of_typesetting(tmp_path):
+    (tmp_path / "u.csv").write_text("t_s,u1,u2\n\u22120.5,5.5,5.5\n0,6.0,5.0\n1D0,5,5\n", encoding="utf-8")
+    time, voltage = excitation.read_table(tmp_path / "u.csv")
+    assert time.tolist() == [-0.5, 0.0, 1.0] and voltage[1].tolist() == [6.0, 5.0]

@@ -54,6 +54,15 @@ def test_a_reading_at_rest_takes_the_place_of_the_offset(tmp_path: Path) -> None
     assert second == pytest.approx(500e3)
 
 
+def test_counts_with_a_leading_zero_are_read_as_written(tmp_path: Path) -> None:
+    text = (config_dir() / "hardware" / "example.yaml").read_text(encoding="utf-8")
+    assert text.count("zero: 0 ") == 1
+    path = tmp_path / "hardware.yaml"
+    path.write_text(text.replace("zero: 0 ", "zero: 0512 "), encoding="utf-8")
+    encoder = load_calibration(path).encoder
+    assert encoder is not None and encoder.zero == 512
+
+
 @pytest.mark.parametrize("reading", [0.29, 4.71, 0.0, 1e9, math.nan, math.inf])
 def test_readings_of_a_broken_sensor_are_no_pressure(reading: float) -> None:
     converter = Converter(load_calibration("example"))

@@ -156,11 +156,9 @@ def test_a_signal_that_the_compiler_swallows_ends_the_node_without_a_traceback()
     code = """
 import os, signal
 from pam_antagonist.nodes.spin import run_node
+callback = "import os, signal\\ntry: os.kill(os.getpid(), signal.SIGINT)\\nexcept BaseException: pass"
 def create(*arguments, **options):
-    try:
-        os.kill(os.getpid(), signal.SIGINT)
-    except BaseException:
-        pass
+    exec(callback, {"__name__": "llvmlite.binding.executionengine"})
     raise RuntimeError("no compiled object yet")
 raise SystemExit(run_node(create, [], name="plant", description="", table=()))
 """

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.parameters import Parameter
+from pam_antagonist.nodes.parameters import Parameter, refuse_base_8
 from pam_antagonist.nodes.sections import applies, unused
 
 CLASSES = {"plant": "PlantNode", "estimator": "EstimatorNode", "controller": "ControllerNode", "bridge": "BridgeNode"}
@@ -99,6 +99,17 @@ def test_values_are_checked(parameter: Parameter, good: list[Any], bad: list[Any
     for value in bad:
         with pytest.raises(BadInput, match=r"parameter x is .*: expected"):
             parameter.check(value)
+
+
+@pytest.mark.parametrize("number", ["0512", "-01", "[1, 012]"])
+def test_a_leading_zero_is_refused_since_ros_reads_base_8(number: str, tmp_path: Path) -> None:
+    path = tmp_path / "parameters.yaml"
+    path.write_text(f"/**:\n  ros__parameters:\n    bias: {number}\n", encoding="utf-8")
+    for arguments in (["--params-file", str(path)], ["-p", f"bias:={number}"]):
+        with pytest.raises(BadInput, match=r"(parameters.yaml|bias): .* begins with a zero"):
+            refuse_base_8(["--ros-args", *arguments])
+    path.write_text("/**:\n  ros__parameters: {a: 0.5, b: 0, c: 10, d: '007', e: 089}\n", encoding="utf-8")
+    refuse_base_8(["--ros-args", "--params-file", str(path), "-p", "a:=0", "-p", 'b:="007"'])
 
 
 @pytest.mark.ros
@@ -190,7 +201,7 @@ def test_a_node_warns_of_a_file_that_is_not_for_it_and_says_which_rig_it_has(
 ) -> None:
     from pam_antagonist.nodes import controller, joints
 
-    def spin(node: Any, _stop: object) -> None:
+    def spin(node: Any) -> None:
         for one in (*node.members, node):
             one.start()
 

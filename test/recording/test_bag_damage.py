@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import resource
+import shutil
+import sqlite3
 import struct
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from backports import zstd
 from fake_bags import FakeRig, refusal
 from mcap_bytes import FOOTER, HEADER, chunk, chunks, record
 
-from pam_antagonist.recording import read_bag
+from pam_antagonist.recording import bag_hash, read_bag
 from pam_antagonist.recording.mcap import MAGIC, MAX_CHUNK
 
 
@@ -128,13 +130,50 @@ def test_lengths_in_the_metadata_are_not_believed(rig: FakeRig, tmp_path: Path) 
         rig.assert_same(read_bag(bag))
 
 
-def test_a_log_beside_an_sqlite3_file_is_mentioned(rig: FakeRig, tmp_path: Path) -> None:
+def killed(bag: Path, main: str) -> tuple[Path, Path]:
+    """Turn a bag of sqlite3 into one whose recorder was killed before it brought the last rows into the file."""
+    file, whole, live = bag / "bag.db3", bag.parent / "whole.db3", bag.parent / "live.db3"
+    file.rename(whole)
+    with closing(sqlite3.connect(live, isolation_level=None)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        database.execute("ATTACH ? AS whole", (str(whole),))
+        tables = database.execute("SELECT name, sql FROM whole.sqlite_master WHERE type = 'table'").fetchall()
+        for name, sql in tables:
+            database.execute(sql)
+            rest = " WHERE id % 2" if name == "messages" and main == "half" else ""
+            database.execute(f"INSERT INTO main.{name} SELECT * FROM whole.{name}{rest}")
+        if main == "half":
+            database.execute("PRAGMA main.wal_checkpoint(TRUNCATE)")
+            database.execute("INSERT INTO main.messages SELECT * FROM whole.messages WHERE NOT id % 2")
+        shutil.copy(live, file)
+        shutil.copy(f"{live}-wal", f"{file}-wal")
+    if main == "nothing":
+        file.write_bytes(b"")
+    (bag / "metadata.yaml").unlink()
+    return file, file.with_name("bag.db3-wal")
+
+
+@pytest.mark.parametrize("main", ["head", "half", "nothing"])
+def test_a_write_ahead_log_beside_an_sqlite3_file_is_read(rig: FakeRig, tmp_path: Path, main: str) -> None:
+    file, log = killed(rig.write(tmp_path / "bag", rig.streams(), storage="sqlite3"), main)
+    before, mark = [path.read_bytes() for path in (file, log)], bag_hash(file.parent)
+    recording = read_bag(file.parent)
+    rig.assert_same(recording)
+    assert any("bag.db3-wal was read as well" in text for text in recording.issues), recording.issues
+    assert sorted(path.name for path in file.parent.iterdir()) == ["bag.db3", "bag.db3-wal"]
+    assert [path.read_bytes() for path in (file, log)] == before
+    log.write_bytes(log.read_bytes()[:-1])
+    assert bag_hash(file.parent) != mark  # other messages, another recording
+
+
+def test_a_log_beside_an_sqlite3_file_that_holds_nothing_is_mentioned(rig: FakeRig, tmp_path: Path) -> None:
     bag = rig.write(tmp_path / "bag", rig.streams(), storage="sqlite3")
     (bag / "bag.db3-wal").write_bytes(bytes(4096))
     recording = read_bag(bag)
     rig.assert_same(recording)
     assert len(recording.issues) == 1
-    assert "bag.db3-wal holds messages that were not read" in recording.issues[0]
+    assert "bag.db3-wal holds nothing that can be read" in recording.issues[0]
 
 
 @pytest.mark.parametrize("place", ["begin", "middle", "head"])

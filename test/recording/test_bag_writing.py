@@ -154,3 +154,26 @@ def test_a_write_that_fails_is_reported(rig: FakeRig, tmp_path: Path, monkeypatc
     with pytest.raises(OSError, match="No space left"):
         bag.close()
     bag.close()
+
+
+def test_a_long_recording_is_written_part_by_part_in_the_order_of_its_times(
+    rig: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bag is the same, its memory is not; and progress is told as messages are written."""
+    recording, shares = read_bag(rig.write(tmp_path / "bag", rig.streams())), list[float]()
+    written = []
+    for part in (7, 1 << 16):
+        monkeypatch.setattr("pam_antagonist.recording.writer._PART", part)
+        shares.clear()
+        write_bag(tmp_path / str(part), recording, progress=shares.append)
+        assert sum(shares) == pytest.approx(1.0) and len(shares) == -(-200 // part)
+        rig.assert_same(read_bag(tmp_path / str(part)))
+        written.append(messages(tmp_path / str(part)))
+    assert written[0] == written[1]
+    assert [log for log, _, _ in written[0]] == sorted(log for log, _, _ in written[0])
+
+
+def messages(bag: Path) -> list[tuple[int, str, bytes]]:
+    """All messages as they stand in a bag."""
+    with Reader(bag) as reader:
+        return [(log, connection.topic, bytes(data)) for connection, log, data in reader.messages()]

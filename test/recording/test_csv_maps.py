@@ -41,6 +41,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "time twice": ({"time": {"column": "t", "unit": "s", "rate": 100}}, "time: expected either column"),
     "no time in time": ({"time": {}}, "time: expected either column"),
     "a rate of zero": ({"time": {"rate": 0}}, "time.rate: "),
+    "a date that is none": (
+        {"time": {"rate": 5, "date": "yesterday"}},
+        "time.date is 'yesterday': expected a day such",
+    ),
+    "a date of long ago": ({"time": {"rate": 5, "date": "1926-01-01"}}, "time.date is '1926-01-01': expected a day"),
     "an endless rate": ({"time": {"rate": float("inf")}}, "time.rate: "),
     "an empty valve": ({"valve_2": VOLT}, "valve_2: expected either column or constant"),
     "a valve twice": ({"valve_2": {**VOLT, "column": "u", "constant": 5}}, "valve_2: expected either"),
@@ -79,6 +84,20 @@ def test_unknown_units_list_the_known_ones(lab: Lab, entry: str, unit: str, hint
     said = lab.entries(**{entry: {**MAP.get(entry, {"column": "x"}), "unit": unit}}).refusal()
     assert f"{entry}.unit: unknown unit {unit!r} of {quantity}, expected one of {', '.join(UNITS[quantity])}" in said
     assert hint in said
+
+
+def test_names_and_numbers_of_a_map_are_read_as_written(lab: Lab) -> None:
+    """YAML 1.1 takes no for false, 010 for 8, and 1:30 for 90."""
+    lab.map.write_text(
+        "time: {rate: 0100}\nvalve_1: {constant: 05, unit: V}\nvalve_2: {column: on, unit: V}\n"
+        "pressure_1: {column: no, unit: kPa, reference: absolute}\n"
+        "pressure_2: {column: 1:30, unit: kPa, reference: absolute, offset: 010}\n"
+    )
+    lab.rows([(300 + k, 400, 4) for k in range(5)], ("no", "1:30", "on"))
+    recording = lab.read()
+    assert recording.sample_period_s == pytest.approx(0.01)
+    assert recording.pressure[0] == pytest.approx([300e3, 410e3])
+    assert recording.voltage[0] == pytest.approx([5.0, 4.0])
 
 
 @pytest.mark.parametrize(

@@ -177,7 +177,13 @@ def measured(lab: Lab, values: list[float], quantity: str, unit: str) -> Lab:
         ("angle", 8000, 9000, "deg", "; give offset if the sensor counts from elsewhere"),
         ("torque", -2500, 2500, "N m", "torque (column 'x') goes from -2500 to 2500 N m, expected up to 1000 N m"),
         ("external_torque", -2500, 2500, "N m", "looks like N mm"),
-        ("valve_2", 4000, 6000, "V", "valve_2 (column 'x') goes from 4000 to 6000 V, expected 0 to 10 V; 5.98e+03 loo"),
+        (
+            "valve_2",
+            4000,
+            6000,
+            "V",
+            "valve_2 (column 'x') goes from 4000 to 6000 V, expected 0 to 10 V; 5.98e+03 loo",
+        ),
         ("valve_2", 4000, 6000, "V", "looks like mV"),
         ("valve_2", 4, 6, "mV", "looks like V"),
         ("valve_2", 30, 70, "V", "looks like percent: give scale: 0.1"),
@@ -208,6 +214,48 @@ def test_a_column_without_a_value(lab: Lab, column: int) -> None:
     rows = [["" if k == column else value for k, value in enumerate((0.01 * row, 300, 400, 5, 5))] for row in range(10)]
     names = ["pressure_1 (column 'p1')", "pressure_2 (column 'p2')", "valve_1 (column 'u1')", "valve_2 (column 'u2')"]
     assert f"{names[column - 1]} holds no value in 10 rows" in lab.rows(rows).refusal()
+
+
+WRITTEN = [
+    # as a cell, what stands before decimals, and the number
+    ("\u22121.5", ".", -1.5), ("\u20131.5", ".", -1.5), ("\uff0d1.5", ".", -1.5), ("\u22121,5e\u22121", ",", -0.15),
+    ("-1.5D-01", ".", -0.15), ("+.15d+1", ".", 1.5), ("-1,5D0", ",", -1.5),
+    ("-1'234.5", ".", -1234.5), ("1\u2019234,5", ",", 1234.5),
+    ("\u2212123\u202f567.5", ".", -123567.5), ("1\u00a0234,5", ",", 1234.5),
+    ("1.#QNAN", ".", math.nan), ("-1.#IND00", ".", math.nan), ("-nan(ind)", ".", math.nan), ("1,#QNAN", ",", None),
+    ("#DIV/0!", ".", math.nan), ("\u2013", ".", math.nan),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cell", "decimal", "expected"), WRITTEN)
+def test_numbers_of_other_programs(lab: Lab, cell: str, decimal: str, expected: float | None) -> None:
+    """Minus signs of typesetting, Fortran's exponents, thousands set apart, and what means no number."""
+    rows = [";".join([*(str(x).replace(".", decimal) for x in row), cell]) for row in ROWS]
+    lab.text("\n".join([";".join((*HEADER, "x")), *rows[:-1], rows[-1].rsplit(";", 1)[0] + ";2"]) + "\n")
+    lab.entries(torque={"column": "x", "unit": "N mm"}, file={"delimiter": ";", "decimal": decimal})
+    if expected is None:
+        assert "is not a number" in lab.refusal()
+        return
+    torque = lab.read().torque
+    assert torque is not None and torque[:3] == pytest.approx(1e-3 * expected, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("cell", "hint"),
+    [
+        ("\u22121,5", 'decimals after a comma? give file.decimal: ","'),
+        ("1 234.5", "are the thousands set apart?"),
+        ("1,234.5", "are the thousands set apart?"),
+        ("1.234.567", "are the thousands set apart?"),
+        ("1.5 N m", "is 'N m' a unit? leave it out of the cells"),
+        ("\u22121.5\u00a0mV", "is 'mV' a unit?"),
+        ("12 %", "is '%' a unit?"),
+    ],
+)
+def test_a_cell_that_is_no_number_is_refused_with_a_hint(lab: Lab, cell: str, hint: str) -> None:
+    lab.text(";".join((*HEADER, "x")) + "\n" + "".join(";".join((*map(str, row), cell)) + "\n" for row in ROWS))
+    said = lab.entries(torque={"column": "x", "unit": "N m"}, file={"delimiter": ";"}).refusal()
+    assert "line 2, torque (column 'x')" in said and hint in said
 
 
 @pytest.mark.parametrize("reference", ["gauge", "absolute"])

@@ -46,7 +46,19 @@ def test_missing_file(tmp_path, refusal):
 
 def test_folder_is_no_file(tmp_path, refusal):
     (tmp_path / "folder.yaml").mkdir()
-    assert "cannot be read" in refusal(tmp_path / "folder.yaml")
+    assert refusal(tmp_path / "folder.yaml") == "a folder, expected a rig file, and there is none in it"
+
+
+def test_a_folder_offers_the_rig_file_in_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "identified").mkdir()
+    (tmp_path / "identified" / "rig.yaml").write_text("based_on: shin2022\n")
+    (tmp_path / "identified" / "map.yaml").write_text("time: {rate: 5}\n")
+    for given in ("identified", "identified/", tmp_path / "identified"):
+        with pytest.raises(
+            BadInput, match=r"identified: a folder, expected a rig file such as \S*identified/rig.yaml$"
+        ):
+            load_rig(given)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root reads every file")

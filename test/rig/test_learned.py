@@ -99,7 +99,7 @@ def test_what_is_written_is_what_was_there(tmp_path: Path) -> None:
         ({"nodes": f"nodes: {list(range(16))}"}, ["law1.nodes: 16 of them, expected 1 to 15"]),
         ({"nodes": "nodes: 3.0"}, ["law1.nodes: expected a list of numbers"]),
         ({"nodes": "nodes: [0.0, 1.0, .nan]"}, ["law1.nodes and values: expected finite numbers"]),
-        ({"nodes": "nodes: [0.0, 1.0, yes]"}, ["law1.nodes", "found 'True', expected a number"]),
+        ({"nodes": "nodes: [0.0, 1.0, yes]"}, ["law1.nodes", "found 'yes', expected a number"]),
         ({"values": "values: [0.0, 0.0, 0.0]"}, ["law1.values: all are 0"]),
         ({"argument": "argument: time"}, ["law1.operator: lag, expected none with the argument time"]),
     ],

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pam_antagonist import BadInput, history, load_rig, simulate
+from pam_antagonist import BadInput, history, import_csv, load_rig, read_bag, simulate
 from pam_antagonist.__main__ import main
 from pam_antagonist.api.history import Limit, log
 from pam_antagonist.inference.trend import trend
 from pam_antagonist.recording import write_bag
+from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.logbook import Entry, append, book_of, identity, measured
 
 DAY = datetime.timedelta(days=1)
@@ -86,6 +88,52 @@ def test_identify_writes_the_log_book_beside_both_rig_files(rig_file: Path, tmp_
     assert abs(found.value - at_rest * pressure) < 4.0 * found.std
     # Found again in both files, it counts once.
     assert len(history(rig_file, logs=[tmp_path / "b" / "rig.yaml"]).book.entries) == 1
+
+
+def test_identified_and_configured_files_are_one_history(rig_file: Path, tmp_path: Path) -> None:
+    """Also where identification has moved a value farther than the files of one rig may differ, and twice."""
+    names, rigs = ["my_rig.yaml", "identified.yaml", "again.yaml"], [load_rig(rig_file)]
+    for name, pressure in zip(names[1:], (650e3, 590e3), strict=True):
+        rigs.append(rigs[0].with_value("supply.pressure", pressure))
+        write_rig(rigs[-1], tmp_path / name)
+    recording = simulate(rigs[0], duration=1.0)
+    for k in (0, 1):
+        log(
+            "identify", tmp_path / names[k], [recording.slice(0.5 * k, 1.0)], rigs[k], object(), tmp_path / names[k + 1]
+        )
+    for name, count in zip(names, (1, 2, 2), strict=True):
+        found = history(tmp_path / name).book
+        assert len(found.entries) == count and not found.notes, name
+    other = rigs[0].with_value("geometry.radius", 0.034)
+    log("check", tmp_path / names[2], [recording], other, object())
+    assert "line 3 is of another rig (geometry.radius" in history(tmp_path / names[2]).book.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("time", "expected"),
+    [
+        ("{rate: 100}", "2026-05-06 07:08"),  # when the file was written
+        ("{rate: 100, date: 2026-03-04}", "2026-03-04 00:00"),
+        ("{column: t, unit: s, date: 2026-03-04 05:06}", "2026-03-04 05:06"),
+        ("{column: t, unit: s, date: '2026-03-04T05:06+02:00'}", "2026-03-04 03:06"),
+    ],
+)
+def test_an_import_has_the_date_of_its_map_or_of_its_file(
+    rig_file: Path, tmp_path: Path, time: str, expected: str
+) -> None:
+    text = "".join(f"{k / 100},{3 + k / 100},4,5,5\n" for k in range(50))
+    (tmp_path / "trial.csv").write_text(f"t,p1,p2,u1,u2\n{text}", encoding="utf-8")
+    written = datetime.datetime(2026, 5, 6, 7, 8, tzinfo=datetime.timezone.utc).timestamp()
+    os.utime(tmp_path / "trial.csv", (written, written))
+    entries = [f"pressure_{i}: {{column: p{i}, unit: bar, reference: absolute}}" for i in (1, 2)]
+    entries += [f"valve_{i}: {{column: u{i}, unit: V}}" for i in (1, 2)]
+    (tmp_path / "map.yaml").write_text("\n".join([f"time: {time}", *entries]), encoding="utf-8")
+    recording = import_csv(tmp_path / "trial.csv", tmp_path / "map.yaml", tmp_path / "bag")
+    for one in (recording, read_bag(tmp_path / "bag")):
+        log("check", rig_file, [one], load_rig(rig_file), object())
+        (book_of(rig_file) or Path()).rename(tmp_path / "before.jsonl")
+        found = history(rig_file, logs=[tmp_path / "before.jsonl"]).book.entries
+        assert [f"{entry.when:%Y-%m-%d %H:%M}" for entry in found] == [expected]
 
 
 def test_damaged_lines_and_lines_of_another_rig_are_named_and_left_out(rig_file: Path, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.file import write_rig
 
 CASES = {
     "typo in a key": (("radius: 0.0365", "raduis: 0.0365"), ["geometry.raduis", "did you mean 'radius'"]),
@@ -25,7 +26,6 @@ CASES = {
         ["geometry.radius", "r, radius of the seesaw or pulley [m]"],
     ),
     "number for a section": (("gas:\n", "gas: 3\nother:\n"), ["other"]),
-    "date for a name": (("name: shin2022\n", "name: 2022-01-01\n"), ["name: ", "str"]),
     "duplicate key": (("radius: 0.0365", "radius: 0.0365\n  radius: 0.0400"), ["'radius'", "twice", "line 12"]),
     "duplicate section": (("supply: {", "gas: {}\nsupply: {"), ["'gas'", "twice"]),
     "gauge supply": (("710.0e+3}", "0.0}"), ["supply.pressure", "150000", "P_tank, absolute [Pa]"]),
@@ -40,7 +40,9 @@ CASES = {
     "temperature in °C": (("temperature: 293.0", "temperature: 20.0"), ["gas.temperature", "T [K]"]),
     "area in mm²": (("inflow_area: 5.184e-8", "inflow_area: 0.05184"), ["valve_1.inflow_area", "[m²]"]),
     "negative inertia": (("inertia: 4.263e-4", "inertia: -4.263e-4"), ["joint.inertia", "J [kg m²]"]),
-    "yes for a number": (("stiffness: 4.117e-4", "stiffness: yes"), ["joint.stiffness", "expected a number"]),
+    "yes for a number": (("stiffness: 4.117e-4", "stiffness: yes"), ["joint.stiffness", "'yes'"]),
+    "true for a number": (("stiffness: 4.117e-4", "stiffness: true"), ["joint.stiffness", "expected a number"]),
+    "a time for a number": (("inertia: 4.263e-4", "inertia: 0:30"), ["joint.inertia", "'0:30'"]),
     "pressure floor in kPa": (("pressure_floor: 20.0e+3", "pressure_floor: 20.0"), ["friction.pressure_floor", "[Pa]"]),
     "noise in kPa": (("pressure_std: 600.0", "pressure_std: 0.6"), ["sensors.pressure_std", "[Pa]"]),
     "an uncertainty above the value of a positive number": (
@@ -151,9 +153,20 @@ def test_null_stop_means_none(edited):
     assert rig.parameters()[rig.parameters() == float("inf")].size == 1
 
 
-def test_exponent_without_a_point_is_a_number(edited):
-    """YAML 1.1 reads 4e8 as text; it is a number to everybody else."""
-    assert load_rig(edited(("muscle: 4.0e+8", "muscle: 4e8"))).friction.muscle == 4e8
+@pytest.mark.parametrize("number", ["4e8", "400000000", "0400000000", "+4.e8", "0x17d78400"])
+def test_a_number_is_read_as_written(edited, number):
+    """YAML 1.1 reads 4e8 as text, and 0400000000 in base 8."""
+    assert load_rig(edited(("muscle: 4.0e+8", f"muscle: {number}"))).friction.muscle == 4e8
+
+
+@pytest.mark.parametrize("name", ["no", "on", "2022-01-01", "12:30"])
+def test_a_word_is_no_switch_and_a_date_is_a_text(edited, tmp_path, name):
+    rig = load_rig(edited(("name: shin2022\n", f"name: {name}\n"), ("consider: true", "consider: yes")))
+    assert rig.name == name and rig.tunings["default"].consider is True
+    # A text that looks like a number is quoted.
+    for text in (name, "1e5", "0o17", "null"):
+        write_rig(rig.replaced(name=text), tmp_path / f"{text}.yaml")
+        assert load_rig(tmp_path / f"{text}.yaml").name == text
 
 
 def test_rig_cannot_be_changed():

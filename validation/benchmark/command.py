@@ -18,7 +18,6 @@ import os
 import platform
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -31,7 +30,7 @@ from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes.processes import Process, ProcessFailed
 from pam_antagonist.optional import needs_ros
-from pam_antagonist.program import versions
+from pam_antagonist.program import started, versions
 from pam_antagonist.recording import read_bag
 from pam_antagonist.replays.accounting import account
 from pam_antagonist.report.document import Table, number
@@ -103,7 +102,7 @@ def _replay(rig: str, bag: Path | None) -> dict[str, float]:
 def _command(name: str, *arguments: str) -> float:
     """Run a command of this package as a user would; the time that it took [s]."""
     begin = time.perf_counter()
-    words = [sys.executable, "-m", "pam_antagonist", name, *arguments]
+    words = started("pam_antagonist", name, *arguments)
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise BadInput(f"{name} ended with status {done.returncode}: {done.stderr.strip()[-300:]}")

@@ -19,8 +19,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import yaml
-
 from pam_antagonist.cli import common
 from pam_antagonist.cli.common import JOBS, whole
 from pam_antagonist.errors import BadInput, NoResult
@@ -30,6 +28,7 @@ from pam_antagonist.program import versions
 from pam_antagonist.report import terminal
 from pam_antagonist.report.document import MISSING, Block, Findings, Section, Table, Text, note, number
 from pam_antagonist.strict_json import write_json
+from pam_antagonist.strict_yaml import load_bounded
 from validation import frame
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ CAUTION = (
     "estimator do not know. They show how models and estimators compare under these mismatches. They say nothing about "
     "a real joint. The paper's numbers are of its authors' real rig and stand beside ours for comparison only."
 )
-_ABOUT = yaml.safe_load((Path(__file__).parent / "experiments.yaml").read_text(encoding="utf-8"))
+_ABOUT = load_bounded((Path(__file__).parent / "experiments.yaml").read_text(encoding="utf-8"))
 _TITLES = "".join(f"  {name.ljust(14)}  {one['title']}\n" for name, one in _ABOUT.items())
 
 

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import yaml
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
@@ -21,6 +20,7 @@ from pam_antagonist.control.command import PI_MODES
 from pam_antagonist.estimation import metrics
 from pam_antagonist.report.document import percent
 from pam_antagonist.report.figure import ESTIMATE, MEASURED, MODEL, SECOND
+from pam_antagonist.strict_yaml import load_bounded
 from validation.paper import estimates, live, model
 from validation.paper.virtual import JOINT, TUNINGS, UNITS, Floats, VirtualRig, measured_of
 
@@ -178,7 +178,7 @@ _HOW: dict[str, dict[str, Any]] = {
     "control": {"of_seed": live.control, "said": _control_said, "figures": steps_figure},
     "control_live": {"of_seed": live.control_live, "once": True, "live": True},
 }
-_ABOUT = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+_ABOUT = load_bounded(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 EXPERIMENTS = {
     name: Experiment(about["title"], about["question"], tuple(_row(*row) for row in about["rows"]), **_HOW[name])
     for name, about in _ABOUT.items()
