@@ -36,6 +36,8 @@ from pam_antagonist.inference.standard_errors import settled, well_known
 from pam_antagonist.inference.starts import best_of_starts
 from pam_antagonist.recording.corrections import Corrections
 
+_FIXED = ("torque_scale",)
+"""Calibrations that are the same in all recordings. A zero may be set anew between two of them, and so may a clock."""
 _IMITATED = ("torque_scale",)
 """Calibrations that base parameters imitate exactly: muscles, inertia and friction larger by the same factor."""
 _EDGE = 1e-3
@@ -76,11 +78,22 @@ class Calibration(Hypothesis):
     @override
     def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
         found = _hidden(now.model, number) if now.model.is_at_noise else _tried(now, number)
+        found = [self._compared(now, one) if self.is_worth_taking(one) else one for one in found]
         return sorted(found, key=lambda candidate: -candidate.standing)
 
     @override
     def is_worth_taking(self, tried: TriedCandidate) -> bool:
-        return tried.shares is None or tried.is_worth_taking or tried.ends_at_noise
+        return not tried.apart and (tried.shares is None or tried.is_worth_taking or tried.ends_at_noise)
+
+    def _compared(self, now: Ranking, tried: TriedCandidate) -> TriedCandidate:
+        """A candidate with its values in all recordings, if it must be the same in all and is not."""
+        if tried.effect not in _FIXED:
+            return tried
+        model = self.take(now, tried)[1]
+        seen = {**_seen(model, tried.effect), **_seen_alone(model, tried.effect)}
+        if not contradict(list(seen.values()), of_calibration(list(seen.values()))[0]):
+            return tried
+        return replace(tried, apart={model.experiments[r].trial.name: own for r, own in seen.items()})
 
     @override
     def take(self, now: Ranking, best: TriedCandidate) -> tuple[Model, Model]:
@@ -379,6 +392,8 @@ def found(ranking: Ranking, judged: Model | None = None) -> tuple[FoundCalibrati
         by_recording = {experiments[r].trial.name: (own, errors[r]) for r, (own, _) in seen.items()}
         # The rig's uncertainty is common to all recordings: their mean is not better than the best of them.
         std = max(of_calibration(list(by_recording.values()))[1], min(errors.values()))
+        alone = _seen_alone(models[number], name)
+        by_recording |= {experiments[r].trial.name: own for r, own in alone.items()}
         # The same test with the whole standard deviation: it may be a part of an effect whose law differs on this rig.
         if abs(value) < thresholds.CERTAIN_CALIBRATION * std:
             continue
@@ -393,15 +408,30 @@ def corrections(values: Mapping[str, float]) -> Corrections:
     return Corrections(**typed)
 
 
-def differences(found: Sequence[FoundCalibration]) -> list[str]:
-    """Calibrations in which recordings contradict each other."""
-    out = []
-    for item in found:
-        if contradict(list(item.by_recording.values()), item.value):
-            own = ((name, replace(item, value=value, std=std)) for name, (value, std) in item.by_recording.items())
-            each = "; ".join(f"{name}: {one.in_words()}" for name, one in own)
-            out.append(f"the recordings differ in their calibration ({each}): correct each by itself")
+def differences(found: Sequence[FoundCalibration], ranking: Ranking | None = None) -> list[str]:
+    """Calibrations in which recordings contradict each other.
+
+    `ranking`: of the search, with calibrations that were not taken since they must be the same in all recordings.
+    """
+    out = [
+        f"the recordings differ in their calibration ({_each(item.name, item.by_recording)}): no value suits all of "
+        "them, so none is offered; correct each by itself"
+        for item in found if not item.is_shared
+    ]  # fmt: skip
+    refused = {} if ranking is None else {one.effect: one.apart for one in ranking.calibrations if one.apart}
+    out += [
+        f"the recordings contradict each other in what must be the same in all of them ({_each(name, apart)}): it "
+        "stands for something else, so no correction is offered"
+        for name, apart in refused.items()
+    ]
     return out
+
+
+def _each(name: str, by_recording: Mapping[str, tuple[float, float]]) -> str:
+    """A calibration in every recording, in words."""
+    unit = calibration.CALIBRATIONS[name].unit
+    own = ((where, FoundCalibration(name, *pair, unit, 0.0, {})) for where, pair in by_recording.items())
+    return "; ".join(f"{where}: {one.in_words()}" for where, one in own)
 
 
 def _seen(model: Model, name: str) -> dict[int, tuple[float, float]]:
@@ -409,6 +439,16 @@ def _seen(model: Model, name: str) -> dict[int, tuple[float, float]]:
     dotted = calibration.path(name)
     free = {r: fitted for r, fitted in enumerate(model.fits) if any(one.path == dotted for one in fitted.free)}
     return {r: _value(fitted, dotted) for r, fitted in free.items()}
+
+
+def _seen_alone(model: Model, name: str) -> dict[int, tuple[float, float]]:
+    """Likewise by a fit of its own in each recording that can show it and does not take over the others' value."""
+    dotted, out = calibration.path(name), {}
+    for r, (experiment, fitted) in enumerate(model.pairs):
+        offered = (one for one in experiment.calibrations(fitted.point.effects) if one.effect == name)
+        if dotted not in fitted.point.effects and (candidate := next(offered, None)) is not None:
+            out[r] = _value(_with(experiment, fitted, {dotted: 0.0}, candidate.free), dotted)
+    return out
 
 
 def _value(fitted: Fitted, dotted: str) -> tuple[float, float]:

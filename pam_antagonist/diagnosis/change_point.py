@@ -83,8 +83,8 @@ def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
     """The stretch with the strongest evidence against noise; None where there is none with strong evidence.
 
     Twice the log likelihood ratio of a stretch with n independent values of noise is n (m − 1 − log m). m is its mean
-    square over that of the noise, the latter taken as large as it may be. Begin, length and channel are chosen, so
-    twice the logarithm of the number of choices is the price (Bonferroni).
+    square over that of the noise, the latter taken as large as it may be, also where the joint rests. Begin, length and
+    channel are chosen, so twice the logarithm of the number of choices is the price (Bonferroni).
 
     `residual`: of all of it (B, C).
     """
@@ -97,7 +97,7 @@ def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
     for length in lengths:
         begin = np.unique(np.append(np.arange(0, len(residual) - length, max(length // 2, 1)), len(residual) - length))
         mean = (squares[begin + length] - squares[begin]) / length
-        ratio = np.maximum(mean / thresholds.AT_NOISE**2, 1.0)
+        ratio = _above_largest(experiment, mean, experiment.tolerated)
         gain = length / experiment.noise_memory * (ratio - 1.0 - np.log(ratio))
         looks += gain.size
         row, channel = divmod(int(np.argmax(gain)), gain.shape[1])
@@ -111,6 +111,12 @@ def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:
         experiment.trial.name, experiment.titles[channel].title, begin_block / seconds,
         (begin_block + length) / seconds, float(np.sqrt(mean_square)), evidence,
     )  # fmt: skip
+
+
+def _above_largest(experiment: Experiment, mean: Floats, unit: Floats) -> Floats:
+    """Mean squares of stretches (S, C), in squares of `unit` (C,), over the largest of noise alone; at least 1."""
+    largest = thresholds.AT_NOISE * np.maximum(experiment.noise_at_rest / unit, 1.0)
+    return np.asarray(np.maximum(mean / largest**2, 1.0))
 
 
 class Change(NamedTuple):
@@ -276,7 +282,7 @@ def _above(experiment: Experiment, residual: Floats) -> Mask:
     begin = np.arange(0, max(len(residual) - window // 2, 1), window)
     lengths = np.diff(np.append(begin, len(residual)))
     mean = np.add.reduceat((residual / experiment.noise) ** 2, begin, axis=0) / lengths[:, None]
-    ratio = np.maximum(mean / thresholds.AT_NOISE**2, 1.0)
+    ratio = _above_largest(experiment, mean, experiment.noise)
     gain = lengths[:, None] / experiment.noise_memory * (ratio - 1.0 - np.log(ratio))
     return np.asarray(np.repeat(np.max(gain, axis=1) >= thresholds.STRONG + 2.0 * np.log(gain.size), lengths))
 

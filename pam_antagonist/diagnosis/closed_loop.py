@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Place
-from pam_antagonist.diagnosis.pipeline import in_words
+from pam_antagonist.diagnosis.pipeline import in_words, left
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.splits import Firmness
@@ -47,15 +47,11 @@ class ClosedLoop(Diagnosis):
 
     @override
     def _brief(self) -> str:
-        pairs = [
-            (name, unit, getattr(self.errors.as_configured, name), getattr(self.errors.extended, name))
+        each = [
+            (name, [error_in_words(item.rmse, unit, 3) for model in self.errors.all if (item := getattr(model, name))])
             for name, unit in (("angle", "°"), ("torque", " N m"))
         ]
-        errors = [
-            f"{name} RMSE {error_in_words(a.rmse, unit, 3)} -> {error_in_words(b.rmse, unit, 3)}"
-            for name, unit, a, b in pairs
-            if a and b
-        ]
+        errors = [f"{name} RMSE {' -> '.join(values)}" for name, values in each if values]
         return "; ".join([self.verdict, *errors, self.sentence])
 
     @cached_property
@@ -108,7 +104,7 @@ class ClosedLoop(Diagnosis):
         elif self.verdict == "unexplained":
             out.append(
                 "Next: read in section What is left when the remaining residual appears and on what it depends. Until "
-                f"its cause is known, {use or keep}{': it halves all errors' if use else ''}."
+                f"its cause is known, {use or keep}."
             )
         elif use:
             out.append(f"Next: nothing to repair; {use}: it is {rig.name}, recalibrated by these recordings.")
@@ -120,8 +116,8 @@ class ClosedLoop(Diagnosis):
     def corrections(self) -> tuple[str, ...]:
         """Command line options for what was typed and what was found together; none if that is too much for them."""
         try:
-            further = calibrations.corrections({item.name: item.value for item in self.calibrations})
-            return tuple(self.typed.followed_by(further).options()) if self.calibrations else ()
+            further = calibrations.corrections({item.name: item.value for item in self.shared})
+            return tuple(self.typed.followed_by(further).options()) if self.shared else ()
         except BadInput:
             return ()
 
@@ -176,6 +172,7 @@ class ClosedLoop(Diagnosis):
                     **picked(item, "name", "value", "std", "unit"),
                     "sentence": item.in_words(),
                     "delta_bic": item.delta_bic,
+                    "shared": item.is_shared,
                     "recordings": {name: Size(*each, item.unit) for name, each in item.by_recording.items()},
                     "ambiguous_with": item.rivals,
                 }
@@ -203,7 +200,7 @@ class ClosedLoop(Diagnosis):
         """The content of a rig file: with its source, and with the calibration of its recordings."""
         names = ", ".join(own for own, _ in self.own)
         source = f"extended by close_loop from {names}; started from: {self.start.source}"
-        found = {item.name: item.value for item in self.calibrations}
+        found = {item.name: item.value for item in self.shared}
         if file.number is not None:
             own = self.own[file.number][0]
             source += f"; with the values of {own} alone"
@@ -256,9 +253,15 @@ class ClosedTrials(FoundFromPressures):
         if now is None:
             why = (self.extended or self.recalibrated).rejected
             return f"{out} Keep the rig file that you have: {why or 'no other is better on held-out data.'}"
-        after = now.pooled("identified")
-        change = "falls" if after < before else "changes"
-        return f"{out} The filter's angle error on held-out data {change} from {number(before)}° to {number(after)}°."
+        values, after = self.recalibrated.pooled("identified"), now.pooled("identified")
+        by = "with these values"
+        if now is self.extended and math.isfinite(values):
+            by = f"with {'these effects' if len(self.placed) > 1 else 'this effect'}"
+            by += f", {number(values)}° with recalibrated values alone"
+        return (
+            f"{out} The filter's angle error on held-out data is {number(before)}° as configured and {number(after)}° "
+            f"{by}."
+        )
 
     @property
     def effects(self) -> tuple[FoundEffect, ...]:
@@ -319,6 +322,7 @@ class ClosedTrials(FoundFromPressures):
                 for place, item in self.tried
             ],
             "unexplained": self.unexplained,
+            "left": [item for one in self.judged if one.verdict == "unexplained" for item in left(one)],
             "next_rig": self.next_rig,
             "rig": base.start.name,
             "recordings_sha256": self.hashes,

@@ -181,7 +181,25 @@ def is_better(base: Model, before: Model, after: Model, law: Law) -> bool:
         removes_enough = share_of_all(before, after) >= thresholds.EXPLAINED
     else:
         removes_enough = further_share(base, before, after) >= thresholds.FURTHER_SHARE
-    return evidence_held_out(before, after) >= thresholds.STRONG and removes_enough
+    takes_enough = largest_share_of_a_channel(before, after) >= thresholds.SHARE_OF_CHANNEL
+    return evidence_held_out(before, after) >= thresholds.STRONG and removes_enough and takes_enough
+
+
+def largest_share_of_a_channel(before: Model, after: Model) -> float:
+    """Share of the error over noise that is gone on held-out data, in the channel where that is most."""
+    left = [_errors_over_noise(model) for model in (before, after)]
+    return max((1.0 - left[1][name] / value for name, value in left[0].items() if value > 0.0), default=0.0)
+
+
+def _errors_over_noise(model: Model) -> dict[str, float]:
+    """Root mean square of what a model leaves of held-out data, less the noise, by channel and in its noise."""
+    found: dict[str, list[Floats]] = {}
+    for experiment, fitted in model.pairs:
+        parts = held_residual(experiment, fitted) / experiment.noise
+        for channel, values in zip(experiment.titles, parts.T, strict=True):
+            found.setdefault(channel.title, []).append(values)
+    squares = {name: np.concatenate(parts) ** 2 for name, parts in found.items()}
+    return {name: max(float(np.mean(each)) - 1.0, 0.0) ** 0.5 for name, each in squares.items() if len(each)}
 
 
 def acting(law: Law, model: Model) -> Model:

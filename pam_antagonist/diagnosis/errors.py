@@ -5,21 +5,64 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist import shown
-from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE
+from pam_antagonist.diagnosis.thresholds import AT_NOISE, ESTIMATOR_WORSE
 from pam_antagonist.estimation import metrics
 from pam_antagonist.estimation.metrics import ChannelErrors, channel_errors
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, block_noise
 
 Floats = NDArray[np.float64]
 _FILTER = "the filter's"
-_Pair = tuple[str, str, float, float]
-"""Name of an error, its unit, and the error before and after."""
+_FEWEST = 100
+"""Readings from which the noise of a sensor is told."""
+
+
+class Noise(NamedTuple):
+    """Standard deviation of one reading of each sensor by its noise; 0 where it is not known."""
+
+    angle: float = 0.0  # [deg]
+    torque: float = 0.0  # [N m]
+    pressure: float = 0.0  # of both sensors, root mean square [Pa]
+
+
+class Change(NamedTuple):
+    """One error with a rig file and with another one."""
+
+    what: str
+    unit: str
+    before: float
+    after: float
+    noise: float
+
+    @property
+    def is_of_filter(self) -> bool:
+        """Whether it is the filter's, and not that of the model alone."""
+        return self.what.startswith(_FILTER)
+
+    @property
+    def ratio(self) -> float:
+        """What is above the sensor's noise after, over what was above it before; 1 where both are at the noise.
+
+        A reading has the noise of its sensor, which no rig file takes away. An error that is no number is larger than
+        any other.
+        """
+        noise, after = self.noise, self.after
+        if not math.isfinite(after):
+            return 1.0 if math.isinf(after) and math.isinf(self.before) else math.inf
+        least = max(noise * float(np.sqrt(AT_NOISE**2 - 1.0)), 1e-12)
+        excess = (float(np.sqrt(max(rmse**2 - noise**2, 0.0))) for rmse in (after, self.before))
+        now, was = (max(value, least) for value in excess)
+        return max(now / was, 1e-12)
+
+    def in_words(self, where: str = " ") -> str:
+        """The error after and before."""
+        after, before = (shown.error_in_words(value, self.unit, 3) for value in (self.after, self.before))
+        return f"{self.what} error{where}{after}, before {before}"
 
 
 @dataclass(frozen=True)
@@ -50,6 +93,7 @@ class Errors:
     mean_rmse_pa: float | None = None  # of the mean of both pressures [Pa]; None where it was not judged
     sliding: Sliding | None = None  # of the torque; None where sliding and sticking were not separated
     innovation: Innovations | None = None
+    noise: Noise = Noise()  # of the readings that were compared
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``."""
@@ -98,57 +142,51 @@ class RigErrors:
         return cls(model, total_of(errors, samples), errors if len(errors) > 1 else ())
 
     def larger(self, now: RigErrors, share: float, of_model: float | None = None) -> tuple[str, ...]:
-        """Errors with another file that are more than a share of those with this one, in words.
+        """Errors with another file whose excess over noise is more than a share of that with this one, in words.
 
-        `share`: largest ratio of an error to the one with this file; in a single recording, chance may enlarge it.
-        `of_model`: the same for errors of the model alone; default: share.
+        `share`: largest ratio; in a single recording, chance may enlarge it. `of_model`: the same for errors of the
+        model alone; default: share.
         """
-        # An error that is no number is larger than any.
         out = {
-            what: (" ", unit, before, after)
-            for what, unit, before, after in self._pairs(now)
-            if not after <= (share if of_model is None or what.startswith(_FILTER) else of_model) * before
+            one.what: one.in_words()
+            for one in self.changes(now)
+            if one.ratio > (share if of_model is None or one.is_of_filter else of_model)
         }
-        most = max(share, ESTIMATOR_WORSE)
-        for one, other in zip(self.each, now.each, strict=False):
-            for what, unit, before, after in _pairs(_FILTER, one, other):
-                if not after <= most * before:
-                    out.setdefault(what, (" in one recording ", unit, before, after))
-        return tuple(
-            f"{what} error{where}{shown.error_in_words(after, unit, 3)}, before {shown.error_in_words(before, unit, 3)}"
-            for what, (where, unit, before, after) in out.items()
-        )
+        for before, after in zip(self.each, now.each, strict=False):
+            for one in _changes(_FILTER, before, after):
+                if one.ratio > max(share, ESTIMATOR_WORSE):
+                    out.setdefault(one.what, one.in_words(" in one recording "))
+        return tuple(out.values())
 
-    def ratio(self, now: RigErrors) -> float:
-        """Geometric mean of the ratios of errors with another file to those with this one."""
-        ratios = np.array([_finite(after) / _finite(before) for *_, before, after in self._pairs(now)])
-        of_filter = [what.startswith(_FILTER) for what, *_ in self._pairs(now)]
-        means = [float(np.exp(np.mean(np.log(some)))) for some in (ratios, ratios[of_filter]) if len(some)]
-        return max(means)
+    def deciding(self, now: RigErrors) -> list[float]:
+        """Ratios of the filter's errors with another file to those with this one; of the model's if it was not run."""
+        changes = self.changes(now)
+        return [one.ratio for one in changes if one.is_of_filter] or [one.ratio for one in changes]
 
     def in_words(self, now: RigErrors) -> str:
-        """The first error that was measured: the filter's, if it was run, of the angle, if it was measured."""
-        what, unit, before, after = self._pairs(now)[0]
-        return f"{what} error {shown.error_in_words(after, unit, 3)} instead of {shown.error_in_words(before, unit, 3)}"
+        """The error that decides and that changes most."""
+        changes = self.changes(now)
+        one = min([one for one in changes if one.is_of_filter] or changes, key=lambda one: one.ratio)
+        after, before = (shown.error_in_words(value, one.unit, 3) for value in (one.after, one.before))
+        return f"{one.what} error {after} instead of {before}"
 
-    def _pairs(self, now: RigErrors) -> list[_Pair]:
-        """Each error with this file and with another one, the most important first."""
-        out = [] if self.ukf is None or now.ukf is None else _pairs(_FILTER, self.ukf, now.ukf)
-        out += _pairs("the model's", self.model, now.model)
+    def changes(self, now: RigErrors) -> list[Change]:
+        """Each error with this file and with another one, the filter's first."""
+        out = [] if self.ukf is None or now.ukf is None else _changes(_FILTER, self.ukf, now.ukf)
+        out += _changes("the model's", self.model, now.model)
         before, after = (float(np.sqrt(np.mean(np.square(one.rmse_pa)))) / 1e3 for one in (self.model, now.model))
-        # NaN where no pressure was measured.
-        return out if np.isnan(before + after) else [*out, ("the model's pressure", " kPa", before, after)]
+        if math.isnan(before + after):  # no pressure was measured
+            return out
+        return [*out, Change("the model's pressure", " kPa", before, after, self.model.noise.pressure / 1e3)]
 
 
-def _pairs(whose: str, before: Errors, after: Errors) -> list[_Pair]:
+def _changes(whose: str, before: Errors, after: Errors) -> list[Change]:
     """The errors of angle and torque before and after, where they were measured."""
     named = ("angle", "°", before.angle, after.angle), ("torque", " N m", before.torque, after.torque)
-    return [(f"{whose} {what}", unit, old.rmse, new.rmse) for what, unit, old, new in named if old and new]
-
-
-def _finite(value: float) -> float:
-    """An error above 0, very large where the model diverges."""
-    return max(value, 1e-12) if np.isfinite(value) else 1e12
+    return [
+        Change(f"{whose} {what}", unit, old.rmse, new.rmse, getattr(before.noise, what))
+        for what, unit, old, new in named if old and new
+    ]  # fmt: skip
 
 
 def errors_of(measured: Floats, values: Floats, channels: Collection[int]) -> Errors:
@@ -164,7 +202,15 @@ def errors_of(measured: Floats, values: Floats, channels: Collection[int]) -> Er
         channel_errors(measured[:, TORQUE], values[:, TORQUE], "nm") if TORQUE in channels else None,
         pressures,
         mean if max(pressures) < math.inf else math.inf,
+        noise=_noise_of(measured),
     )
+
+
+def _noise_of(measured: Floats) -> Noise:
+    angle, torque, *pressures = (
+        block_noise(values, 1) if np.isfinite(values).sum() >= _FEWEST else 0.0 for values in measured.T
+    )
+    return Noise(float(np.degrees(angle)), torque, float(np.sqrt(np.mean(np.square(pressures)))))
 
 
 def total_of(parts: Sequence[Errors], samples: Sequence[int]) -> Errors:
@@ -192,4 +238,5 @@ def total_of(parts: Sequence[Errors], samples: Sequence[int]) -> Errors:
         channel([part.torque for part in parts]),
         (mean([part.rmse_pa[0] for part in parts], samples), mean([part.rmse_pa[1] for part in parts], samples)),
         mean([part.mean_rmse_pa or 0.0 for part in parts], samples),
+        noise=Noise(*(mean(values, samples) for values in zip(*(part.noise for part in parts), strict=True))),
     )

@@ -143,6 +143,8 @@ class TriedCandidate:
     taken: bool = False
     # the model without effects of the recordings as the candidate sees them, where it is finished; None: as they were.
     base: Model | None = None
+    # of a calibration that cannot be the same in all recordings: value and standard deviation in each of them, by name.
+    apart: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def standing(self) -> float:
@@ -208,7 +210,7 @@ class TriedCandidate:
         """Candidates that do as well, by evidence and on held-out data."""
         return tuple(
             other.effect for other in others if other is not self and self.standing - other.standing < thresholds.STRONG
-            and (other.shares is None or other.shares[0] >= thresholds.FIRST_SHARE)
+            and not other.apart and (other.shares is None or other.shares[0] >= thresholds.FIRST_SHARE)
         )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from pam_antagonist.diagnosis import (
     findings,
     held_out,
     onset,
+    remaining,
     splits,
     thresholds,
     warnings,
@@ -122,28 +123,43 @@ class Case:
     @cached_property
     def so_far(self) -> Verdict:
         """The verdict by effects that act throughout alone."""
-        if explains(self.ranking.base, self.ranking.model):
-            return "effect"
-        wrong = self.ranking.base.has_significant_excess or bool(self.stretches)
-        return "unexplained" if wrong else "none"
+        return "effect" if explains(self.ranking.base, self.ranking.model) else self.without_effects
+
+    @property
+    def without_effects(self) -> Verdict:
+        """The verdict if no effect is found."""
+        return "unexplained" if self.ranking.base.has_significant_excess or self.stretches else "none"
+
+    @cached_property
+    def _points(self) -> list[tuple[Experiment, Point]]:
+        """The recordings with their models without effects; those that were held out as a whole as configured."""
+        own = [(experiment, fitted.point) for experiment, fitted in self.ranking.base.pairs]
+        return [*own, *((other, other.origin) for other in self.group.held_out)]
 
     @cached_property
     def stretches(self) -> tuple[change_point.Stretch, ...]:
-        """Stretches, fitted or held out, in which a model without effects that need none leaves more than noise."""
+        """Stretches, fitted or held out, where the model without effects leaves more than noise.
+
+        None is looked for where the excess is significant anyway.
+        """
         base = self.ranking.base
-        if explains(base, self.ranking.model) or base.has_significant_excess:
+        if base.has_significant_excess:
             return ()
         self.work.progress("whether all data are at their noise")
-        own = ((experiment, fitted.point) for experiment, fitted in base.pairs)
-        others = ((other, other.origin) for other in self.group.held_out)
-        return tuple(s for pairs in (own, others) for s in change_point.stretches_above_noise(pairs, base.jobs))
+        return change_point.stretches_above_noise(self._points, base.jobs)
+
+    @property
+    def left(self) -> tuple[remaining.RemainingResidual, ...]:
+        """These stretches, described."""
+        recorded = {pair[0].trial.name: pair for pair in self._points}
+        return tuple(remaining.of_stretch(*recorded[one.recording], one) for one in self.stretches)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """Warnings about the model without effects."""
         base = self.ranking.base
         return (
-            *warnings.above_noise(self.stretches),
+            *warnings.above_noise(() if self.so_far == "effect" else self.stretches),
             *warnings.implausible(base),
             *agreement.base_contradictions(base, self.group.held_out if self.prepared.holds_out_recordings else ()),
         )
@@ -259,8 +275,9 @@ def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work) -> Jud
     asked = (rule.verdict(case) for rule in RULES if rule.so_far is None or rule.so_far == case.so_far)
     judged = next(one for one in asked if one is not None)
     found = calibrations.found(ranking, judged.model)
-    notes = (*calibrations.differences(found), *warnings.at_bounds(judged.model))
-    return replace(judged, calibrations=found, warnings=(*judged.warnings, *notes))
+    notes = (*calibrations.differences(found, ranking), *warnings.at_bounds(judged.model))
+    left = case.left if judged.verdict == "unexplained" else ()
+    return replace(judged, calibrations=found, left=left, warnings=(*judged.warnings, *notes))
 
 
 def _changes(case: Case) -> list[str]:
@@ -293,7 +310,7 @@ def _by_effects(case: Case, base_notes: Sequence[str]) -> Judged:
     dropped = len(model.effects) < len(needed.effects)
     if dropped:
         share = held_share(base, model)
-    nothing = Judged(group, base, ranking, "unexplained", 0.0, base)
+    nothing = Judged(group, base, ranking, case.without_effects, 0.0, base)
     if not found.effects or (dropped and not explains(base, model)):
         return replace(nothing, warnings=(*notes, *base_notes))
     notes += found.contradictions

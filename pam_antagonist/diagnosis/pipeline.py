@@ -14,12 +14,13 @@ from typing import Any, TypeVar
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis import ambiguity, held_out, rig_choice, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
-from pam_antagonist.diagnosis.errors import Errors
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate, Work
 from pam_antagonist.diagnosis.judgement import judge
 from pam_antagonist.diagnosis.models import Model, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings, prepare
+from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.remaining import describe as describe_remaining
 from pam_antagonist.diagnosis.result import (
     Ambiguity,
@@ -94,6 +95,8 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Mo
 _T = TypeVar("_T")
 _COVERED_S = 30.0
 """[s] So much of a recording says how wide the intervals are: each width that is tried takes a run of the filter."""
+_NAMED = 3
+"""Residuals that the sentence names; all of them are in a section of their own."""
 _TUNINGS = 25
 """Tunings of the estimator that are tried for each model, beginning with the rig file's."""
 
@@ -125,7 +128,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     }
     of_one_rig = rig_choice.rig_errors(prepared, models, rigs, compared, entries, settings)
     timings.end("errors")
-    remaining = tuple(item for j in judged if j.verdict != "none" for item in describe_remaining(j.model))
+    remaining = tuple(item for j in judged for item in left(j))
     timings.end("remaining residual")
     shares = [j.share for j in judged if j.effects] or [j.share for j in judged]
     as_prepared = sorted(judged, key=lambda j: [group.name for group in prepared.groups].index(j.group.name))
@@ -176,6 +179,15 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     )
     firm = splits.in_words({name: firm for j in judged for name, firm in j.firmness.items()})
     return replace(found, sentence=_sentence(found, _in_words(prepared, judged, effects), firm))
+
+
+def left(judged: Judged) -> list[RemainingResidual]:
+    """What a verdict leaves; where nothing explains it, at least the largest residual."""
+    if judged.verdict == "none":
+        return []
+    known = {(item.recording, item.channel) for item in judged.left}
+    found = describe_remaining(judged.model, judged.verdict == "unexplained" and not known)
+    return [*judged.left, *(item for item in found if (item.recording, item.channel) not in known)]
 
 
 def _with_held_out_end(judged: Judged) -> tuple[Group, Model, Model]:
@@ -342,7 +354,7 @@ def _sentence(found: Diagnosis, effects: Sequence[str], firmness: str) -> str:
     errors, share, mean_pressure = found.errors, found.share, found.driven
     each = [_errors(own, mean_pressure) for own in errors.all]
     configured, recalibrated, extended = map(_listed, each)
-    calibrated = "; ".join(item.in_words() for item in found.calibrations)
+    calibrated = "; ".join(item.in_words() for item in found.shared)
     beside = f" The recordings need a calibration: {calibrated}." if calibrated else ""
     others = "; ".join(about(name).instead(name) for name in found.ambiguous_with)
     doubts = f" The recordings do not exclude another explanation: {others}." if others else ""
@@ -363,11 +375,11 @@ def _sentence(found: Diagnosis, effects: Sequence[str], firmness: str) -> str:
             text = (
                 f"{what} The joint sticks, so the balance of its torques along the measured motion decides{gone}. The "
                 "errors there of the model that gets the commands only are "
-                f"{configured} as configured and {extended} with {these}."
+                f"{configured} as configured, {recalibrated} after recalibration and {extended} with {these}."
             )
         else:
-            change = change_in_words(errors.as_configured, errors.extended, " as configured", mean_pressure)
-            text = f"{what} With {these} the model's errors on held-out data {change}." + (f" {gone}." if gone else "")
+            text = f"{what} The model's errors on held-out data {course_in_words(errors, these, mean_pressure)}."
+            text += f" {gone}." if gone else ""
         text += beside + (f" {firmness}." if firmness else "")
         if found.reference is not None:
             straight = found.reference["angle_and_pressures"]
@@ -378,19 +390,40 @@ def _sentence(found: Diagnosis, effects: Sequence[str], firmness: str) -> str:
     if tried:
         best, name = max(tried, key=lambda item: item[0])
         gone = f"{100 * max(best, 0.0):.0f} %"
-        closest = f" The effect that comes closest, {name}, explains {gone} of that, which is not enough."
+        closest = f" The effect that comes closest, {name}, explains {gone} of the excess, which is not enough."
     return (
         "The model lacks something, and no effect of the catalogue explains it. Its errors on held-out data are "
-        f"{configured} as configured and {recalibrated} after recalibration, well above the sensors' noise.{closest}"
-        f"{beside}"
+        f"{configured} as configured and {recalibrated} after recalibration.{_above_noise(found)}{closest}{beside}"
     )
+
+
+def _above_noise(found: Diagnosis) -> str:
+    """Where, when and by how much residuals are above their noise, the clearest first."""
+    items = sorted(found.remaining, key=lambda item: (not item.is_of_sensor, -item.times_noise))
+    more = f"; {len(items) - _NAMED} more in section What is left" if len(items) > _NAMED else ""
+    block_s = found.experiments[0].trial.block_s
+    named = "; ".join(item.in_short() for item in items[:_NAMED])
+    return f" Above the sensors' noise, in means over {1e3 * block_s:.0f} ms: {named}{more}."
+
+
+def course_in_words(errors: ModelErrors, these: str, mean_pressure: bool = False) -> str:
+    """What recalibration takes off the errors, and what effects take off after it. `these`: the effects, in words."""
+    first = change_in_words(errors.as_configured, errors.recalibrated, " as configured", mean_pressure)
+    before, after = (_errors(own, mean_pressure) for own in (errors.recalibrated, errors.extended))
+    then = "to" if _falls(before, after) else "are"
+    return f"{first} by recalibration, and {then} {_listed(after)} with {these}"
+
+
+def _falls(before: Sequence[tuple[float, str]], after: Sequence[tuple[float, str]]) -> bool:
+    """Whether an error falls and none grows, as they are written."""
+    written = [(float(f"{old[0]:.2g}"), float(f"{new[0]:.2g}")) for old, new in zip(before, after, strict=True)]
+    return all(new <= old for old, new in written) and any(new < old for old, new in written)
 
 
 def change_in_words(before: Errors, after: Errors, whose: str = "", mean_pressure: bool = False) -> str:
     """How errors change from those of one model, and whose these are, to those of another one."""
     old, new = (_errors(own, mean_pressure) for own in (before, after))
-    falls = all(a[0] < b[0] for b, a in zip(old, new, strict=True))
-    return f"{'fall' if falls else 'change'} from {_listed(old)}{whose} to {_listed(new)}"
+    return f"{'fall' if _falls(old, new) else 'change'} from {_listed(old)}{whose} to {_listed(new)}"
 
 
 def _errors(own: Errors, mean_pressure: bool) -> list[tuple[float, str]]:

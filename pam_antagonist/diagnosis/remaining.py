@@ -8,7 +8,7 @@ judged on the held-out part too.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.change_point import Stretch, above_noise
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.residual_statistics import EQUATIONS, equation_errors, unit_of
+from pam_antagonist.estimation.metrics import correlation_length
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.strict_json import picked
 
@@ -132,13 +133,27 @@ class RemainingResidual:
     bands: dict[str, float]
     period: float  # about which its power lies [s]
     form: Form
-    values: Floats  # the residual (N,) where it was fitted
+    values: Floats  # the residual (N,) that is described
     around: Surroundings
+    begin_s: float = 0.0  # where it is above noise [s]
+    end_s: float = 0.0  # likewise [s]
 
     def to_json(self) -> dict[str, Any]:
         """The keys of ``report.json``: the description without the residual itself."""
-        described = picked(self, "recording", "channel", "unit", "times_noise", "depends_on", "bands")
-        return {**described, "period_s": self.period, "form": self.form}
+        described = picked(self, "recording", "channel", "unit", "times_noise", "begin_s", "end_s")
+        return {**described, **picked(self, "depends_on", "bands"), "period_s": self.period, "form": self.form}
+
+    @property
+    def is_of_sensor(self) -> bool:
+        """Whether it is the residual of a sensor, and not the error of an equation."""
+        return all(self.channel != equation.title for equation in EQUATIONS)
+
+    def in_short(self) -> str:
+        """Channel, recording, size and time."""
+        return (
+            f"{self.channel} in {self.recording}, {self.times_noise:.2g} times its noise from {self.begin_s:.0f} to "
+            f"{self.end_s:.0f} s"
+        )
 
     def line(self) -> str:
         """The description as a line."""
@@ -148,7 +163,8 @@ class RemainingResidual:
         depends = f"depends on {goes}" if goes else f"depends on none of {kinds} alone"
         band = max(self.bands, key=lambda name: self.bands[name])
         text = (
-            f"{self.recording}, {self.channel}: {self.times_noise:.1f} times the noise; {depends}; "
+            f"{self.recording}, {self.channel}: {self.times_noise:.2g} times the noise, from {self.begin_s:.0f} to "
+            f"{self.end_s:.0f} s; {depends}; "
             f"{100 * self.bands[band]:.0f} % of its power lies {_between(band)}; typical period {self.period:.1f} s"
         )
         if self.form.terms and self.form.share >= least:
@@ -163,13 +179,22 @@ def _between(band: str) -> str:
     return f"between {band.replace(' to ', ' and ')}" if " to " in band else band
 
 
-def describe(model: Model) -> list[RemainingResidual]:
-    """All residuals above the noise: of the equations of each recording, then of its sensors."""
+def describe(model: Model, clearest: bool = False) -> list[RemainingResidual]:
+    """All residuals above the noise: of the equations of each recording, then of its sensors.
+
+    `clearest`: whether the largest residual is described where none is above the noise.
+    """
+    runs = [(judged.free_run, fitted, judged) for judged, fitted in model.pairs]
+    over = [
+        recorded.times_noise(fitted.residual if recorded is judged else recorded.residual(fitted.point))
+        for recorded, fitted, judged in runs
+    ]
+    least = thresholds.AT_NOISE
+    if clearest and over:
+        least = min(least, float(max(map(np.max, over))))
     out = []
-    for judged, fitted in model.pairs:
-        recorded = judged.free_run
-        over = recorded.times_noise(fitted.residual if recorded is judged else recorded.residual(fitted.point))
-        if np.max(over) < thresholds.AT_NOISE:
+    for (recorded, fitted, _), times in zip(runs, over, strict=True):
+        if np.max(times) < least:
             continue
         experiment, point = recorded.corrected(fitted.point)
         around = surroundings(experiment, point)
@@ -178,10 +203,27 @@ def describe(model: Model) -> list[RemainingResidual]:
         whole = experiment.residual(point, whole=True)[: len(experiment.measured)]
         late = experiment.held_samples[:: experiment.trial.block][: len(whole)]
         for k, channel in enumerate(experiment.titles):
-            if over[k] >= thresholds.AT_NOISE:
-                values, step = whole[:, k] * channel.factor, experiment.trial.block_s
-                out.append(_described(experiment, channel, float(over[k]), values, late, around, step))
+            if times[k] >= least:
+                scaled = whole[:, k] * channel.factor, float(experiment.noise[k] * channel.factor)
+                out.append(_described(experiment, channel, float(times[k]), scaled, late, around))
     return out
+
+
+def of_stretch(experiment: Experiment, point: Point, stretch: Stretch) -> RemainingResidual:
+    """A residual that is above noise in one stretch only, described there. `point`: the model of the recording."""
+    experiment, point = experiment.corrected(point)
+    block = experiment.trial.block_s
+    rows = np.zeros(len(experiment.measured), dtype=bool)
+    rows[round(stretch.begin_s / block) : round(stretch.end_s / block)] = True
+    k = [channel.title for channel in experiment.titles].index(stretch.channel)
+    channel = experiment.titles[k]
+    values = replace(experiment, judged=()).residual(point, whole=True)[:, k] * channel.factor
+    scaled = values, float(experiment.noise[k] * channel.factor)
+    described = _described(experiment, channel, stretch.times_noise, scaled, ~rows, surroundings(experiment, point))
+    return replace(
+        described, begin_s=stretch.begin_s, end_s=stretch.end_s,
+        form=replace(described.form, held_out=float("nan")),
+    )  # fmt: skip
 
 
 def surroundings(experiment: Experiment, point: Point) -> Surroundings:
@@ -201,8 +243,8 @@ def _of_equations(experiment: Experiment, point: Point, around: Surroundings) ->
     for k in errors.known:
         over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]
         if over >= thresholds.CLEAR_EQUATION_ERROR:
-            step = errors.span * experiment.trial.block_s
-            out.append(_described(experiment, EQUATIONS[k], over, errors.values[:, k], late, windows, step))
+            scaled = errors.values[:, k], float(errors.noise[k])
+            out.append(_described(experiment, EQUATIONS[k], over, scaled, late, windows, errors.span))
     return out
 
 
@@ -210,11 +252,21 @@ def _described(
     experiment: Experiment,
     channel: Channel,
     over: float,
-    values: Floats,
+    scaled: tuple[Floats, float],
     late: NDArray[np.bool_],
     around: Surroundings,
-    step: float,
+    span: int = 1,
 ) -> RemainingResidual:
+    """A residual in words.
+
+    Args:
+        over: times its noise.
+        scaled: the residual (N,) of the whole recording and the standard deviation of its noise, in the channel's unit.
+        late: which of its values are not described (N,).
+        span: block means that one value covers.
+    """
+    (values, noise), step = scaled, span * experiment.trial.block_s
+    begin, end = above_noise(values[:, None], np.array([noise]))
     early, then = values[~late], around.take(~late)
     return RemainingResidual(
         recording=experiment.trial.name,
@@ -227,6 +279,8 @@ def _described(
         form=form(early, then, (values[late], around.take(late)) if late.any() else None),
         values=early,
         around=then,
+        begin_s=begin * step,
+        end_s=end * step,
     )
 
 

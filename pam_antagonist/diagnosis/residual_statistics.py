@@ -29,7 +29,6 @@ from scipy.special import ndtr, ndtri
 from pam_antagonist.diagnosis.thresholds import CHANCE
 from pam_antagonist.estimation import metrics
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.likelihood import correlation_length
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.model import dynamics, flow, integration, muscle
@@ -163,7 +162,7 @@ def row_of(
         step: between values [s].
     """
     rms = float(np.sqrt(np.mean(values**2)))
-    length = correlation_length(values)
+    length = metrics.correlation_length(values)
     enough = len(values) >= _LEAST and rms > 0.0
     lags = min(20, len(values) // 5)
     return ResidualRow(

@@ -10,7 +10,7 @@ import numpy as np
 
 from pam_antagonist.diagnosis.errors import ModelErrors, RigErrors
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
-from pam_antagonist.diagnosis.models import Model
+from pam_antagonist.diagnosis.models import Model, contradict
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import ResidualRow
@@ -48,6 +48,11 @@ class FoundCalibration:
     # value and standard deviation in each recording that shows it, by its name.
     by_recording: Mapping[str, tuple[float, float]]
     rivals: tuple[str, ...] = ()  # effects and calibrations that the recordings cannot distinguish from it
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether one value suits all recordings. If not, there is none to type."""
+        return len(self.by_recording) < 2 or not contradict(list(self.by_recording.values()), self.value)
 
     def in_words(self) -> str:
         """It in words."""
@@ -167,6 +172,7 @@ class Judged(Shown):
     # what the splits say of each effect, by its name; empty where there were no splits.
     firmness: Mapping[str, Firmness] = field(default_factory=dict)
     calibrations: tuple[FoundCalibration, ...] = ()
+    left: tuple[RemainingResidual, ...] = ()  # stretches above noise, where nothing more than these is unexplained
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -289,6 +295,11 @@ class Diagnosis(Shown):
     extended: Model
     compared: tuple[HeldOutComparison, ...]
     seconds: Mapping[str, float]
+
+    @property
+    def shared(self) -> tuple[FoundCalibration, ...]:
+        """The calibrations with one value for all recordings."""
+        return tuple(item for item in self.calibrations if item.is_shared)
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:

@@ -1,13 +1,16 @@
 """Which rig files a diagnosis writes, and which one it proposes: as configured, recalibrated or extended.
 
-All are compared on the same held-out data, by the filter and by the model alone. The best one is proposed, if the
-filter is better with it than with the user's own file. One that is worse in anything, and not better, is not written.
+All are compared on the same held-out data, by what is above the sensors' noise. The filter decides: a file is proposed
+if one of its errors is smaller than with the user's own file and none is larger. The model alone may not become much
+worse. A file that is worse in anything, and not better, is not written.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from pam_antagonist.diagnosis import held_out
 from pam_antagonist.diagnosis.agreement import common_point
@@ -21,7 +24,7 @@ from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
 
 _HALF = 0.5
-"""Parameters that were fitted without the effect that is there were fitted to anything: every error has to halve."""
+"""Parameters that were fitted without the effect that is there were fitted to anything: an error has to halve."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +44,13 @@ class RigFile:
 
     @property
     def ratio(self) -> float:
-        """Errors with this file over those as configured, see :meth:`RigErrors.ratio`."""
-        return 1.0 if self.before is None or self.now is None else self.before.ratio(self.now)
+        """Geometric mean of the errors that decide with this file over those as configured."""
+        known = () if self.before is None or self.now is None else self.before.deciding(self.now)
+        return float(np.exp(np.mean(np.log(known)))) if len(known) else 1.0
 
     @property
     def gain(self) -> str:
-        """The error that matters most, with this file and as configured, in words."""
+        """The error that decides and changes most, with this file and as configured, in words."""
         return "" if self.before is None or self.now is None else self.before.in_words(self.now)
 
     def is_better(self, explained: bool) -> bool:
@@ -54,11 +58,10 @@ class RigFile:
 
         `explained`: whether it has what explains the recordings: an effect, or nothing more.
         """
-        if self.before is None or self.now is None:
+        if self.before is None or self.now is None or self.before.larger(self.now, MARGIN, ESTIMATOR_WORSE):
             return False
-        if not explained:
-            return not self.before.larger(self.now, _HALF)
-        return self.ratio * MARGIN < 1.0 and not self.before.larger(self.now, MARGIN, ESTIMATOR_WORSE)
+        best = min(self.before.deciding(self.now))
+        return best * MARGIN < 1.0 if explained else best <= _HALF
 
     def is_fit(self, explained: bool) -> bool:
         """Whether the file may be written: nothing is worse with it, or it is better in all.
@@ -149,7 +152,7 @@ def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> Ri
     elif common and (why := refusal(extended)):
         no_common = f"no command would read it ({why})"
     elif common and not explained and not extended.is_better(explained):
-        no_common = f"nothing is explained, and the recalibrated rig does not halve every error of {name}"
+        no_common = f"nothing is explained, and the recalibrated rig halves no error of {name} that is above noise"
     common = [file for file in common if not (no_common if file is extended else refusal(file))]
     better = [file for file in common if file.is_better(explained and file is extended)]
     proposed = min(better, key=lambda file: file.ratio, default=None)

@@ -93,7 +93,8 @@ def at_bounds(model: Model) -> list[str]:
                 if free.item.is_size
                 else "the recording does not show how much further the value is; the standard error has no meaning"
             )
-            out.append(f"{name} ends at its bound, {value:g} {free.item.unit}, in {experiment.trial.name}: {meaning}")
+            what = f"{name} ends at its bound, {value:g} {free.item.unit}, in {experiment.trial.name}"
+            out.append(f"{what} ({free.item.meaning}): {meaning}")
     return out
 
 

@@ -36,6 +36,8 @@ FloatArray = NDArray[np.float64]
 
 EXACT = Reading()
 """A reference without error."""
+_SHORTEST = 10.0
+"""A series has at least so many of them for its correlation length to be estimated."""
 _EVEN = 200.0
 """If half a step of a converter exceeds so many standard deviations of the normal error, only the step counts."""
 
@@ -236,6 +238,31 @@ def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
     return out
 
 
+def correlation_length(residual: FloatArray) -> float:
+    """Values of a series per independent one: 1 + 2 Σ ρ_k over the initial positive pairs (Geyer 1992).
+
+    `residual`: (N,), NaN where there is nothing. Returns at least 1, at most a tenth of the series.
+    """
+    known = np.isfinite(residual)
+    rho = _lagged(np.where(known, residual, 0.0))
+    if rho[0] <= 0.0:
+        return 1.0
+    if not known.all():
+        # Each lag as if all its pairs were there.
+        whole = np.arange(len(rho), 0, -1) / len(rho)
+        rho = rho * whole / np.maximum(_lagged(known.astype(float)) / known.sum(), 0.5 / known.sum())
+    pairs = (rho[1:-1:2] + rho[2::2][: len(rho[1:-1:2])]) / rho[0]
+    ends = np.flatnonzero(pairs <= 0.0)
+    total = float(pairs[: ends[0] if len(ends) else len(pairs)].sum())
+    return float(np.clip(1.0 + 2.0 * total, 1.0, max(1.0, len(residual) / _SHORTEST)))
+
+
+def _lagged(series: FloatArray) -> FloatArray:
+    """Sums of products of a series (N,) with itself, by lag (N,)."""
+    power = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
+    return np.asarray(np.fft.irfft(power)[: len(series)])
+
+
 def largest_autocorrelation(series: ArrayLike, lags: int = 20) -> float:
     """Largest autocorrelation of any column over the lags, with its sign.
 
@@ -292,6 +319,8 @@ class ChannelErrors:
     width: float | None = None
     delay_s: float | None = None  # delay of the estimated external torque [s]; None for other channels
     mean: float | None = None  # mean error, in the unit; not in ``report.json``
+    # independent values among those that the coverage counts; None likewise.
+    independent: float | None = None
 
     def to_json(self) -> dict[str, float]:
         """``rmse_deg`` or ``rmse_nm``, and so on."""
@@ -347,13 +376,23 @@ def channel_errors(
     if variance is None and has_diverged(value):
         return ChannelErrors(unit, math.inf, math.inf, math.inf)  # a model that diverged has no error that is a number
     error, scale = value - measured, math.degrees(1.0) if unit == "deg" else 1.0
-    size, covered, width = rmse(error), None, None
+    size, covered, width, independent = rmse(error), None, None, None
     if variance is not None:
+        half = interval_half_width(variance, reading)
         covered = coverage(error, variance, reading)
-        width = rmse(interval_half_width(variance, reading)) / size if size > 0.0 else None
+        width = rmse(half) / size if size > 0.0 else None
+        inside = np.where(np.isfinite(error) & np.isfinite(half), np.abs(error) <= half, np.nan)
+        independent = _independent(inside)
     largest, ratio = max_error(error) * scale, estimation_ratio(error, measured)
     mean = None if math.isnan(size) else float(np.mean(_finite(error))) * scale
-    return ChannelErrors(unit, size * scale, largest, ratio, covered, width, mean=mean)
+    return ChannelErrors(unit, size * scale, largest, ratio, covered, width, mean=mean, independent=independent)
+
+
+def _independent(inside: FloatArray) -> float:
+    """How many independent values a series (N,) has: 1 inside of the interval, 0 outside, NaN where nothing is."""
+    known = np.isfinite(inside)
+    count = int(known.sum())
+    return count / correlation_length(inside - inside[known].mean()) if count else 0.0
 
 
 def pressure_errors(measured: FloatArray, value: FloatArray) -> PressureErrors:

@@ -33,6 +33,8 @@ _HIGHEST = 2e6
 """[Pa] Highest pressure that a rig file can hold."""
 _VOLTAGE = 0.05
 """Part of a valve's range by which a reading may lie beyond it."""
+MOST_VOLTS = 24.0
+"""[V] Numbers up to the usual supply of a valve may be volts, and no other unit."""
 _ANY = (-1e300, 1e300)
 _RANGE = math.radians(25.0)
 """[rad] Range of a sealed joint without a stop."""
@@ -111,6 +113,8 @@ def complaint(limits: NDArray[np.float64], drive: str, pressure: np.ndarray, com
 
 def _hint(value: float, low: float, high: float, valve: bool) -> str:
     """The unit that a value may be in."""
+    if valve and value <= MOST_VOLTS:
+        return ""
     factors = {"mV": 1e-3, "percent": 0.01 * high} if valve else _UNITS
     units = [unit for unit, factor in factors.items() if low <= value * factor <= high]
     return f"; it looks like {' or '.join(units)}" if units and value > 0.0 else ""

@@ -43,6 +43,7 @@ class EpisodesIdentified:
     errors: Mapping[str, tuple[Interval, Interval]]
     regulators: RegulatorsFound | None
     counts: tuple[int, int, int]
+    is_fair: bool = True  # whether the rig file as given may be compared with this one on these episodes
 
     @property
     def rejected(self) -> str:
@@ -50,7 +51,7 @@ class EpisodesIdentified:
         before, now = (self.errors[name][0].value for name in ("as configured", "identified"))
         if complaint := refusal(self.rig):
             return f"the values that fit best are impossible ({complaint})."
-        if now <= WORSE * before:
+        if now <= WORSE * before or not self.is_fair:
             return ""
         return (
             f"the error of the angle on later episodes is {number(now)}°, with the rig file as given "
@@ -95,7 +96,7 @@ def identify(
         name: (_error(joint.take(held.later), one), _error(joint.take(held.interleaved), one))
         for name, one in (("as configured", joint.as_configured), ("identified", model))
     }
-    found = moved(joint.rig, joint.values(model))
+    found = moved(joint.rig, joint.values(model)).replaced(identified=joint.name)
     regulators = None
     if np.isfinite(joint.command).all():
         regulators = of_commands(joint, held, progress)
@@ -106,7 +107,13 @@ def identify(
             f"{joint.name}: the values that fit it best are impossible: {complaint}; does the joint move enough?"
         )
     counts = len(held.pool), len(held.later), len(held.interleaved)
-    return EpisodesIdentified(joint.rig, found, fitted.intervals(model), errors, regulators, counts)
+    values = fitted.intervals(model)
+    return EpisodesIdentified(joint.rig, found, values, errors, regulators, counts, is_fair(joint))
+
+
+def is_fair(joint: PressureDriven) -> bool:
+    """Whether the rig file was not fitted to this recording before: then held-out episodes compare it with others."""
+    return joint.name not in joint.rig.identified.split(", ")
 
 
 def _start(joint: PressureDriven) -> EpisodeModel:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.identification.result import Held
-from pam_antagonist.replays.result import ANGLE, CHANNELS, Channel, ReplayReport, judged
+from pam_antagonist.replays.result import ANGLE, CHANNELS, Channel, ReplayReport, covered
 from pam_antagonist.rig.physical import is_positive
 from pam_antagonist.rig.units import readable
 from pam_antagonist.shown import number
@@ -61,8 +61,8 @@ def entry(held: Held) -> dict[str, Any]:
 
 
 def pooled_coverage(every: Iterable[Held], rig: str = "identified") -> float:
-    """Mean coverage of a rig's 95 % interval over recordings and channels; NaN without measurements."""
-    shares = [item.coverage for held in every if rig in held.reports for item in judged(held.reports[rig])]
+    """Mean coverage of a rig's 95 % interval over recordings and estimated quantities; NaN without measurements."""
+    shares = [item.coverage for held in every if rig in held.reports for item in covered(held.reports[rig])]
     return sum(shares) / len(shares) if shares else math.nan
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 BLOCK = 10
 """Episodes in a block, which are drawn together: if a rig drifts, neighbouring episodes have similar errors."""
@@ -22,7 +21,7 @@ CHANCE = 0.05
 
 
 class Interval(NamedTuple):
-    """A value and its 95 % interval."""
+    """A value and its 95 % interval; NaN at both ends where the episodes do not determine the value."""
 
     value: float
     low: float
@@ -30,18 +29,32 @@ class Interval(NamedTuple):
 
     @classmethod
     def of(cls, value: float, draws: Floats, chance: float = CHANCE) -> Interval:
-        """The interval of a bootstrap. `draws`: its value in each draw (D,)."""
+        """The interval of a bootstrap.
+
+        A step along parameters that replace each other, or into a bound, may lead away from the value in all draws.
+        Then they tell nothing about its error.
+
+        `draws`: its value in each draw (D,).
+        """
         low, high = np.quantile(draws, [0.5 * chance, 1.0 - 0.5 * chance])
-        return cls(float(value), float(low), float(high))
+        rounding = 1e-9 * max(abs(value), float(np.max(np.abs(draws))))
+        if not low - rounding <= value <= high + rounding:
+            return cls(float(value), np.nan, np.nan)
+        return cls(float(value), min(float(low), float(value)), max(float(high), float(value)))
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is an interval."""
+        return bool(np.isfinite(self.low) and np.isfinite(self.high))
 
 
-def drawn(episodes: int, seed: int = 0) -> Indices:
-    """Episodes of each draw of a bootstrap of blocks (DRAWS, about E)."""
+def drawn(episodes: int, seed: int = 0) -> Floats:
+    """How often each episode is in each draw of a bootstrap of blocks (DRAWS, E)."""
     blocks = max(round(episodes / BLOCK), min(episodes, _LEAST_BLOCKS))
     edges = np.linspace(0, episodes, blocks + 1).round().astype(int)
-    size = int(np.min(np.diff(edges)))
     which = np.random.default_rng(seed).integers(0, blocks, (DRAWS, blocks))
-    return np.asarray((edges[which][:, :, None] + np.arange(size)).reshape(DRAWS, -1))
+    times = np.stack([np.bincount(draw, minlength=blocks) for draw in which])
+    return np.repeat(times, np.diff(edges), axis=1).astype(np.float64)
 
 
 def steps(spans: Sequence[tuple[int, int]], slopes: Floats, left: Floats, seed: int = 0) -> Floats:
@@ -55,7 +68,7 @@ def steps(spans: Sequence[tuple[int, int]], slopes: Floats, left: Floats, seed: 
     squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
     pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
     draws = drawn(len(spans), seed)[:_STEPS]
-    return np.array([-np.linalg.lstsq(squares[d].sum(axis=0), pulls[d].sum(axis=0), rcond=None)[0] for d in draws])
+    return np.array([-np.linalg.lstsq(np.tensordot(d, squares, 1), d @ pulls, rcond=None)[0] for d in draws])
 
 
 def rmse(sums: Floats, counts: Floats) -> Interval:
@@ -64,7 +77,7 @@ def rmse(sums: Floats, counts: Floats) -> Interval:
     `sums`: squared errors of each episode (E,) [rad²]. `counts`: number of values of each episode (E,).
     """
     draws = drawn(len(sums))
-    spread = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
+    spread = np.sqrt((draws @ sums) / (draws @ counts))
     return Interval.of(np.degrees(np.sqrt(sums.sum() / counts.sum())), np.degrees(spread))
 
 
@@ -75,5 +88,5 @@ def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
     for it.
     """
     draws = drawn(len(first))
-    spread = first[draws].sum(axis=1) / second[draws].sum(axis=1)
+    spread = (draws @ first) / (draws @ second)
     return Interval.of(first.sum() / second.sum(), spread, CHANCE / offered)

@@ -158,6 +158,11 @@ class Experiment(Driven):
         return 1.0
 
     @property
+    def noise_at_rest(self) -> Floats:
+        """Largest root mean square that the sensors' noise has over a stretch in which the joint rests (C,)."""
+        return self.noise
+
+    @property
     def tolerated(self) -> Floats:
         """Root mean square error of each channel that does not call a model wrong (C,): the sensors' noise."""
         return self.noise

@@ -13,43 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.estimation.metrics import correlation_length
+
 Floats = NDArray[np.float64]
 
 ERROR_S = 1.0
 """[s] What a model lacks moves with the commands: a fit counts one independent error a second and channel."""
 BLOCKS_PER_ERROR = 50.0
 """[blocks] The same in blocks of 20 ms."""
-_SHORTEST = 10.0
-"""A series has at least so many of them for its correlation length to be estimated."""
 _QUIET = 1.5
 """The mean square of a stretch of noise alone, over its variance, is hardly ever more."""
 _FULL = 20.0
 """[dB] A stretch is explained where the error falls to a tenth: no law has quite the form of what is there."""
-
-
-def correlation_length(residual: Floats) -> float:
-    """Blocks per independent value: 1 + 2 Σ ρ_k over the initial positive pairs (Geyer 1992).
-
-    `residual`: (B,), NaN where there is nothing. Returns at least 1, at most a tenth of the series.
-    """
-    known = np.isfinite(residual)
-    rho = _lagged(np.where(known, residual, 0.0))
-    if rho[0] <= 0.0:
-        return 1.0
-    if not known.all():
-        # Each lag as if all its pairs were there.
-        whole = np.arange(len(rho), 0, -1) / len(rho)
-        rho = rho * whole / np.maximum(_lagged(known.astype(float)) / known.sum(), 0.5 / known.sum())
-    pairs = (rho[1:-1:2] + rho[2::2][: len(rho[1:-1:2])]) / rho[0]
-    ends = np.flatnonzero(pairs <= 0.0)
-    total = float(pairs[: ends[0] if len(ends) else len(pairs)].sum())
-    return float(np.clip(1.0 + 2.0 * total, 1.0, max(1.0, len(residual) / _SHORTEST)))
-
-
-def _lagged(series: Floats) -> Floats:
-    """Sums of products of a series (B,) with itself, by lag (B,)."""
-    power = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
-    return np.asarray(np.fft.irfft(power)[: len(series)])
 
 
 @dataclass(frozen=True, eq=False)

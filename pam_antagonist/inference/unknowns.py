@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pam_antagonist.inference.likelihood import correlation_length
+from pam_antagonist.estimation.metrics import correlation_length
 from pam_antagonist.inference.threads import side_by_side
 
 Floats = NDArray[np.float64]

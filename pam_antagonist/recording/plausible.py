@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
+from ..estimation.possible import MOST_VOLTS
 
 Floats = NDArray[np.float64]
 
@@ -239,8 +240,9 @@ def refusal(where: str, signal: Signal) -> BadInput:
         if not hint and np.all(finite == finite[0]):
             hint = "; it is the same throughout: is the sensor connected?"
     elif quantity == "voltage":
-        hint = _looks_like(signal)
-        if signal.unit == "V" and 24.0 < _top(np.abs(si)) <= 100.0:
+        # What is a little beyond the range is a voltage of another valve, and no other unit.
+        hint = "" if signal.unit == "V" and _top(np.abs(si)) <= MOST_VOLTS else _looks_like(signal)
+        if signal.unit == "V" and MOST_VOLTS < _top(np.abs(si)) <= 100.0:
             hint = f"; {_top(np.abs(si)):.3g} looks like percent" + (": give scale: 0.1" if signal.mapped else "")
         if not hint and signal.mapped:
             hint = "; give scale and offset where a column holds something else, such as percent"

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,8 +233,10 @@ class Channel(NamedTuple):
 ANGLE, TORQUE = Channel("angle", "°"), Channel("torque", "N m")
 CHANNELS = (ANGLE, TORQUE)
 """Channels that are estimated from the pressures."""
-HIGH_COVERAGE = 0.98
-"""Coverage of a 95 % interval above which the interval may be too wide."""
+LEAST_COVERAGE, HIGH_COVERAGE = 0.92, 0.98
+"""Range of the coverage in which a 95 % interval is right."""
+_ONE_SIDED = 1.645
+"""Standard deviations below which 95 % of normal values lie."""
 WIDE = 2.0 * 1.96
 """A 95 % interval is wide if its half width over the RMS error is larger: the claimed error is twice the real one."""
 
@@ -251,10 +253,36 @@ class Judged(NamedTuple):
         """Share of the measured values in the filter's 95 % interval."""
         return math.nan if self.ukf.coverage95 is None else self.ukf.coverage95
 
+
+Honesty = Literal["honest", "too small", "larger than needed", "not told"]
+
+
+class Covered(NamedTuple):
+    """An estimated quantity that was measured as well, with the coverage of its 95 % interval."""
+
+    what: str
+    errors: ChannelErrors
+    coverage: float
+
     @property
-    def wide(self) -> bool:
-        """Whether the filter's 95 % interval is too wide for its errors."""
-        return self.coverage > HIGH_COVERAGE and self.ukf.width is not None and self.ukf.width > WIDE
+    def honesty(self) -> Honesty:
+        """Whether its variance is right.
+
+        Coverage below the range says that it is too small, unless so few independent errors have it by chance.
+        """
+        if self.coverage >= LEAST_COVERAGE:
+            wide = self.coverage > HIGH_COVERAGE and (self.errors.width or 0.0) > WIDE
+            return "larger than needed" if wide else "honest"
+        count = math.inf if self.errors.independent is None else max(self.errors.independent, 1.0)
+        return "too small" if self.coverage < 0.95 - _ONE_SIDED * math.sqrt(0.95 * 0.05 / count) else "not told"
+
+
+def covered(report: ReplayReport) -> list[Covered]:
+    """Every estimated quantity that was measured, the external torque as well."""
+    pairs = [(item.channel.name, item.ukf) for item in judged(report)]
+    pairs += [("external torque", item) for item in [report.ukf.external_torque] if item is not None]
+    known = ((what, errors, errors.coverage95) for what, errors in pairs)
+    return [Covered(what, errors, share) for what, errors, share in known if share is not None and math.isfinite(share)]
 
 
 def judged(report: ReplayReport) -> list[Judged]:

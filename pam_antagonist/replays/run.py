@@ -48,6 +48,7 @@ from pam_antagonist.replays.result import (
     Timing,
 )
 from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
+from pam_antagonist.rig.units import unread_signals
 
 FloatArray = NDArray[np.float64]
 
@@ -324,6 +325,7 @@ def _judged(
                 *_sealed(recording, rig),
                 *_other_joint(recording, rig),
                 *filter(None, [seen_in_words(recording, rig.fitted, rig.name)]),
+                *unread(rig),
             ),
             _rigs(recording, rig),
         ),
@@ -338,6 +340,11 @@ def _judged(
         live_without=None,
         timing=Timing(0.0, 0.0, 0.0, 0.0),
     )
+
+
+def unread(rig: Rig) -> list[str]:
+    """Issue for a rig with effects that depend on further signals, which the filter does not read."""
+    return [f"rig {rig.name}: {unread_signals(rig.signals)}"] if rig.signals else []
 
 
 def _live(recording: Recording, run: EstimateRun, planned: Plan, begin_ns: int | None) -> LiveComparison | None:

@@ -40,12 +40,16 @@ from pam_antagonist.shown import MISSING, number, percent
 
 _KICKER = "Closing the loop with measured data"
 _FEW_WORDS = 300
-"""Longest list of what the recordings cannot show [characters] that is among the findings."""
+"""Longest list of what the recordings cannot show [characters] that is among the findings where nothing was found."""
 _TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
 _CERTAIN = 0.05
 _SHOWN = 10
 """Effects in the table of what was tried on short trials."""
+_EVIDENCE = (
+    "Evidence: twice the gain in log-likelihood of a fit, less a price for each parameter (ΔBIC); above "
+    f"{thresholds.STRONG:g} is strong."
+)
 _STATISTICS = (
     "On held-out data. Sensors: measurement minus model, which starts with the recording and gets the voltages only. "
     "Equations: errors of flow, torque and motion, where the model starts again from the measurement every fifth of a "
@@ -82,7 +86,7 @@ class DiagnoseResult(ClosedLoop, Result):
             title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in self.calibrations)
         first, *others = said.residuals(self) if figures else (None,)
         unseen = tuple(map(note, self.unseen))
-        few = unseen if sum(map(len, self.unseen)) <= _FEW_WORDS else ()
+        few = unseen if self.verdict == "none" and sum(map(len, self.unseen)) <= _FEW_WORDS else ()
         parts: list[Block] = [
             Tiles(_tiles(self)),
             Findings((*said.calibration_findings(self), *said.findings(self), *few, *map(note, self.next_steps))),
@@ -187,12 +191,9 @@ def ranking_table(result: ClosedLoop) -> Table:
         for item in result.ranking
         if item.round == 1 or item.delta_bic is not None
     )
-    header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "ΔBIC", "held-out share")
-    caption = (
-        "Score: evidence to first order, on both muscles and on each alone. ΔBIC: evidence after a fit in full "
-        "simulation, for candidates with a high score."
-    )
-    return Table(header, rows, caption)
+    header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "evidence", "held-out share")
+    caption = "The score is the evidence to first order, on both muscles and on each alone."
+    return Table(header, rows, caption, legend=f"{_EVIDENCE} Held-out share: of the excess over noise.")
 
 
 def sizes_table(effects: Sequence[FoundEffect]) -> Table:
@@ -202,12 +203,13 @@ def sizes_table(effects: Sequence[FoundEffect]) -> Table:
             f"{effect.name}{f', muscle {effect.muscle}' if effect.muscle else ''}: {name} [{unit.name}]",
             number(size.value * unit.scale),
             number(size.std * unit.scale, 2),
+            said.meaning_of(effect.name, name),
         )
         for effect in effects
         for name, size in effect.parameters.items()
         for unit in [readable(size.unit, size.value)]
     )
-    return Table(("Parameter", "value", "std. error"), rows, "What was found")
+    return Table(("Parameter", "value", "std. error", "what it is"), rows, "What was found")
 
 
 def calibration_table(result: ClosedLoop) -> Table:
@@ -220,7 +222,7 @@ def calibration_table(result: ClosedLoop) -> Table:
         for item in result.calibrations
     )  # fmt: skip
     caption = "How much too high a sensor reads, or how much too early it is stamped. The joint itself is right."
-    return Table(("Calibration", "value", "std. error", "ΔBIC", "by recording"), rows, caption)
+    return Table(("Calibration", "value", "std. error", "evidence", "by recording"), rows, caption, legend=_EVIDENCE)
 
 
 def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
@@ -230,7 +232,8 @@ def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
         if result.share is not None:
             out.append(Tile("Explained", percent(result.share), "of the excess over noise on held-out data"))
         values = " and ".join(f"{value:.0f}" for value in evidence.values())
-        out.append(Tile(f"Evidence for {', '.join(evidence)}".replace("_", " "), values, "ΔBIC; above 6 is strong"))
+        strong = f"twice the gain in log-likelihood less a price; above {thresholds.STRONG:g} is strong"
+        out.append(Tile(f"Evidence for {', '.join(evidence)}".replace("_", " "), values, strong))
     if (splits := result.splits) is not None:
         sure = f"{splits.agree} of {splits.of}"
         out.append(Tile("How sure", sure, "splits into fitted and held-out parts agree"))
@@ -243,7 +246,7 @@ def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
             out += _change(f"{channel.title} error, pressures alone", channel, ukf)
     else:
         for channel in CHANNELS:
-            out += _change(f"{channel.title} error (RMS)", channel, errors)
+            out += _change(f"{channel.title} error (RMS)", channel, errors, by_effects=bool(result.effects))
     both = (errors.as_configured, errors.extended)
     means = [model.mean_rmse_pa for model in both if result.driven and model.mean_rmse_pa is not None]
     label = "Error of the mean pressure" if len(means) == len(both) else "Larger pressure error"
@@ -253,12 +256,14 @@ def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
     return (*out, Tile(label, f"{number(now * unit.scale, 2)} {unit.name}", before))
 
 
-def _change(label: str, channel: Channel, errors: ModelErrors, more: str = "") -> list[Tile]:
-    """RMSE of a channel, as configured and extended; none where it was not measured."""
-    before, after = (getattr(model, channel.name) for model in (errors.as_configured, errors.extended))
-    if before is None or after is None:
+def _change(label: str, channel: Channel, errors: ModelErrors, more: str = "", by_effects: bool = False) -> list[Tile]:
+    """RMSE of a channel with each model; none where it was not measured."""
+    before, base, after = (getattr(model, channel.name) for model in errors.all)
+    if before is None or base is None or after is None:
         return []
-    return [Tile(label, channel.write(after.rmse), f"as configured {channel.write(before.rmse)}{more}")]
+    was = f"as configured {channel.write(before.rmse)}"
+    was += f", recalibrated {channel.write(base.rmse)}" if by_effects else ""
+    return [Tile(label, channel.write(after.rmse), f"{was}{more}")]
 
 
 def _laws(result: ClosedLoop) -> tuple[Block, ...]:
@@ -380,7 +385,8 @@ def _tried(diagnosis: FoundFromPressures) -> Table:
         for place, item in diagnosis.tried[:_SHOWN]
     )
     caption = (
-        f"An effect is taken if its held-out evidence is {number(thresholds.STRONG)} or more, both together "
+        f"An effect is taken if its evidence on held-out data is {number(thresholds.STRONG)} or more, both together "
         f"{number(thresholds.TAKEN)}, and if it explains enough of the excess over noise."
     )
-    return Table(("Effect", "acts on", "explains, held-out", "ΔBIC", "held-out evidence", ""), rows, caption)
+    header = ("Effect", "acts on", "explains, held-out", "evidence", "on held-out data", "")
+    return Table(header, rows, caption, legend=_EVIDENCE)

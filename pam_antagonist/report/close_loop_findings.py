@@ -81,9 +81,9 @@ def findings(result: ClosedLoop) -> tuple[Finding, ...]:
 
 def calibration_findings(result: ClosedLoop) -> tuple[Finding, ...]:
     """The calibrations that the recordings need, with command line options."""
-    if not result.calibrations:
+    if not result.shared:
         return ()
-    what = sentence("; ".join(item.in_words() for item in result.calibrations))
+    what = sentence("; ".join(item.in_words() for item in result.shared))
     if not result.corrections:
         return (warn(f"{what} Together with the options given, that is too much."),)
     text = f"{what} To correct that, add `{' '.join(result.corrections)}` to every command that reads these recordings."
@@ -101,7 +101,7 @@ def _compared(item: Ambiguity | None) -> str:
     mine, other = (number(value, 2) for value in item.residual)
     text = (
         f" {'as' if item.ambiguous else 'than'} {item.found}: {item.found} leaves {mine} {item.unit}, {item.other} "
-        f"{other} {item.unit} (RMS; ΔBIC {item.evidence:.1f}). They were compared {item.about.rstrip('.')}"
+        f"{other} {item.unit} (RMS; evidence {item.evidence:.1f}). They were compared {item.about.rstrip('.')}"
     )
     if item.size == item.size and item.ambiguous:
         text += f". In this comparison, {item.found} is {number(item.size, 2)} {item.size_unit}"
@@ -111,10 +111,10 @@ def _compared(item: Ambiguity | None) -> str:
 def assumed(result: ClosedLoop) -> tuple[tuple[str, str], ...]:
     """Assumptions of the diagnosis."""
     needed = (
-        f"An effect needs a ΔBIC of {thresholds.STRONG:g}. The first effect has to explain "
+        f"An effect needs an evidence (ΔBIC) of {thresholds.STRONG:g}. The first effect has to explain "
         f"{100 * thresholds.FIRST_SHARE:.0f} % of the excess over noise on held-out data. Each further effect has to "
         f"explain {100 * thresholds.FURTHER_SHARE:.0f} % of the whole excess, and all effects together "
-        f"{100 * thresholds.EXPLAINED:.0f} %. The threshold of the ΔBIC comes from statistics, the shares from "
+        f"{100 * thresholds.EXPLAINED:.0f} %. The threshold of the evidence comes from statistics, the shares from "
         "simulated joints."
     )
     page = "close_loop of a driven joint, assumed" if result.driven else "close_loop, assumed"
@@ -182,13 +182,19 @@ def profiles(sizes: Sequence[SizeProfile]) -> tuple[Figure, ...]:
         )
         at = dict(zip(item.values, item.rise, strict=True))
         about = (
-            "The number is held at each value and everything else is fitted again. Values below the dashed line lie in "
-            f"the 95 % interval. At half the size the rise is {number(at[0.5 * item.value])}, at size 0 it is "
-            f"{number(at[0.0])}."
+            f"{item.parameter}: {meaning_of(*item.parameter.split('.'))}. The number is held at each value and "
+            "everything else is fitted again. Values below the dashed line lie in the 95 % interval. "
+            f"At half the size the rise is {number(at[0.5 * item.value])}, at size 0 it is {number(at[0.0])}."
         )
         panel = Panel(Axis(f"{item.parameter} [{unit.name}]"), Axis("Rise of −2 log posterior [-]"), parts, 206)
         out.append(Figure(f"Profile likelihood of {item.parameter} ({item.recording})", about, (panel,)))
     return tuple(out)
+
+
+def meaning_of(effect: str, parameter: str) -> str:
+    """What a parameter of the catalogue is; of a learned law, a value of its table."""
+    known = CATALOGUE[effect].parameters if effect in CATALOGUE else ()
+    return next((item.meaning for item in known if item.name == parameter), "value of the law")
 
 
 def laws(effects: Sequence[FoundEffect]) -> tuple[Figure, ...]:

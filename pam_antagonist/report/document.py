@@ -34,6 +34,7 @@ class Table:
     best: tuple[frozenset[int], ...] = ()  # for each row, the columns with the best value (bold in HTML)
     prose: bool = False  # whether the cells are left-aligned text instead of numbers
     last: int = 0  # rows that a terminal shows, the last ones; 0 for all
+    legend: str = ""  # what its words mean, which a terminal shows as well
 
     def __post_init__(self) -> None:
         """Check the shape."""

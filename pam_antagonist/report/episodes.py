@@ -35,7 +35,7 @@ from pam_antagonist.report.result import DataFrame, Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.learned import Law, laws_of, value_path
-from pam_antagonist.rig.units import readable
+from pam_antagonist.rig.units import readable, unread_signals
 from pam_antagonist.shown import MISSING, number, percent
 from pam_antagonist.strict_json import picked
 
@@ -74,18 +74,32 @@ def verdict(diagnosis: EpisodeDiagnosis) -> str:
     words = [in_words(effect) for effect in diagnosis.effects if not effect.startswith(LEARNED)]
     if count := len(diagnosis.effects) - len(words):
         words.append(in_words(diagnosis.effects[-1]) if count == 1 else f"what {count} learned laws add")
-    change = "falls" if diagnosis.rows[-1].forecast.value < diagnosis.rows[0].forecast.value else "changes"
+    errors = [row.forecast.value for row in (diagnosis.rows[0], diagnosis.rows[1], diagnosis.rows[-1])]
+    change = "falls" if errors[1] < errors[0] else "changes"
+    then = "to" if errors[2] < errors[1] else "is"
     return (
         f"What the model lacks is {joined(words)}. The error on later episodes {change} from {given}° as configured to "
-        f"{after}°; of a model without that, fitted to the same episodes, it is {before}°."
+        f"{before}° by a fit without that, and {then} {after}° with it."
     )
 
 
 def next_step(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
     """Which rig file to use, in a sentence."""
     if diagnosis.is_better:
-        return "Next: use rig_extended.yaml, which every command and node takes."
+        signals = further_signals(diagnosis, joint)
+        if not signals:
+            return "Next: use rig_extended.yaml, which every command and node takes."
+        return f"Next: use rig_extended.yaml in identify and close_loop. {unread_signals(signals)}."
     return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
+
+
+def further_signals(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> dict[str, float]:
+    """The further signals that the extended rig needs, with their values in its file [SI]."""
+    values = joint.values(diagnosis.model)
+    last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
+    codes = [int(value) for path, value in values.items() if _ARGUMENT.fullmatch(path)]
+    last = max([last, *(code - FIRST_SIGNAL + 1 for code in codes)])
+    return dict(list(joint.rig.signals.items())[:last])
 
 
 def findings(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
@@ -317,12 +331,11 @@ class EpisodesDiagnoseResult(Result):
     def rig_extended(self) -> Rig:
         """The rig with the effects, and the further signals that they need."""
         start, values = self.joint.rig, self.joint.values(self.found.model)
-        last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
-        codes = [int(value) for path, value in values.items() if _ARGUMENT.fullmatch(path)]
-        last = max([last, *(code - FIRST_SIGNAL + 1 for code in codes)])
         source = f"extended by close_loop from {self.joint.name}; started from: {start.source}"
-        signals = dict(list(start.signals.items())[:last])
-        return moved(start, values).replaced(name=f"{start.name}_extended", source=source, signals=signals)
+        signals = further_signals(self.found, self.joint)
+        return moved(start, values).replaced(
+            name=f"{start.name}_extended", source=source, signals=signals, identified=self.joint.name
+        )
 
     @override
     def to_json(self) -> dict[str, Any]:

@@ -131,7 +131,7 @@ def held_out_table(held: Held) -> Table:
         _rows(out, channel.name, channel.unit, known(held, channel, "model_alone"))
     for muscle in (0, 1):
         values = [item.model_alone.pressure.rmse_pa[muscle] for item in figures]
-        out.pressures(f"  pressure {muscle + 1} RMSE 𝕀", values)
+        out.pressures(f"  pressure {muscle + 1} RMSE", values)
     out.heading("UKF")
     for channel in CHANNELS:
         errors = known(held, channel)
@@ -141,15 +141,15 @@ def held_out_table(held: Held) -> Table:
             out.values(f"  {channel.name} in the 95 % interval", shares, percent, best=None)
     external = [item.ukf.external_torque for item in figures]
     if all(external):
-        out.values("  external torque RMSE 𝕀 [N m]", [None if item is None else item.rmse for item in external])
+        out.values("  external torque RMSE [N m]", [None if item is None else item.rmse for item in external])
     out.values("  mean NIS (2 is right)", [item.innovation.nis_mean for item in figures], best=None)
     return out.table()
 
 
 def _rows(out: Comparison, name: str, unit: str, errors: Sequence[ChannelErrors]) -> None:
     if errors:
-        out.values(f"  {name} RMSE 𝕀 [{unit}]", [item.rmse for item in errors])
-        out.values(f"  {name} 𝕄 over range, ℚ", [item.ratio for item in errors], percent)
+        out.values(f"  {name} RMSE [{unit}]", [item.rmse for item in errors])
+        out.values(f"  {name} largest error over measured range", [item.ratio for item in errors], percent)
 
 
 def parameters_figure(parameters: Sequence[ParameterEntry]) -> Figure:

@@ -13,7 +13,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from pam_antagonist.identification.episodes import EpisodesIdentified
+from pam_antagonist.identification.episodes import EpisodesIdentified, is_fair
 from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
@@ -39,6 +39,8 @@ def interval(value: Interval | None, digits: int = 3) -> str:
     """A value with its interval, as text."""
     if value is None:
         return MISSING
+    if not value.is_known:
+        return f"{number(value.value, digits)} (not determined)"
     return f"{number(value.value, digits)} ({number(value.low, digits)} to {number(value.high, digits)})"
 
 
@@ -100,8 +102,13 @@ def intervals_frame(values: Mapping[str, Interval]) -> DataFrame:
 
 
 def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
-    """Findings about unknown units, and about episodes that were left out."""
+    """Findings about a rig that was fitted to the episodes before, unknown units, and episodes that were left out."""
     out, units = [], joint.rig.units
+    if not is_fair(joint):
+        out.append(warn(
+            f"The comparison with the rig file as configured is not fair: the values of {joint.rig.name} are from this "
+            "recording, so the error of that file may be one of a fit. Compare the files on another recording."
+        ))  # fmt: skip
     if units.force == "per_inertia":
         out.append(note(
             "Forces are known per inertia only: torque, areas and stiffness are not known in their own units."
@@ -189,11 +196,11 @@ class EpisodesIdentifyResult(Result):
         before = found.errors["as configured"][0].value
         said = (
             f"Identified from {found.counts[0]} episodes: the error of the angle on later episodes is "
-            f"{number(later)}°, on interleaved ones {number(between)}°; as configured it was {number(before)}° on the "
-            "later ones."
+            f"{number(later)}°, on interleaved ones {number(between)}°; the rig file as configured errs by "
+            f"{number(before)}° on the later ones."
         )
         remarks: list[Finding] = []
-        if later > before:
+        if later > before and is_fair(self.joint):
             remarks.append(warn("On later episodes the rig as configured has the smaller error: the joint drifts, or "
                                 "it moved too little to be identified."))  # fmt: skip
         if found.regulators is None:

@@ -7,18 +7,22 @@ from typing import TYPE_CHECKING
 
 from pam_antagonist.identification.held_out import WORSE, at_bounds, bounds_met, do_not_use, known
 from pam_antagonist.identification.result import Held
-from pam_antagonist.replays.result import ANGLE, CHANNELS, HIGH_COVERAGE
+from pam_antagonist.replays.result import ANGLE, CHANNELS, covered
 from pam_antagonist.report.document import Finding, good, note, warn
 from pam_antagonist.shown import percent
 
 if TYPE_CHECKING:
     from pam_antagonist.identification.identified import Identified
 
-_LOW, _HIGH = 0.92, HIGH_COVERAGE
-"""Range of the coverage on held-out data in which a 95 % interval is called honest."""
 _USUAL_DIFFERENCE = 0.05
 """Relative difference of two recordings of one rig: 2 % is the scale of the spread's prior, so 5 % is rare."""
 _LISTED = 4
+_DOUBTS = (
+    ("too small", warn, "is too small"),
+    ("not told", note, "cannot be judged, since there are too few independent errors"),
+    ("larger than needed", note, "is larger than needed"),
+)
+"""What may be said of the covariance, the worst first."""
 _LARGE = 0.05
 """Error as a share of the angle's range, from which on it is called large."""
 
@@ -86,21 +90,18 @@ def of_recording(held: Held) -> list[Finding]:
 def _coverage(result: Identified) -> list[Finding]:
     """How many of the held-out readings lie in their 95 % intervals, and where too few or too many do."""
     share, own = result.coverage95
-    each = [
-        (errors[1].coverage95 or 0.0, f"{channel.name} of {held.name}")
-        for held in result.held for channel in CHANNELS if (errors := known(held, channel))
-    ]  # fmt: skip
+    each = [(item, f"{item.what} of {held.name}") for held in result.held for item in covered(held.identified)]
     if not each or not math.isfinite(share):
         return []
-    kind, how, where = good, "honest", [item for item in each if item[0] < _LOW]
-    if where:
-        kind, how = warn, "too small"
-    elif where := [item for item in each if item[0] > _HIGH]:
-        kind, how = note, "larger than needed"
-    listed = f" ({', '.join(f'{name} {percent(value)}' for value, name in where)})" if where else ""
+    kind, how, where = good, "is honest", list[str]()
+    for doubt, worse, words in _DOUBTS:
+        if not where:
+            where = [f"{name} {percent(item.coverage)}" for item, name in each if item.honesty == doubt]
+            kind, how = (worse, words) if where else (kind, how)
+    listed = f" ({', '.join(where)})" if where else ""
     beside = f"; with each recording's own values {percent(own)}" if math.isfinite(own) else ""
     inside = f"{percent(share)} of the held-out readings lie in their 95 % intervals{beside}"
-    return [kind(f"{inside}. The filter's covariance is {how}{listed}.")]
+    return [kind(f"{inside}. The filter's covariance {how}{listed}.")]
 
 
 def _differences(result: Identified) -> list[Finding]:

@@ -12,11 +12,16 @@ from typing_extensions import override
 
 from pam_antagonist.replays.live import ENDED, LiveComparison
 from pam_antagonist.replays.result import (
+    ANGLE,
     CHANNELS,
+    LEAST_COVERAGE,
+    TORQUE,
+    Covered,
     Judged,
     Replay,
     ReplayReport,
     columns,
+    covered,
     joined,
     joint_text,
     judged,
@@ -185,22 +190,22 @@ def errors_table(report: ReplayReport, caption: str = "") -> Table:
         else:
             ukf, model = known[channel].ukf, known[channel].model
             out.heading(channel.title)
-            out.values(f"  RMSE 𝕀 [{channel.unit}]", (ukf.rmse, model.rmse))
-            out.values(f"  largest error 𝕄 [{channel.unit}]", (ukf.largest, model.largest))
-            out.values("  𝕄 over measured range, ℚ", (ukf.ratio, model.ratio), percent)
+            out.values(f"  RMSE [{channel.unit}]", (ukf.rmse, model.rmse))
+            out.values(f"  largest error [{channel.unit}]", (ukf.largest, model.largest))
+            out.values("  largest error over measured range", (ukf.ratio, model.ratio), percent)
             out.text("  in the 95 % interval", percent(ukf.coverage95), MISSING)
             nees = getattr(report.innovation, f"nees_{channel.name}")
             out.text("  mean NEES (1 is right)", number(nees, 2), MISSING)
     if external := report.ukf.external_torque:
         late = external.delay_s
         out.heading("External torque")
-        out.text("  RMSE 𝕀 [N m]", number(external.rmse), "given")
+        out.text("  RMSE [N m]", number(external.rmse), "given")
         out.text("  in the 95 % interval", percent(external.coverage95), MISSING)
         out.text("  delay [ms]", MISSING if late is None or math.isnan(late) else f"{1e3 * late:.0f}", MISSING)
     out.heading("Pressure")
     for muscle in (0, 1):
         errors = [model.pressure.rmse_pa[muscle] for model in (report.ukf, report.model_alone)]
-        out.pressures(f"  RMSE 𝕀, muscle {muscle + 1}", errors)
+        out.pressures(f"  RMSE, muscle {muscle + 1}", errors)
     return out.table(caption)
 
 
@@ -221,10 +226,13 @@ def overview(reports: Sequence[ReplayReport]) -> Table:
     return Table(tuple(header), tuple(rows), about)
 
 
-HONEST_COVERAGE = 0.88
-"""Least coverage of a 95 % interval that is called honest."""
 CONSTANT = 0.95
 """Share of the RMS error from which on a mean error is called the same at each sample: the rest is a third of it."""
+_ZEROS = {
+    ANGLE.name: (ANGLE, "encoder", "--encoder-zero"),
+    TORQUE.name: (TORQUE, "torque meter", "--torque-zero"),
+}
+"""The sensor of a channel, and the option that moves its zero."""
 MARGIN = 1.05
 """Errors within this ratio of each other are called equal."""
 NIS_HIGH, NIS_LOW = 3.0, 1.0
@@ -262,7 +270,7 @@ def findings(report: ReplayReport) -> tuple[Finding, ...]:
         return (warn(text), *_live(report), *_quality(report))
     known = judged(report)
     against = [_against_model(item) for item in known]
-    return (*against, *_honesty(known), *_innovations(report), *_live(report), *_quality(report))
+    return (*against, *_honesty(covered(report)), *_innovations(report), *_live(report), *_quality(report))
 
 
 def _against_model(item: Judged) -> Finding:
@@ -281,35 +289,40 @@ def _against_model(item: Judged) -> Finding:
     return note(f"{text}. The correction by the pressures changes little.")
 
 
-def _constant(item: Judged) -> bool:
+def _constant(item: Covered) -> bool:
     """Whether too few values lie in the interval since nearly the whole error is the same at each sample."""
-    mean = item.ukf.mean
-    return item.coverage < HONEST_COVERAGE and mean is not None and abs(mean) >= CONSTANT * item.ukf.rmse
+    mean = item.errors.mean
+    known = item.what in _ZEROS and mean is not None and item.coverage < LEAST_COVERAGE
+    return known and abs(mean or 0.0) >= CONSTANT * item.errors.rmse
 
 
-def _zero(item: Judged) -> Finding:
+def _zero(item: Covered) -> Finding:
     """A zero that is missing."""
-    by, channel = -(item.ukf.mean or 0.0), item.channel
-    sensor, option = ("encoder", "--encoder-zero") if channel.name == "angle" else ("torque meter", "--torque-zero")
+    channel, sensor, option = _ZEROS[item.what]
+    by = -(item.errors.mean or 0.0)
     return warn(
         f"{channel.title}: the error is nearly the same at each sample. The {sensor} seems to read "
         f"{channel.write(abs(by))} too {'high' if by > 0.0 else 'low'}. To correct that, type {option} {by:.4g}."
     )
 
 
-def _honesty(known: Sequence[Judged]) -> list[Finding]:
+def _honesty(known: Sequence[Covered]) -> list[Finding]:
     if constant := [item for item in known if _constant(item)]:
         return [*map(_zero, constant), *_honesty([item for item in known if not _constant(item)])]
     if not known:
         return []
-    shares = [f"{percent(item.coverage)} of the measured {item.channel.name}s" for item in known]
+    shares = [f"{percent(item.coverage)} of the measured {item.what}s" for item in known]
     holds = f"its 95 % interval holds {joined(shares)}"
-    if min(item.coverage for item in known) < HONEST_COVERAGE:
-        return [warn(f"The filter's covariance is too small: {holds}.")]
-    wide = [item for item in known if item.wide]
+    how = [item.honesty for item in known]
+    if "too small" in how:
+        which = joined([item.what for item in known if item.honesty == "too small"])
+        return [warn(f"The filter's covariance is too small for the {which}: {holds}.")]
+    if "not told" in how:
+        return [note(f"Too few independent errors to judge the filter's covariance: {holds}.")]
+    wide = [item for item in known if item.honesty == "larger than needed"]
     if not wide:
         return [good(f"The filter's covariance is honest: {holds}.")]
-    times = [f"that of the {item.channel.name} {number((item.ukf.width or 0.0) / 1.96, 2)} times" for item in wide]
+    times = [f"that of the {item.what} {number((item.errors.width or 0.0) / 1.96, 2)} times" for item in wide]
     larger = f"The standard deviations are larger than the RMS errors: {joined(times)}."
     return [note(f"The filter's covariance is larger than needed: {holds} and is wide. {larger}")]
 

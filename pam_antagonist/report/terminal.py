@@ -76,4 +76,5 @@ def table(content: Table, indent: str = "  ") -> str:
         rest = [align(cell, width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
         return (indent + "  ".join([first, *rest])).rstrip()
 
-    return "\n".join(line(cells) for cells in lines)
+    legend = [_wrapped(content.legend, indent, indent)] if content.legend else []
+    return "\n".join([*(line(cells) for cells in lines), *legend])

@@ -57,7 +57,7 @@ class Force(Strict):
     w2: float = Field(0.0, description="p_w2 [N]")
     c1: float = Field(0.0, description="c1 of the other forms [N]; braided: a, force at 100 kPa gauge [N]")
     c2: float = Field(0.0, description="c2 of the other forms [N]; braided: k, 1/contraction without area [-]")
-    c3: float = Field(0.0, description="c3 of the other forms [- or N]; braided: b, force of the rubber [N]")
+    c3: float = Field(0.0, description="c3 of other forms [N]; sarosi: exponent [-]; braided: b, force of rubber [N]")
     c4: float = Field(0.0, description="c4 of the other forms [N]; braided: s, its steepness [-]")
     c5: float = Field(0.0, description="c5 of the other forms [N]; braided: ε_0, contraction where it is 0 [-]")
     c6: float = Field(0.0, description="c6 of the other forms [N]; braided: L_n, length at contraction 0 [m]")

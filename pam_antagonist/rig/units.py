@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -62,8 +63,21 @@ def unit_of(rig: Rig, name: str) -> str:
         return _EFFECTS[name]
     part, _, last = name.rpartition(".")
     kind = type(attrgetter(part)(rig) if part else rig)
-    found = re.search(r"\[([^\]]*)\]", described(fields_of(kind)[last]))
+    first, *others = described(fields_of(kind)[last]).split("; ")
+    # Coefficients of a force map have another unit in some forms.
+    text = next((one for one in others if one.startswith(f"{rig.model.force}:")), first)
+    found = re.search(r"\[([^\]]*)\]", text)
     return found[1] if found else "-"
+
+
+def unread_signals(signals: Iterable[str]) -> str:
+    """That commands and nodes which run the filter or the model do not read further signals of a rig, in words."""
+    *others, last = signals
+    names = f"{', '.join(others)} and {last}" if others else last
+    return (
+        f"replay, the estimator, the controller and simulate do not read {names} yet: they take the value in the rig "
+        "file throughout, so their errors are larger and their 95 % intervals too narrow"
+    )
 
 
 def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> str | None:
@@ -79,8 +93,7 @@ def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> s
     also = " The intervals of the identified rig follow from the recordings." if identified else ""
     return (
         f"Assumption: rig {rig.name} was not identified. {its} 95 % intervals are right if its parameters are known "
-        f"{known} and if nothing else is wrong.{also} The NIS tests the pressures only: it cannot show whether that is "
-        "so."
+        f"{known} and if nothing else is wrong.{also}"
     )
 
 

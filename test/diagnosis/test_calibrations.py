@@ -11,8 +11,9 @@ import pytest
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose
+from pam_antagonist.diagnosis.calibrations import Calibration
 from pam_antagonist.diagnosis.errors import RigErrors, errors_of
-from pam_antagonist.diagnosis.hypotheses import Work
+from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.search import hypotheses, search
@@ -23,6 +24,7 @@ from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.report.close_loop_findings import calibration_findings
 from pam_antagonist.rig import Rig
 
 
@@ -75,7 +77,7 @@ def test_an_infinite_error_is_no_number_in_a_sentence() -> None:
     said = [before.in_words(after), *after.larger(before, 1.0), change_in_words(lost, now), change_in_words(now, lost)]
     assert len(said) == 6 and all("a model that diverges" in text for text in said)
     assert not re.search(r"\binf|\bnan|without bound|–", " ".join(said))
-    assert before.ratio(after) < 1e-6 and not before.larger(after, 1.0)
+    assert max(before.deciding(after)) < 1e-6 and not before.larger(after, 1.0)
 
 
 def test_a_report_says_the_calibration_and_what_to_type(late, rig) -> None:
@@ -122,7 +124,36 @@ def test_recordings_that_differ_in_a_calibration_are_told() -> None:
     found = calibrations.FoundCalibration("torque_zero", 0.25, 0.05, "N m", 30.0, apart)
     (text,) = calibrations.differences([found])
     assert "free: the torque meter reads 0.300 ± 0.010 N m too high" in text and "locked" in text
-    assert calibrations.differences([replace(found, by_recording={**apart, "locked": (0.29, 0.01)})]) == []
+    assert not found.is_shared and "none is offered" in text
+    shared = replace(found, by_recording={**apart, "locked": (0.29, 0.01)})
+    assert shared.is_shared and calibrations.differences([shared]) == []
+
+
+def test_a_calibration_that_recordings_do_not_share_is_not_offered_to_type(late, rig, tmp_path) -> None:
+    apart = {"free": (0.030, 1e-3), "locked": (0.010, 1e-3)}
+    (found,) = late.calibrations
+    result = result_of(replace(late, calibrations=(replace(found, by_recording=apart),)), rig, Corrections())
+    assert result.corrections == () and calibration_findings(result) == ()
+    (entry,) = result.to_json()["calibration"]
+    assert entry["shared"] is False and set(entry["recordings"]) == {"free", "locked"}
+    extended = load_rig(result.save(tmp_path / "found", figures=False) / "rig_extended.yaml")
+    assert extended.calibration.delay_voltage == 0.0
+
+
+@pytest.fixture(scope="module")
+def meter(rig) -> Ranking:
+    """A torque meter that shows half of the torque in one of two recordings, which was never in a fit before."""
+    slow = rig.replaced(sample_period=4e-3)
+    made = [simulate(slow, duration=20.0, joint="locked", seed=seed, mismatch=0.0) for seed in (3, 4)]
+    trials = [make_trial(one, slow, "locked", 0.0, name) for one, name in
+              ((misread(made[0], torque_scale=0.5), "half"), (made[1], "whole"))]  # fmt: skip
+    return search(recalibrated([ValveDriven(slow, one, 3325) for one in trials]), Work(), (Calibration(),), most=1)
+
+
+def test_a_scale_that_one_recording_shows_and_another_rules_out_is_no_calibration(meter: Ranking) -> None:
+    assert calibrations.calibrations_of(meter.model) == () and calibrations.found(meter) == ()
+    (text,) = calibrations.differences((), meter)
+    assert re.search(r"half: the torque meter reads 50.* % too little; whole: the torque meter reads 0.* %", text)
 
 
 @pytest.mark.parametrize(("zero", "names"), [(0.0, ()), (0.3, ("encoder_zero",))])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,10 +13,13 @@ from pam_antagonist import simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.api.history import entry
 from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out, warnings
-from pam_antagonist.diagnosis.errors import Errors, RigErrors
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Noise, RigErrors
 from pam_antagonist.diagnosis.hypotheses import Checkpoint
+from pam_antagonist.diagnosis.pipeline import course_in_words
 from pam_antagonist.diagnosis.result import FoundCalibration
+from pam_antagonist.diagnosis.rig_choice import RigFile
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.replays.result import TORQUE
@@ -136,10 +140,11 @@ def test_recalibration_is_compared_with_what_the_user_had(result) -> None:
     assert use.endswith("it is shin2022, recalibrated by these recordings.")
     (keep,) = with_errors(nothing, extended=(1.0, 1.0)).next_steps
     assert keep == "Next: nothing; keep the rig file of shin2022."
-    # Where nothing explains the recordings, the file has to halve every error.
+    # Where nothing explains the recordings, the file has to halve an error of the filter, and none may be larger.
     unexplained = dataclasses.replace(nothing, verdict="unexplained")
-    assert with_errors(unexplained, extended=(0.6, 0.4)).choice.proposed is None
-    halved = with_errors(unexplained, extended=(0.4, 0.4))
+    for factors in ((0.4, 0.7), (1.6, 0.4), (0.4, 1.1)):
+        assert with_errors(unexplained, extended=factors).choice.proposed is None
+    halved = with_errors(unexplained, extended=(0.6, 0.4))
     assert halved.next_rig == "rig_extended.yaml" and "use rig_extended.yaml, which" in halved.next_steps[-1]
 
 
@@ -164,7 +169,51 @@ def test_headline_and_tiles_start_from_what_the_user_had(result) -> None:
     assert f"{start.torque.rmse:.2g} N m" in result.sentence and f"{end.torque.rmse:.2g} N m" in result.sentence
     shown = next(item for item in result.document(False).blocks if isinstance(item, Tiles)).items
     (torque,) = (tile for tile in shown if tile.label.startswith("Torque"))
-    assert torque.note == f"as configured {TORQUE.write(start.torque.rmse)}"
+    written = [TORQUE.write(errors.torque.rmse) for errors in result.errors.all]
+    assert (torque.value, torque.note) == (written[2], f"as configured {written[0]}, recalibrated {written[1]}")
+
+
+def test_an_effect_has_what_it_took_off_and_recalibration_the_rest(result) -> None:
+    def said(*angles: float) -> str:
+        each = [dataclasses.replace(result.errors.extended, angle=ChannelErrors("deg", rmse, rmse, 0.1), torque=None)
+                for rmse in angles]  # fmt: skip
+        return course_in_words(ModelErrors(*each), "this effect").replace(", 0.61 and 0.6 kPa", "")
+
+    start, base, end = (f"{errors.torque.rmse:.2g} N m" for errors in result.errors.all)
+    assert re.search(f"fall from {start}.* as configured to {base}.* by recalibration, and to {end}.* with this effect",
+                     result.sentence)  # fmt: skip
+    # An effect that changes nothing had all that recalibration gained.
+    assert re.fullmatch(r"fall from 5.5°.* as configured to 1.3°.* by recalibration, and are 1.3°.* with this effect",
+                        said(5.51, 1.33, 1.34))  # fmt: skip
+
+
+def angle_and_torque(angle: float, torque: float, pressure: float = 600.0) -> RigErrors:
+    """Errors of the filter and of the model alone, beside sensors with a noise of 0.003°, 0.01 N m and 600 Pa."""
+    one = Errors(
+        ChannelErrors("deg", angle, angle, 0.1), ChannelErrors("nm", torque, torque, 0.1), (pressure, pressure),
+        noise=Noise(0.003, 0.01, 600.0),
+    )  # fmt: skip
+    return RigErrors(one, one)
+
+
+@pytest.mark.parametrize(
+    ("after", "better", "halved"),
+    [
+        # The angle falls to a fifteenth, and a torque and pressures at their noise cannot fall.
+        (angle_and_torque(0.018, 0.0102, 610.0), True, True),
+        (angle_and_torque(0.018, 0.0108, 640.0), True, True),
+        (angle_and_torque(0.200, 0.0102), True, False),
+        (angle_and_torque(0.018, 0.0150), False, False),
+        (angle_and_torque(0.018, 0.0102, 2000.0), False, False),
+        (angle_and_torque(0.27, 0.0101), False, False),
+        (angle_and_torque(float("nan"), 0.0101), False, False),
+    ],
+)
+def test_a_rig_is_judged_by_what_is_above_noise(result, after: RigErrors, better: bool, halved: bool) -> None:
+    file = RigFile("rig.yaml", result.rig_extended, None, angle_and_torque(0.27, 0.0104, 940.0), after)
+    assert file.is_better(True) is better and file.is_better(False) is halved
+    if halved:
+        assert file.gain == "the filter's angle error 0.0180° instead of 0.270°"
 
 
 def test_recordings_with_different_faults_get_a_rig_each(result, tmp_path) -> None:
@@ -289,7 +338,9 @@ def test_what_is_in_no_catalogue_is_unexplained(rig, recorded) -> None:
     found = diagnose([faulty], rig, joint="locked", jobs=1, estimator=False)
     assert found.verdict == "unexplained"
     assert found.effects == ()
-    assert found.remaining
+    assert found.remaining and all(item.end_s > item.begin_s for item in found.remaining)
+    named = sorted((item for item in found.remaining if item.is_of_sensor), key=lambda item: -item.times_noise)
+    assert named[0].in_short() in found.sentence and "well above" not in found.sentence
     assert found.rig_extended.effects == {}
 
 

@@ -20,17 +20,22 @@ from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
 from pam_antagonist.diagnosis.episodes import Linear, Lines, course, diagnose, search
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.bootstrap import drawn, ratio
+from pam_antagonist.identification.episodes import is_fair
+from pam_antagonist.inference.bootstrap import Interval, drawn, ratio, rmse
 from pam_antagonist.inference.episode_search import ABOVE_NOISE, with_effect
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.driven import angles
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.recording import FurtherSignal
+from pam_antagonist.replays import run as replays_run
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report.document import number
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
+from pam_antagonist.report.identify_episodes import interval, units_findings
 from pam_antagonist.rig.learned import laws_of
+from pam_antagonist.rig.units import unread_signals
+from pam_antagonist.strict_json import dumps
 
 RIG = load_rig("regulator_joint", regulators=True)
 EPISODES, ROWS, PERIOD = 120, 60, 0.0125
@@ -91,6 +96,9 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
     assert isinstance(result, EpisodesDiagnoseResult)
     episodes, found = result.joint, result.found
     assert "friction that grows with other" in result.sentence
+    # That no other command reads the signal is said where the rig file is proposed.
+    step = result.summary().split("Next: ")[1]
+    assert "in identify and close_loop" in step and "do not read" in step and "every command" not in step
     assert set(found.effects) == {"friction", "friction_by_signal: other"}
     base, coulomb, extended = found.rows[1:]
     assert extended.later.high < 0.5 * coulomb.later.low < base.later.low
@@ -105,6 +113,7 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
     # What counts is the gain over the rig that the user had.
     given = found.rows[0].forecast.value
     assert f"falls from {number(given)}° as configured to" in result.sentence and result.next_rig == "rig_extended.yaml"
+    assert f"to {number(base.forecast.value)}° by a fit without that" in result.sentence
     no_better = replace(result, found=replace(found, rows=(extended, base, coulomb, extended)))
     assert no_better.next_rig is None and "Next: keep the rig file of regulator_joint" in no_better.summary()
     no_better.save(tmp_path / "out", figures=False)
@@ -265,7 +274,46 @@ def test_neighbouring_episodes_are_drawn_together() -> None:
     alone = ratio(rng.uniform(0.5, 1.5, 400), np.ones(400))
     together = ratio(tens, np.ones(400))
     assert together.high - together.low > 2.0 * (alone.high - alone.low)
-    assert drawn(400).shape == (1000, 400)
+    assert drawn(400).shape == (1000, 400) and np.all(drawn(403).sum(axis=0) > 0.0)
+
+
+def test_no_interval_excludes_its_own_value() -> None:
+    """A step into a bound, or along numbers that replace each other, leads away from the value in every draw."""
+    for value, draws in ((0.951, np.zeros(300)), (2.0, np.linspace(70.0, 90.0, 300))):
+        lost = Interval.of(value, draws)
+        assert lost.value == value and not lost.is_known
+        assert interval(lost) == f"{number(value)} (not determined)"
+        assert json.loads(dumps(lost)) == [value, None, None]
+    assert Interval.of(1.0, np.linspace(0.0, 2.0, 301)).is_known and Interval.of(0.3, np.full(9, 0.1 + 0.2)).is_known
+    # One episode in a part that no draw of whole blocks had: its error was in the value and never in the draws.
+    sums = np.append(np.full(29, 1e-4), 1.0)
+    assert rmse(sums, np.ones(30)).is_known
+
+
+def test_numbers_that_replace_each_other_have_no_interval(tied: Recording) -> None:
+    """Two signals that are one: how much goes with each of them is not determined, and no number says it is."""
+    both = replace(tied, signals=dict.fromkeys(("other", "alike"), tied.signals["other"]))
+    episodes = PressureDriven.of(both, RIG, ["other", "alike"]).take(np.arange(30))
+    model = episodes.fit(with_effect(episodes.as_configured, episodes.candidates({})["friction"], {}), 2)
+    values = episodes.intervals(model)
+    assert all(not one.is_known or one.low <= one.value <= one.high for one in values.values())
+
+
+def test_a_rig_that_was_fitted_to_the_episodes_is_not_compared_with_as_if_it_was_not(tied: Recording) -> None:
+    unseen = PressureDriven.of(tied, RIG)
+    assert is_fair(unseen) and is_fair(PressureDriven.of(tied, RIG.replaced(identified="first, second")))
+    seen = PressureDriven.of(tied, RIG.replaced(identified=f"first, {unseen.name}"))
+    assert not is_fair(seen)
+    assert any("not fair: the values of regulator_joint are from this recording" in item.text
+               for item in units_findings(seen))  # fmt: skip
+
+
+def test_what_reads_a_further_signal_and_what_does_not_is_said(tied: Recording, tmp_path: Path) -> None:
+    rig = load_rig("regulator_joint", regulators=True)
+    needs = rig.replaced(signals={"other": 4e5, "more": 3e5}, effects={"friction_by_signal": {"slope1": 1e-9}})
+    assert "do not read other and more yet" in unread_signals(needs.signals)
+    issues = [replays_run.unread(one) for one in (rig, needs)]
+    assert issues[0] == [] and "regulator_joint: replay, the estimator" in issues[1][0]
 
 
 @pytest.mark.thorough(25)
@@ -285,6 +333,7 @@ def test_a_torque_that_no_effect_of_the_catalogue_follows_becomes_a_learned_law(
     assert min(found.coverage) >= 0.85, found.coverage
     assert "stands for what nobody measured" in result.summary()
 
+    assert result.rig_extended.identified == "arm"
     result.save(tmp_path / "out")
     numbers = json.loads((tmp_path / "out" / "report.json").read_text())
     (entry,) = (one for one in numbers["laws"] if one["arguments"] == ["time"])

@@ -11,7 +11,7 @@ import pytest
 
 from pam_antagonist import diagnose, load_rig, simulate
 from pam_antagonist.api import diagnose as api
-from pam_antagonist.diagnosis import Diagnosis, learned_law
+from pam_antagonist.diagnosis import Diagnosis, driven_law, learned_law
 from pam_antagonist.diagnosis.law_regression import Group
 from pam_antagonist.diagnosis.law_search import LawSearch
 from pam_antagonist.diagnosis.law_simulation import Simulation, Subject
@@ -144,6 +144,17 @@ def test_a_torque_that_comes_and_goes_alone_may_be_a_law(exchange: Course) -> No
     assert not leaves_excess(dataclasses.replace(pushed, effects=(*pushed.effects, *exchange.like("leak").effects)))
     assert is_better(pushed, exchange.diagnoses[1].extended, EXCHANGE)
     assert not is_better(pushed, pushed.recalibrated, EXCHANGE)
+
+
+def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
+    exchange: Course, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, model = exchange.diagnoses[0], exchange.diagnoses[1].extended
+    assert driven_law.largest_share_of_a_channel(before.recalibrated, model) > 0.8
+    assert driven_law.largest_share_of_a_channel(before.recalibrated, before.recalibrated) == 0.0
+    assert is_better(before, model, EXCHANGE)
+    monkeypatch.setattr(driven_law, "largest_share_of_a_channel", lambda *_models: 0.05)
+    assert not is_better(before, model, EXCHANGE)
 
 
 def test_a_law_of_a_rate_leaves_a_held_joint_as_it_is() -> None:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import change_point
+from pam_antagonist.diagnosis import change_point, pipeline
+from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.judgement import Case
+from pam_antagonist.diagnosis.models import recalibrated
+from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import refit
@@ -133,3 +140,50 @@ def test_what_the_base_parameters_explain_is_not_above_noise(long) -> None:
     wrong = Point(long.origin.theta + 0.05 * np.eye(long.size)[0], {})
     assert change_point.clearest(long, long.residual(wrong, whole=True)) is not None
     assert change_point.stretches_above_noise([(long, wrong)], 1) == ()
+
+
+def test_a_reading_that_is_rounded_is_off_by_half_a_step_while_the_joint_rests(recorded, experiment_of) -> None:
+    """A joint with nothing wrong was unexplained: it rested for seconds near the edge of a step of its encoder."""
+    free = experiment_of(recorded(joint="free", seconds=20.0), "free")
+    step = np.radians(0.1)
+    measured = free.trial.measured.copy()
+    measured[:, 0] = step * np.rint(measured[:, 0] / step)
+    rounded = replace(free, trial=replace(free.trial, measured=measured))
+    assert rounded.noise_at_rest == pytest.approx(rounded.noise * [3.0**0.5, 1.0, 1.0, 1.0])
+    residual = noise_of(rounded, 3)
+    residual[400:600, 0] = 0.5 * step
+    assert change_point.clearest(rounded, residual) is None
+    residual[400:600, 0] = step
+    found = change_point.clearest(rounded, residual)
+    assert found is not None and found.channel == "Angle"
+
+
+@pytest.fixture(scope="module")
+def shaken(long) -> Case:
+    """A joint at its noise, but for 2 s at its end in which the first pressure swings by some hundred pascals."""
+    measured, time = long.trial.measured.copy(), long.trial.time
+    swing = (time > 24.0) & (time < 26.0)
+    measured[swing, 2] += 600.0 * np.sin(2.0 * np.pi * 3.0 * time[swing])
+    experiment = replace(long, trial=replace(long.trial, measured=measured))
+    base = recalibrated([experiment])
+    group = Group("joint", base.experiments, (0,), ())
+    prepared: Any = SimpleNamespace(holds_out_recordings=False)
+    return Case(prepared, group, Ranking(base, base), Work())
+
+
+def test_what_is_unexplained_has_channel_time_and_size(shaken: Case) -> None:
+    assert not shaken.ranking.base.has_significant_excess and shaken.without_effects == "unexplained"
+    judged = shaken.judged("unexplained", 0.0)
+    (left,) = pipeline.left(replace(judged, left=shaken.left))
+    assert left.channel == "pressure 1" and left.times_noise > 2.0
+    assert 23.5 <= left.begin_s <= 24.1 and 25.9 <= left.end_s <= 26.5
+    assert left.bands["1 to 3 Hz"] + left.bands["3 to 10 Hz"] > 0.6
+    assert re.fullmatch(r"pressure 1 in locked, \d\.\d times its noise from 24 to 26 s", left.in_short())
+    assert {"begin_s", "end_s", "times_noise", "channel"} <= set(left.to_json())
+
+
+def test_a_verdict_that_explains_nothing_never_leaves_nothing(shaken: Case) -> None:
+    """Where effects fall away afterwards, the largest residual is named, though it is at the noise."""
+    (left, *more) = pipeline.left(shaken.judged("unexplained", 0.0))
+    assert left.times_noise > 0.9 and left.end_s > left.begin_s and not more
+    assert pipeline.left(shaken.judged("none", 0.0)) == []

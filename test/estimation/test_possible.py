@@ -86,7 +86,8 @@ def test_the_estimator_says_what_it_expected() -> None:
         (4.5, 5.5): "it looks like bar",
         (1.1e6, 5.5): "pressure 1 is 1.1e.06, expected",
         (-1.0, 5.5): "pressure 1 is -1",
-        (450e3, 55.0): "voltage 1 is 55, expected -0.5 to 10.5 V",
+        (450e3, 55.0): "voltage 1 is 55, expected -0.5 to 10.5 V; it looks like mV or percent",
+        (450e3, 11.0): "voltage 1 is 11, expected -0.5 to 10.5 V$",
     }
     for k, ((p1, u1), words) in enumerate(said.items()):
         assert estimator.step(k * 1_000_000 + 1, p1, 450e3, u1, 5.5) is None

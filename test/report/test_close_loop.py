@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
+from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.remaining import Form, RemainingResidual, Surroundings
 from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice
 from pam_antagonist.estimation.metrics import ChannelErrors
-from pam_antagonist.report.close_loop import DiagnoseResult, errors_table
+from pam_antagonist.report.close_loop import DiagnoseResult, errors_table, ranking_table, sizes_table
 from pam_antagonist.report.close_loop_findings import findings, left
 from pam_antagonist.report.document import Findings, Table
+from pam_antagonist.report.terminal import render
 from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import plain
 
@@ -123,7 +125,7 @@ def test_a_clear_effect_is_good_and_an_ambiguous_one_a_warning(found: DiagnoseRe
     unclear = replace(found, ambiguous_with=("thermal",), experiment={"thermal": "record again"}, ambiguities=(rival,))
     warning = said(unclear, "warn")
     assert warning.startswith("Thermal would explain the data as well as leak: ")
-    assert "leak leaves 0.055 kPa, thermal 0.049 kPa (RMS; ΔBIC 0.3)" in warning
+    assert "leak leaves 0.055 kPa, thermal 0.049 kPa (RMS; evidence 0.3)" in warning
     assert warning.endswith("To distinguish them: record again.")
     assert "No other candidate" not in said(unclear, "good")
     refuted = replace(found, ambiguities=(replace(rival, ambiguous=False, evidence=20.0),))
@@ -149,6 +151,18 @@ def test_what_is_left_is_a_table_of_all_recordings_without_shares_that_are_nothi
     assert [block for block in left([other], with_figures=False) if isinstance(block, Table)] == [
         Table(power.header, (("lab/locked: torque", "100.0 %"),), power.caption)
     ]
+
+
+def test_names_of_parameters_and_of_the_evidence_have_their_meaning_beside_them(found: DiagnoseResult) -> None:
+    creep = FoundEffect("creep", 1, {"share_1": Size(0.05, 0.01, "-")}, 20.0, 0.5, ("lab/free",))
+    law = FoundEffect("learned", None, {"at 100 kPa": Size(0.05, 0.01, "N m")}, 20.0, 0.5, ("lab/free",))
+    rows = sizes_table((creep, law)).rows
+    assert rows[0] == ("creep, muscle 1: share_1 [-]", "0.0500", "0.010",
+                       "share of a change of force that comes late of muscle 1")  # fmt: skip
+    assert rows[1][-1] == "value of the law"
+    candidate = TriedCandidate("leak", 1, 9.0, 20.0, 20.0, (0.5, 0.5))
+    shown = render((ranking_table(replace(found, ranking=(candidate,))),))
+    assert "Evidence: twice the gain in log-likelihood" in shown and "Held-out share" in shown
 
 
 def test_names_of_recordings_keep_their_first_letter(found: DiagnoseResult) -> None:

@@ -14,7 +14,9 @@ from pam_antagonist.identification import held_out as held_out_errors
 from pam_antagonist.identification.episodes import EpisodesIdentified
 from pam_antagonist.identification.result import Held
 from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.replays.result import covered
 from pam_antagonist.report import identify_findings
+from pam_antagonist.report import replay as replay_findings
 from pam_antagonist.rig import load_rig
 
 
@@ -104,13 +106,16 @@ def test_an_error_that_is_large_for_the_range_is_a_warning() -> None:
 )
 def test_the_coverage_of_all_recordings_is_one_sentence(coverage: float, status: str, said: str) -> None:
     part = held_out(0.15, 0.05)
-    part.reports["identified"].ukf.angle = replace(part.reports["identified"].ukf.angle, coverage95=coverage)
+    wide = {"coverage95": coverage, "width": 20.0 if coverage == 1.0 else 1.96}
+    part.reports["identified"].ukf.angle = replace(part.reports["identified"].ukf.angle, **wide)
     found: Any = SimpleNamespace(
         found=SimpleNamespace(notes=()), parameters=(), rejected="", held=[part], coverage95=(coverage, math.nan),
         between=(), correlations=(), recordings=(part,),
     )  # fmt: skip
     (item,) = [one for one in identify_findings.findings(found) if "95 % intervals" in one.text]
     assert item.status == status and item.text.endswith(said)
+    # The same words in a replay: one rule.
+    assert [said.status for said in replay_findings._honesty(covered(part.identified))] == [status]
 
 
 @pytest.mark.parametrize(("later", "said"), [(0.5, ""), (1.1, ""), (1.5, "on later episodes is 1.50°, with the rig")])
@@ -119,5 +124,7 @@ def test_episodes_that_are_predicted_worse_reject_the_rig(later: float, said: st
     rig = load_rig("shin2022_regulators", regulators=True)
     found = EpisodesIdentified(rig, rig, {}, errors, None, (1, 1, 1))
     assert said in found.rejected and bool(found.rejected) == bool(said)
+    # A file whose values are from these episodes already has the error of a fit there.
+    assert replace(found, is_fair=False).rejected == ""
     impossible = rig.unchecked(joint=rig.joint.unchecked(inertia=-1.0))
     assert "impossible (joint.inertia" in replace(found, rig=impossible).rejected

@@ -84,7 +84,35 @@ def test_filter_and_model(report: ReplayReport, model: float, status: str, text:
 def test_honesty(report: ReplayReport) -> None:
     assert "97.0 % of the measured angles and 95.0 % of the measured torques" in said(report, "good")
     unsure = replace(report, ukf=replace(report.ukf, torque=replace(TORQUE, coverage95=0.87)))
-    assert "covariance is too small" in said(unsure, "warn")
+    assert "covariance is too small for the torque:" in said(unsure, "warn")
+
+
+@pytest.mark.parametrize(
+    ("coverage", "independent", "status", "text"),
+    [
+        (0.88, 400.0, "warn", "covariance is too small for the external torque"),
+        (0.67, 40.0, "warn", "67.0 % of the measured external torques"),
+        (0.88, 12.0, "note", "Too few independent errors to judge"),
+        (0.93, 4000.0, "good", "covariance is honest"),
+    ],
+)
+def test_every_estimated_quantity_that_was_measured_is_judged(
+    report: ReplayReport, coverage: float, independent: float, status: str, text: str
+) -> None:
+    external = replace(TORQUE, coverage95=coverage, independent=independent)
+    assert text in said(replace(report, ukf=replace(report.ukf, external_torque=external)), status)
+
+
+def test_values_in_an_interval_count_once_for_as_long_as_they_stay_there() -> None:
+    """An error that leaves its interval every ten seconds for two is no thousand independent ones."""
+    time = np.arange(0.0, 100.0, 0.01)
+    error = np.where(time % 10.0 < 2.0, 3.0, 0.1)
+    found = channel_errors(np.zeros_like(error), error, "nm", np.ones_like(error))
+    assert found is not None and found.coverage95 == pytest.approx(0.8, abs=0.01)
+    assert found.independent is not None and found.independent < 100.0
+    white = channel_errors(np.zeros_like(error), np.random.default_rng(1).standard_normal(len(error)), "nm",
+                           np.ones_like(error))  # fmt: skip
+    assert white is not None and white.independent is not None and white.independent > 0.8 * len(error)
 
 
 @pytest.mark.parametrize(
@@ -128,13 +156,17 @@ def test_equality_with_the_live_estimate(report: ReplayReport) -> None:
     assert "missed part of 12 samples" in said(replace(report, live_without=12), "warn")
 
 
+def test_no_symbol_of_the_paper_stands_in_a_table(report: ReplayReport) -> None:
+    assert not set("𝕀𝕄ℚ") & set("".join(cell for row in errors_table(report).rows for cell in row))
+
+
 def test_table_marks_the_better_one_only_where_it_can_be_seen(report: ReplayReport) -> None:
     table = errors_table(report)
     best = {row[0].strip(): columns for row, columns in zip(table.rows, table.best, strict=True)}
-    assert best["RMSE 𝕀 [°]"] == {1}
-    assert best["RMSE 𝕀 [N m]"] == set()
+    assert best["RMSE [°]"] == {1}
+    assert best["RMSE [N m]"] == set()
     report = replace(report, model_alone=replace(report.model_alone, angle=replace(WORSE, ratio=NAN)))
-    assert ("  𝕄 over measured range, ℚ", "5.0 %", "–") in errors_table(report).rows
+    assert ("  largest error over measured range", "5.0 %", "–") in errors_table(report).rows
 
 
 def test_a_model_that_diverged_has_no_error_that_is_a_number(report: ReplayReport) -> None:

@@ -169,7 +169,7 @@ def test_what_a_file_claims_is_called_an_assumption() -> None:
     text = assumption(RIG)
     assert text is not None and text.startswith("Assumption: rig shin2022 was not identified.")
     assert "friction.shaft ± 2.0 %" in text and "muscle_2.force.w2 ± 2.9 %" in text
-    assert "NIS tests the pressures only" in text
+    assert text.endswith("and if nothing else is wrong.")
     assert [block.text for block in in_first_lines(text)] == [text]
 
 
@@ -190,3 +190,13 @@ def test_an_identified_rig_assumes_nothing() -> None:
     assert load_rig("sealed_joint").identified
     assert assumption(RIG.replaced(identified="free, locked")) is None
     assert in_first_lines(None) == ()
+
+
+def test_a_coefficient_has_the_unit_of_its_form() -> None:
+    units = {}
+    for form in ("hildebrandt", "sarosi", "braided"):
+        rig = RIG.unchecked(model=RIG.model.unchecked(force=form))
+        units[form] = [unit_of(rig, f"muscle_1.force.c{k}") for k in range(1, 8)]
+    assert units["hildebrandt"] == ["N"] * 7
+    assert units["sarosi"] == ["N", "N", "-", "N", "N", "N", "N"]
+    assert units["braided"] == ["N", "-", "N", "-", "-", "m", "N"]
