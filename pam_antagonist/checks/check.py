@@ -21,7 +21,7 @@ from typing_extensions import override
 
 from pam_antagonist.checks import numbers, samples, wiring
 from pam_antagonist.checks.numbers import delay_of_voltages
-from pam_antagonist.checks.prediction import correlation, from_pressures, predicted
+from pam_antagonist.checks.prediction import correlation, from_pressures, in_steps, predicted
 from pam_antagonist.checks.samples import SHORTEST
 from pam_antagonist.checks.wiring import Finding
 from pam_antagonist.errors import BadInput
@@ -275,8 +275,14 @@ def _driven(
         model = from_pressures(pascal, rig, joint, lock_angle)
     else:
         tolerance = wiring.unit_tolerance(rig, "pressure")
+
+        def steps(factor: float, added: float) -> float:
+            absolute = replace(ordered, pressure=factor * ordered.pressure + added)
+            measured, simulated = in_steps(absolute, rig, joint, lock_angle)
+            return float(np.sqrt(np.mean((measured - simulated) ** 2))) if len(measured) else math.nan
+
         units, now = wiring.pressure_unit_of(
-            ordered.pressure[model.rows], model, now, by_values, tolerance, bool(found.exchanged)
+            ordered.pressure[model.rows], model, now, by_values, tolerance, bool(found.exchanged), steps
         )
         findings += units
     directions = wiring.directions_of(timed, model, joint)

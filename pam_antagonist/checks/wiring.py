@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -164,12 +164,22 @@ def _decided(correlations: Sequence[float], expected: str) -> Arrangement:
 
 
 def pressure_unit_of(
-    pressures: Floats, model: Prediction, now: Corrections, typed: Corrections, tolerance: float, exchanged: bool
+    pressures: Floats,
+    model: Prediction,
+    now: Corrections,
+    typed: Corrections,
+    tolerance: float,
+    exchanged: bool,
+    in_steps: Callable[[float, float], float],
 ) -> tuple[list[Finding], Corrections]:
     """Unit and reference of the pressures, by their ratio to the model's and the remaining offset.
 
+    The offset alone decides nothing: a valve that is closed in its middle lets the model's pressures drift. So short
+    steps have to agree.
+
     `pressures`: as recorded, in an unknown unit, in the order of the valves (K, 2). `exchanged`: whether that is the
-    other order than the sensors'.
+    other order than the sensors'. `in_steps`: error of the model [Pa] over short steps that begin at the measured
+    pressures, by the factor of their unit and by what is added to them [Pa].
     """
     names = ("pressure_2", "pressure_1") if exchanged else ("pressure_1", "pressure_2")
     ratios = [ratio_to(pressures[:, i], model.pressure[:, i]) for i in (0, 1)]
@@ -193,9 +203,12 @@ def pressure_unit_of(
     air = now.atmosphere
     gauge = bool(np.all(np.abs(offset + air) < GAUGE_TOLERANCE))
     absolute = bool(np.max(np.abs(offset)) <= FAR_OFF)
+    if gauge != typed.gauge and (gauge or absolute):
+        with_air, as_recorded = in_steps(factor, air), in_steps(factor, 0.0)
+        gauge, absolute = gauge and not with_air > as_recorded, absolute and not as_recorded > with_air
     found = replace(now, pressure_unit=unit, gauge=gauge or (typed.gauge and not absolute))
     lower = np.abs(offset + air) < GAUGE_TOLERANCE
-    if not typed.gauge and lower.any() and np.max(np.abs(offset[~lower]), initial=0.0) < GAUGE_TOLERANCE and not gauge:
+    if not typed.gauge and lower.sum() == 1 and np.max(np.abs(offset[~lower])) < GAUGE_TOLERANCE:
         one, other = (names[int(np.flatnonzero(which)[0])] for which in (lower, ~lower))
         text = (
             f"{one} is {abs(float(offset[lower][0])) / 1e3:.0f} kPa lower than the voltages make it, and {other} "
@@ -222,6 +235,7 @@ def pressure_unit_of(
         text = (
             f"pressures 1 and 2 differ by {differ} from what the "
             "voltages make them: check supply.pressure, the valve curves and the sensors' zeros"
+            + (" (short steps show that these are no gauge pressures)" if lower.all() and not found.gauge else "")
         )
         out.append(Finding("doubtful", text))
     if not out:

@@ -34,6 +34,8 @@ _NEIGHBOURS = 0.05
 """Least share of neighbouring levels of a converted signal that are one step apart."""
 _ON_GRID, _SHARE_ON_GRID = 0.02, 0.98
 _LEAST_NOISE = 1e-12
+_ROUNDED = 3.0**0.5
+"""Half a step of a converter over the standard deviation of its rounding: at rest, all readings may be off by that."""
 _SLOW_S = 3e-3
 """[s] With longer sample periods, first differences contain too much motion to show the noise."""
 
@@ -120,6 +122,11 @@ class Trial:
         """Standard deviation of a block mean due to the channel's sensor."""
         return block_noise(self.measured[:, channel], self.block)
 
+    def noise_growth_at_rest(self, channel: int) -> float:
+        """How many times as large the noise of block means may be over a stretch in which the joint rests."""
+        values = self.measured[:, channel]
+        return _ROUNDED if _is_rounded(_smooth_noise(values), converter_step(values)) else 1.0
+
     def part(self, begin_s: float, end_s: float) -> Trial:
         """The part between two times [s] of the trial."""
         first, last = round(begin_s / self.dt), round(end_s / self.dt)
@@ -139,6 +146,16 @@ def blocks(values: Floats, size: int) -> Floats:
     number = known.sum(axis=1)
     total = np.where(known, cut, 0.0).sum(axis=1)
     return np.where(number >= size / 2, total / np.maximum(number, 1), np.nan)
+
+
+def continued(columns: Floats) -> Floats:
+    """Columns (N, C) with the nearest value in a row without one; a column without any stays as it is."""
+    out, row = columns.copy(), np.arange(len(columns))
+    for column in out.T:
+        known = ~np.isnan(column)
+        if known.any() and not known.all():
+            column[:] = np.interp(row, row[known], column[known])
+    return out
 
 
 def make_trial(recording: Recording, rig: Rig, joint: str, lock_angle: float, name: str) -> Trial:
@@ -271,7 +288,13 @@ def block_noise(values: Floats, size: int) -> float:
     """
     white, step = _smooth_noise(values), converter_step(values)
     averaged = white / np.sqrt(size)
-    return float(max(np.hypot(step / np.sqrt(12.0), averaged) if white < step / 2.0 else averaged, _LEAST_NOISE))
+    both = np.hypot(step / np.sqrt(12.0), averaged) if _is_rounded(white, step) else averaged
+    return float(max(both, _LEAST_NOISE))
+
+
+def _is_rounded(white: float, step: float) -> bool:
+    """Whether a converter rounds all samples of a block to one value: its step exceeds the noise."""
+    return white < step / 2.0
 
 
 def _smooth_noise(values: Floats) -> float:

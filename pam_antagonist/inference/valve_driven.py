@@ -32,7 +32,7 @@ from pam_antagonist.inference.free_run import (
     stride_blocks,
 )
 from pam_antagonist.inference.point import Channel, Point
-from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial
+from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial, continued
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import small_signal_lags
 from pam_antagonist.model.joint import quickest_lag
@@ -84,6 +84,11 @@ class ValveDriven(Experiment):
         return np.array([self.trial.noise(c) for c in self.channels])
 
     @cached_property
+    @override
+    def noise_at_rest(self) -> Floats:
+        return self.noise * np.array([self.trial.noise_growth_at_rest(c) for c in self.channels])
+
+    @cached_property
     def first(self) -> Start:
         """What the recording starts from."""
         return start_of(self.trial)
@@ -104,6 +109,7 @@ class ValveDriven(Experiment):
     @override
     def signals(self, point: Point) -> dict[str, Floats]:
         model, voltage = (self.trial.blocks(v) for v in (self.simulated(point, whole=True), self.trial.voltage))
+        model = continued(model)
         out = {f"voltage {i + 1}": voltage[:, i] for i in (0, 1)}
         out |= {f"pressure {i + 1}": model[:, PRESSURE_1 + i] for i in (0, 1)}
         if self.trial.joint == "free":
