@@ -65,9 +65,12 @@ _IN_THE_BASE = (
     "load_torque", "limb_weight", "friction_by_pressure", "valve_offset", "regulator_lag", "regulator_limits",
     "learned",
 )  # fmt: skip
-_LAW = {"angle": 0.005, "torque": 0.02, "pressure": 7e3}
-"""Errors that say nothing where only a data sheet tells the law: shares of the range that was seen, and [Pa] over a
-second."""
+_ANGLE, _TORQUE, _PRESSURE = 0.005, 0.02, 7e3
+"""Errors that say nothing where only a data sheet tells the law: as a share of the range that was seen, as a share of
+one muscle's torque, and [Pa] over a second. A share of the torque that was seen would grow with a locked recording, and
+hide what a free joint shows."""
+_DISSIPATES = {"friction": {"coulomb": 0.0, "stribeck": 0.0}, "hysteresis": {"amplitude": 0.0}}
+"""Least sizes of effects that take energy. The base has friction of its own, which is free: none has to be undone."""
 _AS_GOOD = 1.1
 """The filter's error with an effect may be larger by this factor than without it."""
 _EVALUATIONS = 12
@@ -147,8 +150,11 @@ class _Part(Experiment):
         """What a data sheet's law leaves; known valves leave nothing, a known joint what the measured pressures err."""
         if self.place == AIR and not is_guessed(self.rig):
             return self.noise
-        size = 1.0 if self.place == AIR else np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
-        return np.hypot(self.noise, np.array([_LAW[name] for name in self._sensors]) * size)
+        if self.place == AIR:
+            return np.hypot(self.noise, _PRESSURE)
+        seen = np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
+        torque = _TORQUE * joint_stage.torque_scale(self.rig)
+        return np.hypot(self.noise, np.where(np.array(self.channels) == ANGLE, _ANGLE * seen, torque))
 
     @override
     def excess_removed(self, before: Floats, after: Floats) -> tuple[float, float]:
@@ -235,8 +241,9 @@ class _Part(Experiment):
             if name in present or not (acts and of_drive and effect.deterministic) or name.endswith("_by_signal"):
                 continue
             # The share of each muscle in the motion is not observable; its own pressure shows its air.
-            out += [Candidate(name, replace(effect.form, tied=True))]
-            out += [Candidate(name, effect.form)] if self.place == AIR and not effect.form.tied else []
+            form = replace(effect.form, low={**effect.form.low, **_DISSIPATES.get(name, {})})
+            out += [Candidate(name, replace(form, tied=True))]
+            out += [Candidate(name, form)] if self.place == AIR and not form.tied else []
         return tuple(out)
 
 
@@ -306,9 +313,9 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
     base = identify(recordings, rig, settings.holdout, 2, settings.seed, jobs, progress, whole)
     ends = fitted_until(recordings, settings.holdout, whole)
     own, corrected = with_joint(rig, base.joint, recordings)
-    groups = [_group(JOINT, rig, base.joint.moved, recordings, ends, settings)]
+    groups = [group_of(JOINT, rig, base.joint.moved, recordings, ends, settings)]
     if base.air is not None:
-        groups.append(_group(AIR, own, base.air.moved, corrected, ends, settings))
+        groups.append(group_of(AIR, own, base.air.moved, corrected, ends, settings))
     there = tuple(group for group in groups if group is not None)
     prepared = Prepared(rig, rig, (), tuple(group.experiments[0].trial for group in there), there, len(recordings))
     judged = tuple(verdicts(prepared, settings, Timings()))
@@ -326,7 +333,7 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
     )
 
 
-def _group(
+def group_of(
     place: Place, rig: Rig, start: Fit, recordings: Sequence[Given], ends: Sequence[float], settings: Settings
 ) -> Group | None:
     """A part of the model with what is fitted and what is held out; None if either is missing."""
@@ -347,7 +354,13 @@ def _experiment(place: Place, rig: Rig, start: Fit, runs: Sequence[Run], setting
     period = float(np.median([run.period for run in runs]))
     block = max(1, round(BLOCK_S / period))
     cut = tuple(run.first(len(run) // block * block) for run in runs if len(run) >= block)
-    columns = [np.column_stack([np.full(len(r), np.nan) if r.locked else r.angle, r.torque, r.pressure]) for r in cut]
+    stop = joint_stage.off_stop(rig)
+    columns = [
+        np.column_stack([
+            np.full(len(r), np.nan) if r.locked else r.angle, joint_stage.muscle_torque(r, stop), r.pressure
+        ])
+        for r in cut
+    ]  # fmt: skip
     names = ", ".join(dict.fromkeys(run.name for run in cut))
     measured = _laid(place, columns)
     commands = np.resize(np.concatenate([run.command for run in cut]), (len(measured), 2))

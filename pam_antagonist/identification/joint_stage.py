@@ -261,6 +261,19 @@ def by_the_model(run: Run, p: Floats) -> Run:
     return replace(run, angle=angle, velocity=np.gradient(angle, run.time))
 
 
+def off_stop(rig: Rig) -> float:
+    """Angle [rad] within which a joint does not lean on its stops, which are set by eye."""
+    return math.inf if rig.joint.stop is None else rig.joint.stop - _EYE_STD
+
+
+def muscle_torque(run: Run, stop: float) -> Floats:
+    """Measured torque (N,) [N m] where it is the muscles', NaN elsewhere: on its stop a joint shares it with the stop.
+
+    `stop`: angle from which on a free joint may lean on its stop [rad].
+    """
+    return run.torque if run.locked else np.where(np.abs(run.angle) < stop, run.torque, np.nan)
+
+
 def errors_of(
     rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], values: Mapping[str, float], horizon: float = math.inf,
     longest: float = _LONGEST_STEP,
@@ -270,7 +283,7 @@ def errors_of(
     `horizon`: of the simulations [s].
     """
     zero, delay, vector = values.get(ZERO, 0.0), -values.get(DELAY, 0.0), rig.parameters()
-    stop = math.inf if rig.joint.stop is None else rig.joint.stop - _EYE_STD
+    stop = off_stop(rig)
     for name in dict.fromkeys(run.name for run in runs):
         p = par.changed(vector, {**model_values(unknown, values, name), **NO_REGULATORS})
         for run in runs:
@@ -281,7 +294,7 @@ def errors_of(
                 yield "balance", run, _unbalanced(run, p, zero, delay, stop)
             elif run.moves:
                 yield "angle", run, (run.angle - simulated(run, p, zero, delay, horizon, longest))[seen]
-            known = np.isfinite(run.torque[seen])
+            known = np.isfinite(muscle_torque(run, stop)[seen])
             if known.any():
                 yield "torque", run, (run.torque[seen] - torques(run, p, zero, delay))[known]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from pam_antagonist.inference.unknowns import Fit, Pulled, priors, robust, seen
+from pam_antagonist.inference.unknowns import NARROWED, Fit, Pulled, priors, robust, seen
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ _FORMS = 20.0
 """Independent values of what a model lacks: it moves with the commands, however long a recording is."""
 _PULLED = 3.0
 """A recording pulls a value apart that differs by so many standard errors without it."""
+_NAMED = 0.5
+"""Of such values those are named whose difference is more than this share of the standard error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +76,9 @@ def with_errors(
     found = within * prior[free] @ within + _jackknife(slopes, base, within) + sum(np.outer(one, one) for one in moves)
     pulled: tuple[Pulled, ...] = ()
     if rows is not None:
-        apart = _without_each(slopes, base, within, rows.recording, np.diag(found) / np.diag(within))
+        apart = _without_each(slopes, base, within, rows.recording, np.diag(found) / np.diag(within), prior[free])
         found += sum(np.outer(one.moves, one.moves) for one in apart) + _of_the_model(slopes, base, within, rows.noise)
-        pulled = _named(fit, free, apart)
+        pulled = _named(fit, free, apart, np.sqrt(np.diag(found)))
         # Where the data say little, a step of the linear model may be far beyond what the priors allow.
         most = np.where(prior[free] > 0.0, np.maximum(1.0, np.abs(amounts[free])), np.inf)
         narrower = np.minimum(1.0, most / np.sqrt(np.diag(found)))
@@ -106,11 +108,12 @@ class _Without(NamedTuple):
 
 
 def _without_each(
-    slopes: Floats, residual: Floats, within: Floats, recording: NDArray[np.str_], larger: Floats
+    slopes: Floats, residual: Floats, within: Floats, recording: NDArray[np.str_], larger: Floats, prior: Floats
 ) -> list[_Without]:
     """What leaving out a recording changes, for each of several.
 
-    `larger`: variance of each free amount over that of the curvature alone (F,).
+    `larger`: variance of each free amount over that of the curvature alone (F,). `prior`: which have a prior, 1 or 0
+    (F,).
     """
     # In the unit of the residuals a prior is as wide as it is: a small error of the data does not make it narrower.
     larger = np.maximum(larger, 1.0)
@@ -122,16 +125,21 @@ def _without_each(
         moves = others @ (slopes[rows].T @ residual[rows])
         # Without the only recording that shows a value, the prior alone is left: this is no contradiction.
         far = np.abs(moves) / np.sqrt(np.maximum(np.diag(others) - np.diag(within), 1e-12) * larger)
-        out.append(_Without(name, np.where(far > _PULLED, moves, 0.0), far))
+        # What the others hardly tell contradicts nothing: a step along it may lead anywhere.
+        told = (np.diag(others) * larger < NARROWED**2) | (prior == 0.0)
+        out.append(_Without(name, np.where(told & (far > _PULLED), moves, 0.0), far))
     return out
 
 
-def _named(fit: Fit, free: NDArray[np.intp], apart: Sequence[_Without]) -> tuple[Pulled, ...]:
-    """The recordings that pull values apart, of each value the one that does most, the farthest first."""
+def _named(fit: Fit, free: NDArray[np.intp], apart: Sequence[_Without], std: Floats) -> tuple[Pulled, ...]:
+    """The recordings that pull values apart, of each value the one that does most, the farthest first.
+
+    `std`: of the free amounts (F,).
+    """
     out = []
     for place, k in enumerate(free):
         one = max(apart, key=lambda one: float(one.far[place]), default=None)
-        if one is not None and one.moves[place]:
+        if one is not None and abs(one.moves[place]) > _NAMED * std[place]:
             item = fit.unknowns[k]
             there = float(np.clip(fit.amounts[k] + one.moves[place], *item.bounds))
             out.append(Pulled(item.name, one.recording, item.value(there), float(one.far[place])))

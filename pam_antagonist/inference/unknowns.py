@@ -28,7 +28,7 @@ _STEP = 1e-3
 _ROBUST = 20.0
 """Residuals beyond so many units count less and less."""
 _AT_BOUND = 1e-3
-_NARROWED = 0.5
+NARROWED = 0.5
 """A value is determined where the data leave less than this share of its prior's standard deviation."""
 FAR = 3.0
 """Distance from the rig file's value, in standard deviations of the prior, that contradicts the prior."""
@@ -165,7 +165,7 @@ def _reason(item: Unknown, amount: float, std: float, at_bound: bool) -> str:
     """Why the data do not determine an unknown, from its amount and the amount's standard error."""
     if at_bound:
         return "met a bound"
-    if std >= _NARROWED:
+    if std >= NARROWED:
         return "stays near its prior" if abs(amount) <= 1.0 else "moved, but uncertain"
     if not item.positive and item.start and _NORMAL * std * item.std >= abs(item.value(amount)):
         return "uncertain by more than its value"

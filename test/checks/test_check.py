@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from pam_antagonist import simulate
-from pam_antagonist.checks import Checked, check_recording
+from pam_antagonist.checks import Checked, check_recording, wiring
+from pam_antagonist.checks.prediction import Prediction
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import Recording, read_bag
 from pam_antagonist.recording.corrections import Corrections
@@ -196,3 +197,23 @@ def test_a_channel_of_another_rig_is_not_only_a_wrong_unit(free: Recording, rig:
     found = check_recording(with_angle(free, lambda angle: 4.0 * angle), rig).findings
     (text,) = [finding.text for finding in found if "converted from rev" in finding.text]
     assert "a factor of 6.28" in text and "or this is a recording of another rig" in text
+
+
+@pytest.mark.parametrize(("better", "options"), [("gauge", {"--gauge"}), ("absolute", set())])
+def test_a_drift_from_the_voltages_alone_is_no_gauge_pressure(better: str, options: set[str]) -> None:
+    """A trial with valves that are closed in the middle was refused: both pressures were 90 kPa lower (sure)."""
+    model = predicted_at(np.linspace(2.5e5, 5e5, 200))
+    wanted = {"gauge": 101_325.0, "absolute": 0.0}[better]
+    findings, found = wiring.pressure_unit_of(
+        model.pressure - 90e3, model, Corrections(), Corrections(), 1.5, False,
+        lambda factor, added: 1e3 + abs(added - wanted),
+    )  # fmt: skip
+    assert {option for finding in findings if finding.status == "wrong" for option in finding.options} == options
+    assert found.gauge == bool(options)
+    assert ("these are no gauge pressures" in findings[0].text) == (better == "absolute")
+
+
+def predicted_at(pressure: np.ndarray) -> Prediction:
+    """A model's pressures, the same in both muscles."""
+    both, none = np.column_stack([pressure, pressure]), np.zeros(len(pressure))
+    return Prediction(none, both, np.zeros_like(both), none, none, np.arange(len(pressure)))

@@ -176,3 +176,10 @@ def test_a_sparse_regression_finds_the_form_and_is_judged_by_what_it_has_not_see
     assert found.share > 0.9 and found.held_out > 0.95
     nothing = remaining.form(rng.standard_normal(400), here, (made(later), later))
     assert len(nothing.terms) <= 1 and nothing.held_out < 0.1
+
+
+def test_the_model_has_a_course_where_a_delay_leaves_no_reading(recorded, experiment_of) -> None:
+    experiment = experiment_of(recorded(joint="free", seconds=20.0), "free")
+    late = Point(experiment.origin.theta, {"calibration.delay_angle": -0.06})
+    assert np.isnan(experiment.simulated(late, whole=True)[:, 0]).any()
+    assert all(np.isfinite(values).all() for values in experiment.signals(late).values())

@@ -188,3 +188,24 @@ def test_values_that_are_all_at_bounds_stay_as_they_are() -> None:
     errors = {"angle": np.ones(20)}
     assert with_errors(found, lambda values: np.ones(5)).reasons == {"gain": "met a bound"}
     assert refined(found, [], lambda values: errors, {"angle": 1.0}, 2).unknowns == found.unknowns
+
+
+def test_what_the_other_recordings_hardly_tell_contradicts_none_of_them() -> None:
+    """Without its only free recording a rig had a hysteresis of 60 N: a step of the linear model, told as an error."""
+    noise = 0.01 * np.random.default_rng(0).standard_normal((2, len(TIME)))
+    unknown = [Unknown(name, (name,), 0.0, 1.0) for name in "ab"]
+
+    def pulled(weight: float) -> dict[str, str]:
+        shapes = np.stack([SHAPES, SHAPES * [weight, 1.0]])
+
+        def of(values: Mapping[str, float]) -> np.ndarray:
+            # The second recording has another a.
+            made = np.stack([SHAPES @ [0.5, -0.2], shapes[1] @ [1.5, -0.2]]) + noise
+            return (shapes @ [values["a"], values["b"]] - made).ravel() / 0.1
+
+        rows = Rows.of([("one", len(TIME), 0.1), ("two", len(TIME), 0.1)])
+        found = with_errors(fitted(unknown, of), of, rows=rows)
+        return {item.name: item.recording for item in found.pulled}
+
+    assert "a" in pulled(1.0)
+    assert "a" not in pulled(1e-3)

@@ -129,7 +129,7 @@ def rig_file(folder: Path, body: str) -> Path:
         ("effects: {creep: {share_1: .nan}}", ["effects.creep.share_1"]),
         ("effects: {leak: 3.0}", ["effects.leak"]),
         ("effects: {leak: {area_1: large}}", ["effects.leak.area_1"]),
-        ("effects: {leak: {area_1: yes}}", ["effects.leak.area_1", "expected a number"]),
+        ("effects: {leak: {area_1: true}}", ["effects.leak.area_1", "expected a number"]),
         ("uncertainty: {effects.leak.area_3: 1.0e-9}", ["effects.leak.area_3", "did you mean"]),
         ("directions: {one: {effects.leak.aera_1: 1.0e-9}}", ["directions.one", "did you mean 'effects.leak.area_1'"]),
     ],
