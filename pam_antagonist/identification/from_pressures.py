@@ -145,7 +145,7 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
     """The unknowns of the joint and of the air, and what to say of them."""
     named = free_parameters(rig, options.free, options.frozen)
     seen = any(np.isfinite(run.torque).any() or run.moves for run in runs)
-    if rig.model.force != "braided":
+    if not is_guessed(rig):
         kept = [item for item in named if seen or item.name.startswith((*joint_stage.AIR, *options.free))]
         if not kept:
             raise BadInput(
