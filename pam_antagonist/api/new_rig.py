@@ -88,6 +88,11 @@ def _or_none(quantity: str, low: float, high: float) -> Callable[[str], float | 
 def _volts(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
     read = _quantity("voltage", 0.0, 10.0, "V")
+    if colon and plain(low).lstrip().startswith("-"):
+        raise BadInput(
+            f"{text!r}: expected 0 to 10 V. With a bipolar amplifier before the valve, count from its least voltage: add "
+            "it in your driver, and as offset of the valves in the map of import_csv"
+        )
     values = (read(low), read(high)) if colon else (math.nan, math.nan)
     if not values[0] < values[1]:
         raise BadInput(f"{text!r}: expected the least and the largest voltage [V], such as 0:10")

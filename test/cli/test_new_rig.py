@@ -235,7 +235,8 @@ def test_a_range_may_have_its_unit_once(tmp_path, given):
         ("inertia", "9 kg m²", "expected 2e-07 to 5 kg m2"),
         ("rate", "often", "expected a number and its unit, 10 to 10000 Hz"),
         ("mass", "1", "expected a number and its unit, such as 250g"),
-        ("voltage", "-5:5", "expected 0 to 10 V"),
+        ("voltage", "-5:5", "count from its least voltage"),
+        ("voltage", "0:12", "expected 0 to 10 V"),
     ],
 )
 def test_a_number_that_cannot_be_is_refused_with_its_unit(refused, tmp_path, option, given, words):
