@@ -90,8 +90,8 @@ def _volts(text: str) -> tuple[float, float]:
     read = _quantity("voltage", 0.0, 10.0, "V")
     if colon and plain(low).lstrip().startswith("-"):
         raise BadInput(
-            f"{text!r}: expected 0 to 10 V. With a bipolar amplifier before the valve, count from its least voltage: add "
-            "it in your driver, and as offset of the valves in the map of import_csv"
+            f"{text!r}: expected 0 to 10 V. With a bipolar amplifier before the valve, count from its least voltage: "
+            "add it in your driver, and as offset of the valves in the map of import_csv"
         )
     values = (read(low), read(high)) if colon else (math.nan, math.nan)
     if not values[0] < values[1]:

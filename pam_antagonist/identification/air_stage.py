@@ -60,11 +60,13 @@ def unknowns(rig: Rig, runs: Sequence[Run] = ()) -> list[Unknown]:
 
     `runs`: whose pressures the supply has filled.
     """
-    out = [_positive("gas.polytropic_volume", rig, 0.3, 0.25, 1.9)]
     if rig.drive == "regulator":
+        # A regulator holds its pressure while the volume changes: the exponent of what is seen may vanish.
+        out = [replace(_positive("gas.polytropic_volume", rig, 0.7, 0.0, 1.9), may_vanish=True)]
         for name in ("frequency_1", "frequency_2", "damping"):
             out.append(_positive(f"effects.regulator_lag.{name}", rig, 0.5))
         return out
+    out = [_positive("gas.polytropic_volume", rig, 0.3, 0.25, 1.9)]
     for i in (1, 2):
         for name in ("inflow_area", "outflow_area"):
             out.append(_positive(f"valve_{i}.{name}", rig, 0.35))

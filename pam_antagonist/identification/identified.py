@@ -284,7 +284,7 @@ def _parameters(rig: Rig, fit: Fit) -> list[ParameterEntry]:
         value = item.value(float(amount))
         if not item.recording:
             reason = reasons[item.name]
-            at_bound = item.name in fit.at_bounds and item.name not in fit.kept
+            at_bound = item.name in fit.at_bounds and item.name not in fit.kept and not item.is_none(float(amount))
             out.append(
                 ParameterEntry(
                     item.name, item.start, value, stds[item.name], _relative(item.start, value),

@@ -77,6 +77,10 @@ class Unknown:
         """The inverse of :meth:`value`."""
         return (math.log(value / self.start) if self.positive else value - self.start) / self.std
 
+    def is_none(self, amount: float) -> bool:
+        """Whether a bound that was met at an amount means that there is none of it."""
+        return self.may_vanish and amount < 0.0
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and largest amount."""
@@ -164,7 +168,7 @@ class Fit:
 def _reason(item: Unknown, amount: float, std: float, at_bound: bool) -> str:
     """Why the data do not determine an unknown, from its amount and the amount's standard error."""
     if at_bound:
-        return "met a bound"
+        return "none is seen" if item.is_none(amount) else "met a bound"
     if std >= NARROWED:
         return "stays near its prior" if abs(amount) <= 1.0 else "moved, but uncertain"
     if not item.positive and item.start and _NORMAL * std * item.std >= abs(item.value(amount)):
@@ -294,7 +298,7 @@ def within_bounds(
         k: item.value(float(amount))
         for k, (item, amount) in enumerate(zip(fit.unknowns, fit.amounts, strict=True))
         if item.paths and item.name in fit.at_bounds and item.name not in stay
-        and not (item.may_vanish and amount < 0.0)
+        and not item.is_none(float(amount))
     }  # fmt: skip
     if not met:
         return fit

@@ -15,6 +15,8 @@ from pam_antagonist.rig import learned
 from pam_antagonist.rig.schema import Rig, limits
 from pam_antagonist.strict_yaml import unknown
 
+_LEAST_EXPONENT = 0.2
+"""Of the pressure's change by the volume's, where no regulator holds the pressure."""
 _LEAST_VOLUME, _LARGEST_VOLUME = 1e-7, 1e-2
 RANGE_WITHOUT_STOP = math.radians(25.0)
 """[rad] Range of the angle, to both sides, over which a joint without a stop is checked."""
@@ -63,6 +65,8 @@ def _bad_limits(rig: Rig) -> Iterator[str]:
         )
     if len(rig.signals) > SIGNALS:
         yield f"signals: {len(rig.signals)} of them, expected at most {SIGNALS}"
+    if rig.drive != "regulator" and rig.gas.polytropic_volume <= _LEAST_EXPONENT:
+        yield f"gas.polytropic_volume {rig.gas.polytropic_volume:g}: expected above {_LEAST_EXPONENT:g}"
     low, high = rig.valves.voltage_min, rig.valves.voltage_max
     if low >= high:
         yield f"valves.voltage_min {low:g} V: expected below voltage_max, {high:g} V"

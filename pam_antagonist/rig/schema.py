@@ -106,7 +106,9 @@ class Gas(Strict):
     constant: float = Field(gt=50.0, lt=5000.0, description="R [J/(kg K)]")
     temperature: float = Field(gt=200.0, lt=400.0, description="T [K]")
     polytropic_flow: float = Field(gt=0.2, lt=2.0, description="k_1 [-]")
-    polytropic_volume: float = Field(gt=0.2, lt=2.0, description="k_2 [-]")
+    polytropic_volume: float = Field(
+        gt=0.0, lt=2.0, description="k_2 [-]; above 0.2 where no regulator holds the pressure"
+    )
 
 
 class Supply(Strict):

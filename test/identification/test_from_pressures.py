@@ -289,7 +289,7 @@ def test_what_is_frozen_stays_and_what_is_freed_moves(trials: list[Recording]) -
 
 
 @pytest.mark.thorough(30)
-@pytest.mark.parametrize(("lab", "most"), [("elbow", 0.4), ("wrist", 1.1)])
+@pytest.mark.parametrize(("lab", "most"), [("elbow", 0.4), ("wrist", 1.0)])
 def test_recordings_of_other_laboratories(
     lab: str, most: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
