@@ -65,10 +65,10 @@ _IN_THE_BASE = (
     "load_torque", "limb_weight", "friction_by_pressure", "valve_offset", "regulator_lag", "regulator_limits",
     "learned",
 )  # fmt: skip
-_ANGLE, _TORQUE, _PRESSURE = 0.005, 0.02, 7e3
-"""Errors that say nothing where only a data sheet tells the law: as a share of the range that was seen, as a share of
-one muscle's torque, and [Pa] over a second. A share of the torque that was seen would grow with a locked recording, and
-hide what a free joint shows."""
+_ANGLE, _PRESSURE = 0.005, 7e3
+"""Errors that say nothing where only a data sheet tells the law: of the angle as a share of the range that was seen, of
+the pressures [Pa] over a second. That of the torque is the fit's share of one muscle's torque: a share of the torque
+that was seen would grow with a locked recording, and hide what a free joint shows."""
 _DISSIPATES = {"friction": {"coulomb": 0.0, "stribeck": 0.0}, "hysteresis": {"amplitude": 0.0}}
 """Least sizes of effects that take energy. The base has friction of its own, which is free: none has to be undone."""
 _AS_GOOD = 1.1
@@ -148,12 +148,10 @@ class _Part(Experiment):
     @override
     def tolerated(self) -> Floats:
         """What a data sheet's law leaves; known valves leave nothing, a known joint what the measured pressures err."""
-        if self.place == AIR and not is_guessed(self.rig):
-            return self.noise
         if self.place == AIR:
-            return np.hypot(self.noise, _PRESSURE)
+            return np.hypot(self.noise, _PRESSURE) if is_guessed(self.rig) else self.noise
         seen = np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
-        torque = _TORQUE * joint_stage.torque_scale(self.rig)
+        torque = joint_stage.TORQUE_SHARE * joint_stage.torque_scale(self.rig)
         return np.hypot(self.noise, np.where(np.array(self.channels) == ANGLE, _ANGLE * seen, torque))
 
     @override

@@ -51,7 +51,7 @@ _INDEPENDENT = 10.0
 """[1/s] Errors of a model last; so many values a second count as independent."""
 _ANGLE_SHARE = 0.01
 """Unit of the angle's residuals, as a share of the measured range."""
-_TORQUE_SHARE, _BALANCE_SHARE = 0.02, 0.1
+TORQUE_SHARE, _BALANCE_SHARE = 0.02, 0.1
 """Units of the torque and of the balance, as a share of one muscle's torque: derivatives of an encoder err by more than
 a model. That of the balance was chosen of 0.02, 0.05 and 0.1 on four simulated joints, two of which had ended in a
 false minimum."""
@@ -336,7 +336,7 @@ def _weights(rig: Rig, runs: Sequence[Run], share: float = 1.0) -> Callable[[str
     """
     scale = torque_scale(rig)
     angle = _ANGLE_SHARE * _range([run.angle for run in runs if not run.locked])
-    units = {"angle": angle, "torque": _TORQUE_SHARE * scale, "balance": _BALANCE_SHARE * scale}
+    units = {"angle": angle, "torque": TORQUE_SHARE * scale, "balance": _BALANCE_SHARE * scale}
 
     def weight(kind: str, run: Run) -> float:
         return math.sqrt(min(_INDEPENDENT * share * run.period, 1.0)) / units[kind]

@@ -47,15 +47,12 @@ def held_runs(given: Given, end: float) -> list[Run]:
     return [part for part in parts if np.isfinite(part.angle).any()]
 
 
-_LEVER = "geometry.radius"
-
-
 def is_guessed(rig: Rig) -> bool:
     """Whether nothing but data sheets and a ruler tells of the joint, as in a file of ``new_rig``.
 
     A known joint may have muscles of this form as well, from a measured map: its lever has no prior.
     """
-    return rig.model.force == "braided" and _LEVER in rig.priors
+    return rig.model.force == "braided" and "geometry.radius" in rig.priors
 
 
 def fitted_until(recordings: Sequence[Given], holdout: float, whole: int = 0) -> list[float]:
