@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm, t
 
 Floats = NDArray[np.float64]
 
@@ -48,9 +50,23 @@ class Interval(NamedTuple):
         return bool(np.isfinite(self.low) and np.isfinite(self.high))
 
 
+def _blocks(episodes: int) -> int:
+    return max(round(episodes / BLOCK), min(episodes, _LEAST_BLOCKS))
+
+
+def _wider(episodes: int) -> float:
+    """By how much draws have to be spread: a bootstrap of n blocks is too narrow, like a variance over n and not n − 1.
+
+    Source: Hesterberg (2015), "What teachers should know about the bootstrap", expanded percentile interval.
+    """
+    blocks = max(_blocks(episodes), 2)
+    student, normal = t.ppf(1.0 - 0.5 * CHANCE, blocks - 1), norm.ppf(1.0 - 0.5 * CHANCE)
+    return math.sqrt(blocks / (blocks - 1)) * float(student / normal)
+
+
 def drawn(episodes: int, seed: int = 0) -> Floats:
     """How often each episode is in each draw of a bootstrap of blocks (DRAWS, E)."""
-    blocks = max(round(episodes / BLOCK), min(episodes, _LEAST_BLOCKS))
+    blocks = _blocks(episodes)
     edges = np.linspace(0, episodes, blocks + 1).round().astype(int)
     which = np.random.default_rng(seed).integers(0, blocks, (DRAWS, blocks))
     times = np.stack([np.bincount(draw, minlength=blocks) for draw in which])
@@ -68,7 +84,8 @@ def steps(spans: Sequence[tuple[int, int]], slopes: Floats, left: Floats, seed: 
     squares = np.stack([slopes[a:b].T @ slopes[a:b] for a, b in spans])
     pulls = np.stack([slopes[a:b].T @ left[a:b] for a, b in spans])
     draws = drawn(len(spans), seed)[:_STEPS]
-    return np.array([-np.linalg.lstsq(np.tensordot(d, squares, 1), d @ pulls, rcond=None)[0] for d in draws])
+    wider = _wider(len(spans))
+    return wider * np.array([-np.linalg.lstsq(np.tensordot(d, squares, 1), d @ pulls, rcond=None)[0] for d in draws])
 
 
 def rmse(sums: Floats, counts: Floats) -> Interval:
@@ -77,8 +94,8 @@ def rmse(sums: Floats, counts: Floats) -> Interval:
     `sums`: squared errors of each episode (E,) [rad²]. `counts`: number of values of each episode (E,).
     """
     draws = drawn(len(sums))
-    spread = np.sqrt((draws @ sums) / (draws @ counts))
-    return Interval.of(np.degrees(np.sqrt(sums.sum() / counts.sum())), np.degrees(spread))
+    error, spread = np.sqrt(sums.sum() / counts.sum()), np.sqrt((draws @ sums) / (draws @ counts))
+    return Interval.of(np.degrees(error), np.degrees(_spread(error, spread, len(sums))))
 
 
 def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
@@ -88,5 +105,10 @@ def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
     for it.
     """
     draws = drawn(len(first))
-    spread = (draws @ first) / (draws @ second)
-    return Interval.of(first.sum() / second.sum(), spread, CHANCE / offered)
+    whole, spread = first.sum() / second.sum(), (draws @ first) / (draws @ second)
+    return Interval.of(whole, _spread(whole, spread, len(first)), CHANCE / offered)
+
+
+def _spread(value: float, draws: Floats, episodes: int) -> Floats:
+    """Draws (D,) of a positive value, as far apart as the number of episodes asks."""
+    return np.asarray(np.maximum(value + _wider(episodes) * (draws - value), 0.0))

@@ -71,15 +71,18 @@ def kikuuwe_torque(velocity, applied, coulomb, viscous, p):
     inside the Runge-Kutta stages the law is a Coulomb friction whose jump at rest is a steep ramp with
     the time constant T_stp: a body that sticks comes to rest within a few steps and stays.
 
+    The dry friction alone looks a step ahead. In the equation the viscous torque does too, which inside the stages
+    would be an inertia of J + T_stp c_s.
+
     Returns T_f [N m], and 1.0 where the joint slides or 0.0 where it sticks.
     """
     # Divisions are slow. Those of parameters alone are the same in all stages of a step: the compiler does them once.
-    z = p[FRICTION_STEP] / p[INERTIA]
-    free = velocity + z * applied
-    if abs(free) <= z * coulomb:
-        return free * (p[INERTIA] / p[FRICTION_STEP]), 0.0
-    sign = 1.0 if free > 0.0 else -1.0
-    return (coulomb * sign + viscous * free) * (1.0 / (1.0 + z * viscous)), 1.0
+    steepest = p[INERTIA] / p[FRICTION_STEP]
+    viscous = min(viscous, steepest)  # of a more viscous joint a step could not follow the decay
+    stopping = (steepest - viscous) * velocity + applied
+    if abs(stopping) <= coulomb:
+        return stopping + viscous * velocity, 0.0
+    return (coulomb if stopping > 0.0 else -coulomb) + viscous * velocity, 1.0
 
 
 @inlined

@@ -166,7 +166,8 @@ def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
     """Coulomb friction grows from 4 to 12 rad/s²; the stiffness stays."""
     episodes = PressureDriven.of(joint(by_signal=0.0, coulomb=np.linspace(4.0, 12.0, EPISODES), seed=6), RIG)
     held = held_out(len(episodes), 1.0 / 3.0)
-    model = search(episodes, held.pool, lambda text: None).model
+    searched = search(episodes, held.pool, lambda text: None)
+    model, episodes = searched.model, replace(episodes, longest_step=searched.longest_step)
     found = course(episodes, held, episodes.take(held.pool).fit(model))
     inertia = episodes.rig.joint.inertia
     friction = found.changes["effects.friction.coulomb"]

@@ -170,13 +170,23 @@ def muscle_friction(t, p_1, p_2):
 
 
 def friction(t, psi_dot_before, t_0, coulomb):
-    """T_f, and whether the joint slides; Z = T_stp/J (printed upside down)."""
+    """T_f, and whether the joint slides; Z = T_stp/J (printed upside down), and the viscous torque is that of now."""
+    viscous = t["c_s"] * psi_dot_before
+    free = psi_dot_before + t["T_stp"] / t["J"] * (t_0 - viscous)  # after a step without dry friction
+    stopping = free / (t["T_stp"] / t["J"])
+    if abs(stopping) > coulomb:
+        return math.copysign(coulomb, stopping) + viscous, True
+    return stopping + viscous, False
+
+
+def printed_friction(t, psi_dot_before, t_0, coulomb):
+    """T_f of equation (10), but for its Z: the viscous torque, too, is that at the end of the step."""
     z = t["T_stp"] / t["J"]
     psi_dot = psi_dot_before + z * t_0
     if abs(psi_dot) > z * coulomb:
         sgn = math.copysign(1.0, psi_dot)
-        return (coulomb * sgn + t["c_s"] * psi_dot) / (1 + z * t["c_s"]), True
-    return psi_dot / z, False
+        return (coulomb * sgn + t["c_s"] * psi_dot) / (1 + z * t["c_s"])
+    return psi_dot / z
 
 
 def balance(t, x):
