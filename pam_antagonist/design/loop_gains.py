@@ -65,8 +65,8 @@ def loop_gains(rig: Rig, mode: str) -> LoopGains:
     """Gains of the PI controller for a rig. `mode`: ``angle`` or ``torque``."""
     a, b, c = _linear(rig, mode)
     slowest = float(np.min(np.abs(np.linalg.eigvals(a).real)))
-    omega = np.geomspace(1e-2, np.pi / rig.sample_period, 1500)
-    plant = np.array([c @ np.linalg.solve(1j * w * np.eye(len(a)) - a, b) for w in omega])
+    omega = np.geomspace(1e-2, np.pi / rig.sample_period, 6000)
+    plant = np.linalg.solve(1j * omega[:, None, None] * np.eye(len(a)) - a, b[:, None])[..., 0] @ c
     plant *= np.exp(-1j * omega * _DELAY_SAMPLES * rig.sample_period)
     corners = np.geomspace(max(slowest, 0.05), _MOST_CORNER, 24)
     gains = [_largest_gain(plant * (1.0 + corner / (1j * omega)), omega) for corner in corners]

@@ -35,7 +35,7 @@ from pam_antagonist.diagnosis.search import about, hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
 from pam_antagonist.identification.filter_stage import Given, with_unknown_force, with_unknown_torque
 from pam_antagonist.identification.parts import is_free
-from pam_antagonist.identification.sealed_tuning import tuned
+from pam_antagonist.identification.sealed_tuning import EVALUATIONS, tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
@@ -97,8 +97,6 @@ _COVERED_S = 30.0
 """[s] So much of a recording says how wide the intervals are: each width that is tried takes a run of the filter."""
 _NAMED = 3
 """Residuals that the sentence names; all of them are in a section of their own."""
-_TUNINGS = 25
-"""Tunings of the estimator that are tried for each model, beginning with the rig file's."""
 
 
 def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, timings: Timings) -> Diagnosis:
@@ -288,12 +286,12 @@ def _tunings(
         rigs = {name: _covered(prepared, common[name], compared, name, settings) for name in names}
         return {"extended": rigs["recalibrated"], **rigs}
     named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
-    tried, most = itertools.count(1), _TUNINGS * len(names)
+    tried, most = itertools.count(1), EVALUATIONS * len(names)
 
     def report(text: str) -> None:
         settings.progress(f"tuning the estimators, {min(next(tried), most)} of at most {most}")
 
-    tasks = [(common[name], named, 1.0 - settings.holdout, report, _TUNINGS) for name in names]
+    tasks = [(common[name], named, 1.0 - settings.holdout, report) for name in names]
     best = in_threads(tuned, tasks, settings.jobs)
     rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
     return {"extended": rigs["recalibrated"], **rigs}

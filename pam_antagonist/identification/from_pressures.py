@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput, NoResult
+from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import air_stage, joint_stage, noise
 from pam_antagonist.identification.air_stage import errors, fit_air
 from pam_antagonist.identification.filter_stage import (
@@ -107,7 +107,6 @@ def identify(
 
     Raises:
         BadInput: recordings that tell too little.
-        NoResult: recordings that are not of one rig.
     """
     progress = progress or (lambda text: None)
     options = Options(tuple(free), tuple(frozen), holdout, starts, seed)
@@ -137,7 +136,7 @@ def identify(
         air = replace(air, lost=joint.lost)
     if air is not None:
         steps.append(_air_step(own, moving, air))
-    _refuse_two_rigs(recordings, ends, own, joint, air, jobs)
+    notes = (*_of_two_rigs(recordings, ends, own, joint, air, jobs), *notes)
     return concluded(recordings, ends, rig, joint, air, jobs, progress, model, options, steps, notes)
 
 
@@ -345,15 +344,15 @@ def _with_regulators(rig: Rig, recordings: Sequence[Given], ends: Sequence[float
     return moved(rig, values), Step("regulators", "commands and pressures between rests", moves, {}, {}, note)
 
 
-def _refuse_two_rigs(
+def _of_two_rigs(
     recordings: Sequence[Given], ends: Sequence[float], rig: Rig, joint: Fit, air: Fit | None, jobs: int
-) -> None:
-    """Refuse recordings whose common fit is worse on held-out data than separate ones.
+) -> tuple[str, ...]:
+    """What to say of recordings whose common fit is worse on held-out data than separate ones.
 
     `ends`: of the fitted part of each [s].
     """
     if air is None or not any(item.recording for item in air.unknowns):
-        return
+        return ()
     common, apart, values = 0.0, 0.0, {}
     unknown = [item for item in air.unknowns if not item.recording]
     for given, end in zip(recordings, ends, strict=True):
@@ -361,7 +360,7 @@ def _refuse_two_rigs(
         later = air_stage.usable(parts_of([given], [end], held_out=True, locked=True))
         alone = fit_air(rig, mine, 0.0, jobs=jobs, free=unknown)
         if alone is None or not later:
-            return
+            return ()
         left = air_stage.residual_of(rig, later, 0.0, air_stage.HORIZONS[-1], unknown, raw=True)
         common += float(np.sum(left(air.values) ** 2))
         apart += float(np.sum(left(alone.values) ** 2))
@@ -372,12 +371,13 @@ def _refuse_two_rigs(
     own = {name: one[path] for name, one in values.items()}
     low, high = min(own, key=own.__getitem__), max(own, key=own.__getitem__)
     share = (own[high] - own[low]) / (0.5 * (own[high] + own[low]))
-    if apart < _SEPARATE * common and share > _OTHER_RIG:
-        raise NoResult(
-            f"{high} and {low} do not fit together: {path} would differ by {100 * share:.0f} %, and separate fits "
-            f"leave {100 * apart / common:.0f} % of the common fit's squared error on held-out data. They are of two "
-            "rigs, or the model lacks an effect; identify them one by one, or see what close_loop finds"
-        )
+    if apart >= _SEPARATE * common or share <= _OTHER_RIG:
+        return ()
+    return (
+        f"{high} and {low} do not fit together: {path} would differ by {100 * share:.0f} %, and separate fits "
+        f"leave {100 * apart / common:.0f} % of the common fit's squared error on held-out data. They are of two "
+        "rigs, or the model lacks an effect: identify them one by one, or see what close_loop finds.",
+    )
 
 
 def _rms(values: Floats) -> float:

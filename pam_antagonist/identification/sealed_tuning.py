@@ -20,7 +20,8 @@ from pam_antagonist.estimation.ukf import OUTPUTS
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 
-_EVALUATIONS = 60
+EVALUATIONS = 60
+"""Most tunings that are tried, beginning with the rig file's: 25 of five numbers were often far from the best."""
 _BOUNDS = ((0.0, 3.5), (-1.7, 1.5), (-2.0, 1.0), (-10.0, 1.0), (-3.0, 4.0))
 """Of the logarithms of the drift's standard deviation [Pa] and time constant [s], of the torque's random walk
 [N m/s^0.5], and of Q of velocity [rad²/s²] and of a pressure [Pa²]."""
@@ -40,7 +41,6 @@ def tuned(
     recordings: Sequence[tuple[Recording, str]],
     share: float,
     progress: Callable[[str], None],
-    evaluations: int = _EVALUATIONS,
 ) -> tuple[Rig, tuple[float, float], int]:
     """The tuning under which the errors of the measured angle are most likely, innovations as large as expected."""
     ends = [(recording, share * _duration(recording)) for recording, _ in recordings]
@@ -67,7 +67,7 @@ def tuned(
     tried = itertools.count(1)
 
     def against(logarithm: np.ndarray) -> float:
-        progress(f"tuning, {min(next(tried), evaluations)} of at most {evaluations}")
+        progress(f"tuning, {min(next(tried), EVALUATIONS)} of at most {EVALUATIONS}")
         return -_likelihood(with_values(logarithm), parts)
 
     largest = max(drift.get("drift_1", 0.0), drift.get("drift_2", 0.0))
@@ -79,7 +79,7 @@ def tuned(
         method="Nelder-Mead",
         options={
             "initial_simplex": start + np.vstack([np.zeros(5), 0.5 * np.eye(5)]),
-            "maxfev": evaluations,
+            "maxfev": EVALUATIONS,
             "xatol": 0.05,
             "fatol": 1e-3,
         },

@@ -95,7 +95,7 @@ def rmse(sums: Floats, counts: Floats) -> Interval:
     """
     draws = drawn(len(sums))
     error, spread = np.sqrt(sums.sum() / counts.sum()), np.sqrt((draws @ sums) / (draws @ counts))
-    return Interval.of(np.degrees(error), np.degrees(_spread(error, spread, len(sums))))
+    return Interval.of(np.degrees(error), np.degrees(np.maximum(error + _wider(len(sums)) * (spread - error), 0.0)))
 
 
 def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
@@ -105,10 +105,5 @@ def ratio(first: Floats, second: Floats, offered: int = 1) -> Interval:
     for it.
     """
     draws = drawn(len(first))
-    whole, spread = first.sum() / second.sum(), (draws @ first) / (draws @ second)
-    return Interval.of(whole, _spread(whole, spread, len(first)), CHANCE / offered)
-
-
-def _spread(value: float, draws: Floats, episodes: int) -> Floats:
-    """Draws (D,) of a positive value, as far apart as the number of episodes asks."""
-    return np.asarray(np.maximum(value + _wider(episodes) * (draws - value), 0.0))
+    spread = (draws @ first) / (draws @ second)
+    return Interval.of(first.sum() / second.sum(), spread, CHANCE / offered)

@@ -95,6 +95,7 @@ MUSCLE_AND_VALVE = {
 }
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize(
     ("effects", "order", "seconds"),
     [

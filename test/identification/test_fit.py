@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist import identify
-from pam_antagonist.errors import BadInput, NoResult
+from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.free_run import Run, predict, start_of
@@ -56,10 +57,15 @@ def test_true_values_come_back_within_their_errors() -> None:
 
 
 @pytest.mark.slow(8)
-def test_recordings_of_two_rigs_are_refused_with_what_differs() -> None:
+def test_of_recordings_of_two_rigs_it_is_said_what_differs() -> None:
+    """The doubt comes after minutes of work, so that it is a sentence beside the result, and no error in its place."""
     frozen = ["muscle_1", "muscle_2", "joint", "friction"]
-    with pytest.raises(NoResult, match=r"locked_1 and .*free_1 do not fit together: valve_1.inflow_area would differ"):
-        identify([record("free", 1), record("locked", 1, 1.5)], RIG, freeze=frozen)
+    result = identify([record("free", 1), record("locked", 1, 1.5)], RIG, freeze=frozen)
+    assert re.search(
+        r"locked_1 and .*free_1 do not fit together: valve_1.inflow_area would differ",
+        " ".join(result.summary().split()),
+    )
+    assert "do not fit together" not in identify([record("free", 1), record("locked", 1)], RIG, freeze=frozen).summary()
 
 
 def test_a_torque_meter_at_its_end_is_refused() -> None:

@@ -93,7 +93,7 @@ def test_without_a_checkpoint_it_says_why_the_estimates_differ(rig: Rig, begun_l
     done = replay(dataclasses.replace(begun_later, checkpoints=()), rig)
     equal = done.report.live_equal
     assert equal is not None and (equal.compared, equal.not_compared) == (0, 3300)
-    assert equal.apart_deg is not None and equal.apart_deg[0] >= equal.apart_deg[1] > 0.0
+    assert equal.apart_deg is not None and equal.apart_deg[0] > equal.apart_deg[1] >= 0.0, "both end alike, at rest"
     assert "begun while the live filter ran" in said(done) and "holds no checkpoint" in said(done)
     assert "no sample in common" not in said(done)
 
