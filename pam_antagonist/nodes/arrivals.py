@@ -11,6 +11,8 @@ from pam_antagonist.recording.stamps import LARGEST_DELAY, ONE_STAMP, unstamped
 
 _RECENT = 200
 """Stamps of each topic that are kept. At 1 kHz these are 0.2 s: topics may be that far apart in the queues."""
+_FEWEST, _CROWDED = 10, 0.75
+"""Of so many messages it is judged whether they are several nodes': these are half a period apart on average."""
 _MOST = 0.5
 """Share of the stamps of a topic that another one has to share; lost messages are fewer."""
 
@@ -31,6 +33,14 @@ class Arrivals:
         for stamps in self._recent.values():
             stamps.clear()
         return out
+
+
+def mixed(stamps: np.ndarray, period: float) -> bool:
+    """Whether more messages come than one node sends. `stamps`: in the order of arrival (N,) [ns]. `period`: [s]."""
+    if len(stamps) < _FEWEST:
+        return False
+    steps = np.diff(stamps) * 1e-9
+    return bool(np.mean(np.clip(steps, 0.0, period)) < _CROWDED * period)
 
 
 def disagreement(recent: Mapping[str, np.ndarray]) -> str:

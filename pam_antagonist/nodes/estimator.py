@@ -92,7 +92,7 @@ class EstimatorNode(PamNode):
         self._decode = {place: decode for place, (_, decode) in self._inputs.items()}
         self._pairing = SamplePairing(values["pairing_timeout"], topics=tuple(self._inputs))
         names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
-        self._sources = None if self.linked else SampleSources(self, names, self._pairing)
+        self._sources = None if self.linked else SampleSources(self, names, self._pairing, rig.sample_period)
         self._max_age = round(values["max_age"] * 1e9)
         self._published = self._late = 0
         self._latency, self._nis, self._rate = Window(), Window(), Rate()
@@ -106,7 +106,7 @@ class EstimatorNode(PamNode):
         self._external: wire.Outgoing | None = None
         if self._estimator.estimates_external_torque:
             self._external = wire.Outgoing(self, "external_torque", frame, wire.WRENCH)
-        self._complaint = ""
+        self._complaint, self._mixed = "", False
         topic = TOPICS["filter_checkpoint"].relative
         self._checkpoints = self.create_publisher(FilterCheckpoint, topic, qos.LAST_ONE)
         self._remembered: tuple[int, int] | None = None
@@ -190,7 +190,7 @@ class EstimatorNode(PamNode):
             assert started is not None  # there is no row before the start
             age = self.ages.of(sample.stamp_ns)
             flags = int(row["flags"])
-            if age > self._max_age:
+            if age > self._max_age or self._mixed:
                 flags |= JointEstimate.LATE
                 self._late += 1
             data = row.tobytes()
@@ -234,6 +234,7 @@ class EstimatorNode(PamNode):
         }
         complaint, many = self._estimator.complaint, nis.size and outliers > 0.05 * nis.size
         finding = self._sources.report(steady_ns) if self._sources else Finding(Level.OK, "")
+        self._mixed = self._sources is not None and self._sources.is_mixed
         second, waits, lacks = several(self, [TOPICS["joint_estimate"].relative]), self._waits_for(), finding.words
         some = f"{late} late and {incomplete} incomplete samples" + (f": {lacks}" if incomplete and lacks else "")
         return {

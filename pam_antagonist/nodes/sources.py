@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from pam_antagonist.nodes.arrivals import disagreement, listed
+from pam_antagonist.nodes.arrivals import disagreement, listed, mixed
 from pam_antagonist.nodes.health import Level, publishers_of
 from pam_antagonist.recording.topics import TOPICS
 
@@ -83,10 +83,15 @@ class SampleSources:
     """Says why no samples, or incomplete ones, come of the topics of a sample; in the log as well, once.
 
     `names`: relative names of the topics by their places in a sample. `pairing`: what combines their messages.
+    `period`: of the samples [s].
+
+    Attributes:
+        is_mixed: whether several nodes send samples, of which nothing tells the right ones.
     """
 
-    def __init__(self, node: PamNode, names: Mapping[int, str], pairing: SamplePairing) -> None:
-        self._node, self._names, self._pairing = node, names, pairing
+    def __init__(self, node: PamNode, names: Mapping[int, str], pairing: SamplePairing, period: float) -> None:
+        self.is_mixed = False
+        self._node, self._names, self._pairing, self._period = node, names, pairing, period
         self._samples = self._complete = 0
         self._lacking = dict(pairing.counts.lacking)
         self._since_ns: int | None = None
@@ -116,9 +121,13 @@ class SampleSources:
         self._lacking = dict(counts.lacking)
         recent = {self._names[place]: stamps for place, stamps in self._pairing.arrivals.take().items()}
         silent = [name for name, stamps in recent.items() if not len(stamps)]
+        self.is_mixed = False
         if len(silent) == len(recent):
             return "silent", Finding(Level.WARN, f"no samples: {absent(self._node, silent)}")
         if second := several(self._node, recent):
+            self.is_mixed = any(mixed(stamps, self._period) for stamps in recent.values())
+            if self.is_mixed:
+                return "mixed", Finding(Level.ERROR, f"every estimate is flagged LATE: {second}")
             return "several", Finding(Level.ERROR, second)
         if silent:
             coming = listed([name for name in recent if name not in silent])

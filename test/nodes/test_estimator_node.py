@@ -202,10 +202,27 @@ def test_two_publishers_of_a_topic_of_the_samples_or_of_the_estimates_are_named(
         said = own_driver(node, 1)
         assert said.level == 2
         assert said.message.startswith("2 nodes publish /pam/pressure_2: /pam/my_driver and /pam/plant; expected one")
+        assert not node._mixed, "one of them is silent, as one that was killed"
+        begin = 1010 * _SECOND
+        node.now_ns = lambda: begin
+        for k in range(40):
+            measure(node, begin + k * MS)
+        assert not node.health(2 * _SECOND)["samples"].message.startswith("every") and node.published[-1].flags == 0
+        for k in range(40, 80):
+            measure(node, begin + k * MS)
+            measure(node, begin + k * MS + 300_000, p1=300e3)
+        assert node.health(4 * _SECOND)["samples"].message.startswith("every estimate is flagged LATE: 2 nodes publish")
+        measure(node, begin + 80 * MS)
+        assert node.published[-1].flags & JointEstimate.LATE
+        for k in range(81, 120):
+            measure(node, begin + k * MS)
+        assert node.health(6 * _SECOND)["samples"].message.startswith("2 nodes publish /pam/pressure_2")
+        measure(node, begin + 120 * MS)
+        assert not node.published[-1].flags & JointEstimate.LATE, "the other one is silent again"
         drivers[0].create_publisher(JointEstimate, "joint_estimate", qos.STREAM)
         while node.count_publishers("/pam/joint_estimate") < 2 and time.monotonic() < end:
             time.sleep(0.01)
-        assert "nodes publish /pam/joint_estimate: /pam/estimator and /pam/plant" in own_driver(node, 2).message
+        assert "nodes publish /pam/joint_estimate: /pam/estimator and /pam/plant" in own_driver(node, 20).message
     finally:
         for driver in drivers:
             driver.destroy_node()
