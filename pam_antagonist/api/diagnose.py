@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
+from pam_antagonist.api.ways import DATA_SHEET, EPISODES, SEALED, TRIALS, way
 from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
@@ -13,11 +14,9 @@ from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.diagnosis.hypotheses import Checkpoint
 from pam_antagonist.diagnosis.learned_law import with_laws
 from pam_antagonist.diagnosis.preparation import Settings, silent
-from pam_antagonist.diagnosis.thresholds import SHORTEST
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.episodes import identify as _identify_episodes
 from pam_antagonist.identification.from_pressures import identify as _identify
-from pam_antagonist.identification.from_pressures import is_for
 from pam_antagonist.identification.result import held_of
 from pam_antagonist.identification.sealed import identify_sealed
 from pam_antagonist.inference.expected import with_known_curves
@@ -38,8 +37,6 @@ __all__ = [
     "EpisodesIdentifyResult",
     "IdentifyResult",
     "PressuresDiagnoseResult",
-    "are_episodes",
-    "are_trials",
     "diagnose",
     "identify",
 ]
@@ -47,21 +44,6 @@ __all__ = [
 Result = DiagnoseResult | EpisodesDiagnoseResult | PressuresDiagnoseResult
 _Named = tuple[Recording, JointCondition, str]
 _Progress = Callable[[str], None] | None
-
-
-def are_episodes(recordings: Sequence[Recording], rig: Rig) -> bool:
-    """Whether these are many short episodes of a joint with pressure regulators."""
-    return not is_for(rig) and rig.drive == "regulator" and any(one.episode_ns is not None for one in recordings)
-
-
-def are_trials(recordings: Sequence[Recording], rig: Rig) -> bool:
-    """Whether effects are tried in parts of the model: for a rig of data sheets, and for short trials of any valves."""
-    if is_for(rig):
-        return True
-    if rig.drive != "valve" or rig.valves.sealed:
-        return False
-    short = any(one.episode_ns is not None or one.duration_s < SHORTEST for one in recordings)
-    return short and sum(one.duration_s for one in recordings) >= SHORTEST
 
 
 @one_blas_thread
@@ -83,8 +65,7 @@ def identify(
 
     Args:
         recordings: of a free and of a locked joint, if possible with measured angle and torque. For a joint with
-            pressure regulators, it may be one recording of many short episodes. Then whole episodes are held out, and
-            joint, lock_angle, starts and seed are ignored.
+            pressure regulators, it may be one recording of many short episodes. Then whole episodes are held out.
         rig: start values, priors and bounds: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
         lock_angle: of a locked joint [rad], where it is known.
@@ -100,7 +81,7 @@ def identify(
         The identified rig with all results; for episodes a result of another type.
 
     Raises:
-        BadInput: recordings that allow no identification, or that are not of one rig.
+        BadInput: recordings that allow no identification, or an option that is not for such recordings.
 
     Example:
         >>> from pam_antagonist import identify, simulate
@@ -113,13 +94,17 @@ def identify(
     given = as_recordings(recordings, chosen)
     if not given:
         raise BadInput("no recording: expected one at least")
-    if are_episodes(given, chosen):
-        return _episodes(given, chosen, [*free, *freeze], holdout, jobs, progress)
-    sealed = chosen.valves.sealed
-    driven = [one.driven_by(chosen.drive).in_one_piece() if sealed else one.driven_by(chosen.drive) for one in given]
+    kind = way(given, chosen)
+    kind.refuse("identify", {
+        "joint": joint, "lock_angle": lock_angle, "free": free, "freeze": freeze, "starts": starts, "seed": seed,
+    })  # fmt: skip
+    if kind is EPISODES:
+        return _episodes(given, chosen, holdout, jobs, progress)
+    driven = [one.driven_by(chosen.drive) for one in given]
+    if kind is SEALED:
+        read = named([one.in_one_piece() for one in driven], chosen, joint, lock_angle)
+        return _sealed(read, chosen, holdout, seed, progress)
     read = named(driven, chosen, joint, lock_angle)
-    if sealed:
-        return _sealed(read, chosen, holdout, seed, progress, [*free, *freeze])
     for recording, _, name in read:
         if sealed_muscles(recording.path):
             raise BadInput(
@@ -131,12 +116,8 @@ def identify(
     return IdentifyResult(identified, tuple(own), found, found.held, tuple(read), seed)
 
 
-def _sealed(
-    read: Sequence[_Named], rig: Rig, holdout: float, seed: int, progress: _Progress, chosen: Sequence[str]
-) -> IdentifyResult:
+def _sealed(read: Sequence[_Named], rig: Rig, holdout: float, seed: int, progress: _Progress) -> IdentifyResult:
     """Identify a joint with sealed muscles, with other steps and fewer parameters."""
-    if chosen:
-        raise BadInput(f"{chosen[0]}: which parameters of a sealed joint are fitted cannot be chosen; leave it out")
     for _, state, name in read:
         if state.condition != "free":
             raise BadInput(
@@ -149,13 +130,11 @@ def _sealed(
 
 
 def _episodes(
-    recordings: Sequence[Recording], rig: Rig, chosen: Sequence[str], holdout: float, jobs: int, progress: _Progress
+    recordings: Sequence[Recording], rig: Rig, holdout: float, jobs: int, progress: _Progress
 ) -> EpisodesIdentifyResult:
     """Identify mechanics and regulators from many short episodes."""
     if len(recordings) > 1:
         raise BadInput("several recordings, one of them with many episodes: expected the recording of episodes alone")
-    if chosen:
-        raise BadInput(f"{chosen[0]}: which parameters are fitted to episodes cannot be chosen; leave it out")
     joint = PressureDriven.of(recordings[0], rig, jobs=jobs)
     found = _identify_episodes(joint, holdout, progress or silent)
     source = f"identified from {bag_name(recordings[0].path)}; started from: {rig.source.strip()}"
@@ -184,7 +163,7 @@ def diagnose(
     Args:
         recordings: of one rig; a free and a locked joint together show most. For a sealed rig, the joint is driven to
             and fro. For a joint with pressure regulators, it may be one recording of many short episodes. Then whole
-            episodes are held out, and joint, lock_angle, seed, profiles, estimator and store are ignored.
+            episodes are held out.
         rig: as configured: a rig, its name or its file.
         joint: ``free``, ``locked`` or ``auto`` (found from the recordings).
         lock_angle: of a locked joint [rad], where it is known.
@@ -202,7 +181,7 @@ def diagnose(
         The verdict with all results; for episodes a result of another type.
 
     Raises:
-        BadInput: recordings that allow no diagnosis.
+        BadInput: recordings that allow no diagnosis, or an option that is not for such recordings.
 
     Example:
         >>> from pam_antagonist import diagnose
@@ -215,20 +194,22 @@ def diagnose(
     fitted, kept = (as_recordings(given, chosen, also) for given in (recordings, held_out))
     every = (*fitted, *kept)
     hashes = tuple(recording_hash(one) for one in every)
-    if are_trials(every, chosen):
+    kind = way(every, chosen)
+    kind.refuse("diagnose", {
+        "joint": joint, "lock_angle": lock_angle, "seed": seed, "store": store, "also": also,
+    })  # fmt: skip
+    if kind in (TRIALS, DATA_SHEET):
         given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
         settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or silent)
         found = _from_pressures(given, chosen, settings, len(kept))
         return widened(PressuresDiagnoseResult, found, start=chosen, hashes=hashes)
-    if are_episodes(every, chosen):
+    if kind is EPISODES:
         if len(fitted) > 1 or len(kept) > 1:
             expected = "expected one recording, and one to hold out at most"
             raise BadInput(f"rig {chosen.name} has pressure regulators: {expected}")
         first = PressureDriven.of(fitted[0], chosen, also, jobs)
         later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
         return EpisodesDiagnoseResult(_of_episodes(first, holdout, later, progress or silent), first, hashes)
-    if also:
-        raise BadInput("also: expected a recording of many episodes of a joint with pressure regulators")
     for recording in every:
         recording.driven_by(chosen.drive).in_one_piece()
     run = partial(

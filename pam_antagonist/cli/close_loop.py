@@ -84,39 +84,29 @@ def _held_out(text: str) -> float | Path:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api.diagnose import are_episodes, are_trials
+    from pam_antagonist.api.ways import DATA_SHEET, EPISODES, TRIALS, way
     from pam_antagonist.cli.first_start import FITS
-    from pam_antagonist.inference.pressure_driven import PressureDriven
 
     rig = given.begun(arguments, FITS)
     share, bags = _split(arguments.holdout)
-    if arguments.also and rig.drive == "valve":
-        raise BadInput(f"--also: rig {rig.name} has valves; expected a rig with pressure regulators (drive: regulator)")
     recordings = given.read(arguments, rig, bags)
-    whole = are_trials(recordings, rig)
-    if not whole and any(one.drive != rig.drive for one in recordings) and not are_episodes(recordings, rig):
-        # Without commands, nothing but episodes tells anything of a joint with regulators: it says what is missing.
-        PressureDriven.of(recordings[0], rig, arguments.also)
-    if whole or are_episodes(recordings, rig):
-        return _in_one_go(arguments, rig, share, recordings, whole)
-    if arguments.also:
-        raise BadInput(
-            "--also: expected a recording of many episodes (import_csv: episode), whose pressures were measured"
-        )
+    kind = way(recordings, rig)
+    kind.refuse("diagnose", {
+        name: getattr(arguments, name) for name in ("joint", "lock_angle", "seed", "also", "resume", "dask")
+    }, "--")  # fmt: skip
+    if kind in (TRIALS, DATA_SHEET, EPISODES):
+        return _in_one_go(arguments, rig, share, recordings, says_next=kind is not EPISODES)
     return _resumable(arguments, rig, share, recordings)
 
 
 def _in_one_go(
-    arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording], whole: bool
+    arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording], says_next: bool
 ) -> int:
-    """Diagnose a joint of many short episodes or trials, or one whose muscles have the force of a data sheet."""
-    given.refuse_for_episodes(arguments.dask)
-    if whole and arguments.resume:
-        raise BadInput("--resume: nothing is kept of this rig's diagnosis, which takes a minute; leave it out")
+    """Diagnose a joint of many short episodes or trials, or one of data sheets: in a minute or two, nothing is kept."""
     found = _diagnosed(arguments, rig, recordings, share)
     given.announce(arguments, found, found.next_rig)
     _note_down(arguments, recordings, rig, found)
-    if whole and found.next_rig is not None:
+    if says_next and found.next_rig is not None:
         print(given.next_on_bags(arguments, "replay", None, arguments.out / found.next_rig))
     return common.DONE
 

@@ -67,12 +67,13 @@ def _main(arguments: argparse.Namespace) -> int:
         raise BadInput("--unattended and --plant: only for a simulated joint; expected --source plant or rehearsal")
     if arguments.source != "rehearsal":
         needs_ros("commission")
-    from pam_antagonist.cli.commission_guessed import GuessedCommission, is_for
+    from pam_antagonist.cli.commission_guessed import GuessedCommission
     from pam_antagonist.cli.commission_steps import Commission, StepFailed
     from pam_antagonist.nodes.processes import ProcessFailed
 
     # A file that was never identified is not driven by a plan, which would be its prediction.
-    guess = is_for(load_rig(arguments.rig, regulators=True))
+    rig = load_rig(arguments.rig, regulators=True)
+    guess = rig.is_from_data_sheets and not rig.identified
     if not guess:
         load_rig(arguments.rig)  # only a guess is commissioned with regulators
     work = (GuessedCommission if guess else Commission)(arguments)

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.checks.wiring import guessed
 from pam_antagonist.cli.commission_steps import Commission, StepFailed
 from pam_antagonist.cli.demo import MODEL, task
 from pam_antagonist.cli.driving import SIMULATED
@@ -60,11 +59,6 @@ _GOOD = 0.25
 """Gains with an error below this share of what is allowed are taken at once."""
 _ALLOWED, _ALLOWED_SHARE = math.radians(1.0), 0.03
 """Largest error of the controlled joint at rest [rad], or as a share of its range."""
-
-
-def is_for(rig: Rig) -> bool:
-    """Whether a rig is commissioned in this way: a file of ``new_rig`` that was never identified."""
-    return guessed(rig) and rig.model.force == "braided"
 
 
 def drawn(rig: Rig, seed: int) -> Rig:

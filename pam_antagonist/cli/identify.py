@@ -32,7 +32,6 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli import recordings as given
 from pam_antagonist.cli.common import real, whole
 from pam_antagonist.cli.progress import phases
-from pam_antagonist.errors import BadInput
 
 
 def parser() -> common.Parser:
@@ -56,19 +55,19 @@ def parser() -> common.Parser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api.diagnose import IdentifyResult, are_episodes, identify
+    from pam_antagonist.api.diagnose import IdentifyResult, identify
+    from pam_antagonist.api.ways import EPISODES, way
     from pam_antagonist.cli.first_start import FITS
     from pam_antagonist.report import terminal
     from pam_antagonist.report.document import Findings, warn
 
     rig = given.begun(arguments, FITS)
-    if rig.valves.sealed:
-        _refuse_choice(arguments, "of a sealed joint are fitted")
     recordings = given.read(arguments, rig)
-    if are_episodes(recordings, rig):
-        given.refuse_for_episodes(arguments.dask)
-        _refuse_choice(arguments, "are fitted to episodes")
-    elif damage := given.damage(arguments, recordings):
+    kind = way(recordings, rig)
+    kind.refuse("identify", {
+        name: getattr(arguments, name) for name in ("joint", "lock_angle", "free", "freeze", "starts", "seed", "dask")
+    }, "--")  # fmt: skip
+    if kind is not EPISODES and (damage := given.damage(arguments, recordings)):
         print(terminal.render([Findings(tuple(map(warn, damage)))]))
     with given.connected(arguments.dask), phases("identify") as progress:
         found = identify(
@@ -87,12 +86,6 @@ def _run(arguments: argparse.Namespace) -> int:
     else:
         print(given.next_on_bags(arguments, "close_loop", arguments.bags, identified))
     return common.FAILED if found.rejected else common.DONE
-
-
-def _refuse_choice(arguments: argparse.Namespace, what: str) -> None:
-    for name in ("free", "freeze"):
-        if getattr(arguments, name):
-            raise BadInput(f"--{name}: which parameters {what} cannot be chosen; leave --{name} out")
 
 
 main = common.command(parser, _run)

@@ -196,12 +196,6 @@ def announce(arguments: argparse.Namespace, result: Result, rig: str | None, apa
     common.announce_report(arguments, arguments.out)
 
 
-def refuse_for_episodes(address: str | None) -> None:
-    """Say that episodes are fitted here."""
-    if address is not None:
-        raise BadInput("--dask: a recording of episodes is fitted on this machine only; leave --dask out")
-
-
 @contextmanager
 def connected(address: str | None) -> Iterator[None]:
     """Everything inside that runs in parallel by joblib does so on the workers of a scheduler."""

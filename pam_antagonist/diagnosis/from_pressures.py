@@ -34,7 +34,6 @@ from pam_antagonist.identification.from_pressures import (
     parts_of,
     with_joint,
 )
-from pam_antagonist.identification.parts import is_guessed
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.identification.said import put_back
 from pam_antagonist.inference.experiment import Experiment
@@ -149,7 +148,7 @@ class _Part(Experiment):
     def tolerated(self) -> Floats:
         """What a data sheet's law leaves; known valves leave nothing, a known joint what the measured pressures err."""
         if self.place == AIR:
-            return np.hypot(self.noise, _PRESSURE) if is_guessed(self.rig) else self.noise
+            return np.hypot(self.noise, _PRESSURE) if self.rig.is_from_data_sheets else self.noise
         seen = np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
         torque = joint_stage.TORQUE_SHARE * joint_stage.torque_scale(self.rig)
         return np.hypot(self.noise, np.where(np.array(self.channels) == ANGLE, _ANGLE * seen, torque))

@@ -250,9 +250,7 @@ class Conclusion:
 
 def searches(rig: Rig, encoder: bool) -> bool:
     """Whether the search of ``close_loop`` is possible: a rig of a data sheet needs a measured angle."""
-    from pam_antagonist.identification.parts import is_guessed  # the node starts without it in half the time
-
-    return encoder or not is_guessed(rig)
+    return encoder or not rig.is_from_data_sheets
 
 
 def limits(rig: Rig, encoder: bool) -> str:

@@ -37,7 +37,6 @@ from pam_antagonist.identification.parts import (
     fitted_until,
     has_commands,
     is_free,
-    is_guessed,
     moving_parts,
     near_joints,
     parts_of,
@@ -72,11 +71,6 @@ _OTHER_RIG = 0.15
 """Relative difference of a valve's area beyond which two recordings may be of two rigs."""
 _SEPARATE = 0.5
 """Recordings are of two rigs if separate fits leave less than this share of the common fit's held-out squared error."""
-
-
-def is_for(rig: Rig) -> bool:
-    """Whether effects are searched in this way: its muscles are braided ones, its chambers open."""
-    return rig.model.force == "braided" and not rig.valves.sealed
 
 
 def identify(
@@ -114,18 +108,18 @@ def identify(
     model = rig
     runs = checked(recordings, ends, model)
     unknown, unknown_air, notes = _chosen(model, runs, options)
-    refine = not is_guessed(model)
+    refine = not model.is_from_data_sheets
     joint = fit_joint(model, runs, starts=starts if refine else max(starts, 2), seed=seed, jobs=jobs,
                       progress=progress, free=unknown, refine=refine)  # fmt: skip
     own, corrected = with_joint(model, joint, recordings)
     steps = [_joint_step(model, runs, joint)]
     moving = moving_parts(own, corrected, ends)
-    if not is_guessed(model) and rig.drive == "regulator":
+    if not model.is_from_data_sheets and rig.drive == "regulator":
         progress("regulators")
         model, step = _with_regulators(model, corrected, ends, jobs)
         own = moved(model, model_values(joint.unknowns, joint.values))
         steps.append(step)
-    elif not is_guessed(model):
+    elif not model.is_from_data_sheets:
         progress("valve curve")
         model, curve = _with_curves(model, moving)
         own = moved(model, model_values(joint.unknowns, joint.values))
@@ -144,7 +138,7 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
     """The unknowns of the joint and of the air, and what to say of them."""
     named = free_parameters(rig, options.free, options.frozen)
     seen = any(np.isfinite(run.torque).any() or run.moves for run in runs)
-    if not is_guessed(rig):
+    if not rig.is_from_data_sheets:
         kept = [item for item in named if seen or item.name.startswith((*joint_stage.AIR, *options.free))]
         if not kept:
             raise BadInput(
@@ -208,7 +202,7 @@ def concluded(
             held.append(held_of(given, before, end, rigs, line))
     used = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
     final = (joint, air)
-    if is_guessed(rig):
+    if rig.is_from_data_sheets:
         progress("all of the data")
         final = _from_all(recordings, model or rig, joint, air, jobs)
     result = _delivered(covered.rig, rig, *final)
@@ -284,7 +278,7 @@ def _with_filter(
     """The rig with noise and covariance of its filter."""
     progress("process noise of the filter")
     free = [given for given in parts if is_free(given)]
-    if is_guessed(rig):
+    if rig.is_from_data_sheets:
         followed = with_process_noise(rig, free, jobs)
         covered = with_unknown_torque(followed, free, jobs, progress)
         return replace(covered, rig=with_unknown_force(covered.rig, parts, jobs, progress))

@@ -47,14 +47,6 @@ def held_runs(given: Given, end: float) -> list[Run]:
     return [part for part in parts if np.isfinite(part.angle).any()]
 
 
-def is_guessed(rig: Rig) -> bool:
-    """Whether nothing but data sheets and a ruler tells of the joint, as in a file of ``new_rig``.
-
-    A known joint may have muscles of this form as well, from a measured map: its lever has no prior.
-    """
-    return rig.model.force == "braided" and "geometry.radius" in rig.priors
-
-
 def fitted_until(recordings: Sequence[Given], holdout: float, whole: int = 0) -> list[float]:
     """For each recording the end of the part that is fitted [s]; 0 where all of it is held out.
 
@@ -93,7 +85,7 @@ def parts_of(
 
 def checked(recordings: Sequence[Given], ends: Sequence[float], rig: Rig) -> list[Run]:
     """The runs of the fitted parts. `ends`: of the fitted part of each [s]."""
-    guessed = is_guessed(rig)
+    guessed = rig.is_from_data_sheets
     if guessed and not any(is_free(given) for given in recordings):
         raise BadInput("no recording has a joint that moves and a measured angle: expected one at least, to fit")
     if not any(has_commands(given) and (not guessed or is_free(given)) for given in recordings):

@@ -169,7 +169,7 @@ class FromPressures:
         now, before = self.pooled("identified"), self.pooled("as_configured")
         if any(item.rows for item in self.held) and not math.isfinite(now):
             return "the filter gives no angle on the held-out data with it."
-        known = self.start.identified or self.start.model.force != "braided"
+        known = self.start.identified or not self.start.is_from_data_sheets
         if not self.start_saw and now > before * (_KNOWN_RIG if known else 1.0):
             what = f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file."
             return f"{what} {self._cause(now)}"

@@ -243,6 +243,7 @@ class EstimatorNode(PamNode):
                 samples,
                 "running",
                 (second, Level.ERROR, second),
+                (self._mixed, Level.ERROR, f"every estimate is flagged LATE: {finding.words}"),
                 (finding.level is Level.ERROR, Level.ERROR, finding.words),
                 (risen["jumps"], Level.WARN, "the stamps jumped backwards: the filter started again"),
                 (waits, Level.ERROR, f"the filter has not started: {waits}"),

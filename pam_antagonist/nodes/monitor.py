@@ -117,7 +117,7 @@ class MonitorNode(PamNode):
         self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=encoder)
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
         names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
-        self._sources = SampleSources(self, names, self._feed.pairing)
+        self._sources = SampleSources(self, names, self._feed.pairing, rig.sample_period)
         self._samples, self._rate, self._suspect, self._complaint = 0, Rate(), list[Finding](), ""
         self._health = self.create_publisher(HealthMessage, TOPICS["health"].relative, qos.LATCHED)
         self.announce(rig)

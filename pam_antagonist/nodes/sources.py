@@ -126,8 +126,6 @@ class SampleSources:
             return "silent", Finding(Level.WARN, f"no samples: {absent(self._node, silent)}")
         if second := several(self._node, recent):
             self.is_mixed = any(mixed(stamps, self._period) for stamps in recent.values())
-            if self.is_mixed:
-                return "mixed", Finding(Level.ERROR, f"every estimate is flagged LATE: {second}")
             return "several", Finding(Level.ERROR, second)
         if silent:
             coming = listed([name for name in recent if name not in silent])

@@ -322,6 +322,14 @@ class Rig(Strict):
 
     __str__ = __repr__
 
+    @property
+    def is_from_data_sheets(self) -> bool:
+        """Whether data sheets and a ruler tell of the joint, as in a file of ``new_rig``, identified since or not.
+
+        A known joint may have muscles of this force law as well, from a measured map: its lever has no prior.
+        """
+        return self.model.force == "braided" and "geometry.radius" in self.priors
+
     def value(self, name: str) -> float:
         """The number at a dotted path, such as ``muscle_1.force.w2``.
 

@@ -14,7 +14,6 @@ from pam_antagonist.__main__ import main as dispatch
 from pam_antagonist.cli import new_rig, replay
 from pam_antagonist.cli.static import main
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.parts import is_guessed
 from pam_antagonist.identification.static_fit import VOLUME as PARABOLA
 from pam_antagonist.identification.static_fit import Form
 from pam_antagonist.rig import load_rig
@@ -207,7 +206,7 @@ def test_one_muscle_of_a_data_sheet_gets_its_table(tmp_path, drive):
     assert other == pytest.approx(measured, rel=0.3)
     assert rig.value("muscle_2.force.c6") == pytest.approx(0.3, rel=1e-4)
     assert rig.priors["muscle_1.force.c1"] < 0.2 * rig.priors["muscle_2.force.c1"], "the other one was not measured"
-    assert is_guessed(rig)
+    assert rig.is_from_data_sheets
     if drive == "valve":
         (tmp_path / "pushes.yaml").write_text(f"based_on: {out / 'rig.yaml'}\nmuscle_1: {{force: {{c2: -3.0}}}}\n")
         with pytest.raises(BadInput, match=r"muscle_1.force.c2: -3, expected above 0 with model.force: braided"):
@@ -219,7 +218,7 @@ def test_a_braided_form_does_not_make_a_known_rig_a_guess(tables, tmp_path):
     """It was identified as a rig of which nothing but data sheets is known, with priors of 15 %."""
     assert main(arguments(tables, tmp_path / "out", "--form", "braided", "--no-figures")) == 0
     rig = load_rig(tmp_path / "out" / "rig.yaml")
-    assert rig.model.force == "braided" and not is_guessed(rig)
+    assert rig.model.force == "braided" and not rig.is_from_data_sheets
     recording = simulate(rig, duration=24.0, seed=1)
     found = identify([recording], rig, jobs=1)
     assert {item.name for item in found.parameters} >= {"muscle_1.force.c1", "joint.inertia", "supply.pressure"}

@@ -211,11 +211,11 @@ def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: P
     ("options", "rig", "says"),
     [
         (["--also", "elbow"], "regulator_joint", "no signal 'elbow'; expected one of decoy, other"),
-        (["--also", "other"], "shin2022", "--also: rig shin2022 has valves"),
+        (["--also", "other"], "shin2022", "expected a rig with drive: regulator"),
         (
             ["--dask", "tcp://127.0.0.1:1"],
             "regulator_joint",
-            "--dask: a recording of episodes is fitted on this machine only",
+            "--dask: not for many episodes of a joint with pressure regulators",
         ),
     ],
 )

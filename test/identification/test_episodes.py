@@ -118,7 +118,7 @@ def test_identify_writes_a_rig_with_the_regulators_that_it_found(tmp_path: Path,
     write_bag(tmp_path / "bag", commanded(dead_time=0))
     options = ["--rig", "regulator_joint", "--out", str(tmp_path / "out")]
     assert main([str(tmp_path / "bag"), *options, "--free", "joint"]) == 2
-    assert "--free: which parameters are fitted to episodes cannot be chosen" in capsys.readouterr().err
+    assert "--free: not for many episodes of a joint with pressure regulators" in capsys.readouterr().err
     assert main([str(tmp_path / "bag"), *options]) == 0
     assert "Value of the regulators" in capsys.readouterr().out
     rig = load_rig(tmp_path / "out" / "rig.yaml", regulators=True)
@@ -156,7 +156,7 @@ def test_commands_in_the_place_of_measured_pressures_are_refused() -> None:
 
 def test_parameters_cannot_be_chosen_for_episodes_and_one_recording_is_enough() -> None:
     recording = commanded(dead_time=0)
-    with pytest.raises(BadInput, match="joint: which parameters are fitted to episodes cannot be chosen"):
+    with pytest.raises(BadInput, match="free: not for many episodes"):
         identify(recording, UNKNOWN, free=["joint"])
     for door in (identify, diagnose):
         with pytest.raises(BadInput, match="expected the recording of episodes alone|expected one recording"):
