@@ -211,7 +211,7 @@ def test_the_command_writes_a_rig_that_does_as_well(tied: Recording, tmp_path: P
     ("options", "rig", "says"),
     [
         (["--also", "elbow"], "regulator_joint", "no signal 'elbow'; expected one of decoy, other"),
-        (["--also", "other"], "shin2022", "expected a rig with drive: regulator"),
+        (["--also", "other"], "shin2022", "--also: not for short trials of a joint"),
         (
             ["--dask", "tcp://127.0.0.1:1"],
             "regulator_joint",
