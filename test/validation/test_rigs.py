@@ -14,6 +14,7 @@ import pytest
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.unknowns import Fit, Unknown
+from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from validation import at_hand, oracle
 from validation.rigs import fresh
@@ -30,7 +31,7 @@ def test_only_values_that_are_called_determined_are_compared_with_the_true_ones(
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Laboratories that record a second only."""
-    monkeypatch.setattr(fresh, "sets", lambda recorded, trials: ([recorded(1.0, 0)], []))
+    monkeypatch.setattr(fresh, "sets", lambda recorded, trials, seconds=None: ([recorded(1.0, 0)], []))
 
 
 @pytest.mark.usefixtures("short")
@@ -55,7 +56,7 @@ def test_the_command_counts_a_rig_that_is_refused(tmp_path: Path, monkeypatch, c
 @pytest.mark.thorough(14)
 def test_a_fit_that_begins_far_off_leaves_a_false_minimum_by_the_balance_of_torques(monkeypatch) -> None:
     """From the values of this rig file alone the angle errs by 1.5 to 7.9 deg of 53 (by processor), else by 0.085."""
-    monkeypatch.setattr(fresh, "sets", lambda recorded, trials: ([recorded(15.0, 0)], []))
+    monkeypatch.setattr(fresh, "sets", lambda recorded, trials, seconds=None: ([recorded(15.0, 0)], []))
     lab = fresh.laboratory(307, declared=True)
     runs = runs_of(lab.fit[0], JointCondition("free", 0.0, "given"), "one")
     alone, both = (joint_stage.fit_joint(lab.typed, runs, 12, starts) for starts in (1, 2))
@@ -135,3 +136,18 @@ def test_the_frozen_answers_are_whole_and_their_joints_can_be_made_again(capsys:
     assert set(at_hand.NAMES) == {name for name in entries if not name.startswith("battery/")}
     assert oracle.main([str(frozen), "--against", str(frozen), "--compare-only"]) == 0
     assert capsys.readouterr().out == f"{len(entries)} of {len(entries)} cases compared: 0 things are worse\n"
+
+
+def test_less_that_is_fitted_is_the_begin_of_more() -> None:
+    asked: list[tuple[float, int]] = []
+
+    def recorded(seconds: float, number: int) -> Recording:
+        asked.append((seconds, number))
+        return Recording(Path(str(number)), np.arange(2), np.zeros((2, 2)), np.zeros((2, 2)))
+
+    for trials, seconds in ((True, 20.0), (True, None), (False, 20.0)):
+        fitted, held = fresh.sets(recorded, trials, seconds)
+        assert not {str(one.path) for one in fitted} & {str(one.path) for one in held}
+    short, usual, long = asked[:5], asked[5:17], asked[17:]
+    assert short[:2] == usual[:2] == [(10.0, 0), (10.0, 1)] and len(usual) == 12
+    assert long[0] == (20.0, 0) and short[2:] == usual[9:]

@@ -8,6 +8,7 @@ It takes half a minute for each rig.
 
 examples:
   {run} rigs --out fresh.json --declared
+  {run} rigs --out fresh_20.json --first 700 --count 12 --seconds 20
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 from pam_antagonist import identify, replay
 from pam_antagonist.api.given import calibration
 from pam_antagonist.cli import common
+from pam_antagonist.cli.common import real
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.from_pressures import FromPressures
@@ -146,8 +148,11 @@ def targets(rng: np.random.Generator, times: Floats, low: float, high: float) ->
     return out
 
 
-def laboratory(seed: int, declared: bool = False) -> Laboratory:
-    """A fresh rig."""
+def laboratory(seed: int, declared: bool = False, seconds: float | None = None) -> Laboratory:
+    """A fresh rig.
+
+    `seconds`: of all that is fitted; shorter recordings are the begin of longer ones. Default: 60 s, or nine trials.
+    """
     rng = np.random.default_rng(seed)
     kind = Kind.drawn(rng)
     kind = replace(kind, hysteresis=0.0) if declared else kind
@@ -185,14 +190,17 @@ def laboratory(seed: int, declared: bool = False) -> Laboratory:
             angle=(np.interp(time + truth[DELAY], time, angle) + truth[ZERO])[rows], torque=None, drive=typed.drive,
         )  # fmt: skip
 
-    return Laboratory(f"{name} ({kind.words})", typed, *sets(recorded, kind.trials), truth)
+    return Laboratory(f"{name} ({kind.words})", typed, *sets(recorded, kind.trials, seconds), truth)
 
 
-def sets(recorded: Callable[[float, int], Recording], trials: bool) -> tuple[list[Recording], list[Recording]]:
-    """Recordings to fit, and of another day: trials of 10 s, or a long one."""
+def sets(
+    recorded: Callable[[float, int], Recording], trials: bool, seconds: float | None = None
+) -> tuple[list[Recording], list[Recording]]:
+    """Recordings to fit, and of another day: trials of 10 s, or a long one. `seconds`: of all that is fitted."""
     if trials:
-        return [recorded(10.0, k) for k in range(9)], [recorded(10.0, k) for k in range(100, 103)]
-    return [recorded(60.0, 0)], [recorded(30.0, 100)]
+        count = round((seconds or 90.0) / 10.0)
+        return [recorded(10.0, k) for k in range(count)], [recorded(10.0, k) for k in range(100, 103)]
+    return [recorded(seconds or 60.0, 0)], [recorded(30.0, 100)]
 
 
 def judged(lab: Laboratory) -> dict[str, Any]:
@@ -249,6 +257,8 @@ def parser() -> common.Parser:
     out.add_argument("--out", type=Path, required=True, metavar="FILE", help="file of the results (JSON)")
     out.add_argument("--first", type=int, default=0, metavar="SEED", help="first seed (default: 0)")
     out.add_argument("--count", type=int, default=20, metavar="N", help="number of rigs (default: 20)")
+    seconds = "of all that is fitted of each rig, from 20 on (default: 60, or nine trials of 10 s)"
+    out.option("--seconds", seconds, real(20.0, 600.0, "a time"), None, "S")
     out.flag("--declared", "rigs without effects that nobody declared")
     return out
 
@@ -256,7 +266,7 @@ def parser() -> common.Parser:
 def _run(arguments: argparse.Namespace) -> int:
     results = []
     for seed in range(arguments.first, arguments.first + arguments.count):
-        lab = laboratory(seed, arguments.declared)
+        lab = laboratory(seed, arguments.declared, arguments.seconds)
         try:
             results.append({"name": lab.name, **judged(lab)})
         except BadInput as error:
