@@ -50,6 +50,8 @@ _MOST_REST = math.radians(20.0)
 """[rad] Largest standard deviation of the first angle."""
 _RESTS = 50
 """Number of rests of a run that are looked at."""
+_AT_STOP = 1e-3
+"""[rad] Distance from a stop within which rounding or most sigma points hold an angle there."""
 _OPEN_GATE = 1e4
 _GATE_MARGIN = 1.5
 """The gate by the largest Mahalanobis distance in the fitted recordings."""
@@ -252,7 +254,8 @@ def _errors(rig: Rig, channel: str, recording: Recording, state: JointCondition,
     assert readings is not None
     error = run.rows[channel] - readings[run.index]
     known = np.isfinite(error)
-    inside = known & (np.abs(run.rows["angle"]) < (math.inf if rig.joint.stop is None else rig.joint.stop))
+    stop = math.inf if rig.joint.stop is None else rig.joint.stop - _AT_STOP
+    inside = known & (np.abs(run.rows["angle"]) < stop)
     known = inside if inside.any() else known
     return error[known], np.sqrt(run.rows["covariance"][:, place, place])[known]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -175,9 +174,8 @@ def test_noise_that_no_sensor_may_have_rejects_the_rig(bags, tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == {"rig_rejected.yaml", "report.html", "report.json"}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough(100)
 @pytest.mark.skipif(not DATA.is_dir(), reason="the recordings of rig A are not beside the project")
-@pytest.mark.skipif(not os.environ.get("PAM_PROOF"), reason="one to three minutes: PAM_PROOF=1 ./run test runs it")
 def test_rig_a_comes_near_to_its_sensors_noise(tmp_path):
     out = tmp_path / "out"
     begin = time.perf_counter()

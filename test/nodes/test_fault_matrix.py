@@ -1,15 +1,13 @@
-"""The fault matrix with real processes: the lines that matter most, and all of them with PAM_PROOF=1."""
+"""The fault matrix with real processes: the lines that matter most, and all of them."""
 
 from __future__ import annotations
-
-import os
 
 import pytest
 
 from validation.faults.catalogue import FAULTS
 from validation.faults.command import chosen
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.thorough(31)]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 # Tests of their own have a device that is unplugged, a second commander and clocks that are set.
 MOST_IMPORTANT = (
@@ -18,10 +16,14 @@ MOST_IMPORTANT = (
 )  # fmt: skip
 
 
-def test_the_valves_are_safe_in_time_and_control_comes_back() -> None:
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param(MOST_IMPORTANT, marks=pytest.mark.thorough(31)), pytest.param(None, marks=pytest.mark.thorough(240))],
+    ids=["important", "all"],
+)
+def test_the_valves_are_safe_in_time_and_control_comes_back(names: tuple[str, ...] | None) -> None:
     from validation.faults.bench import run_faults
 
-    names = None if os.environ.get("PAM_PROOF") else MOST_IMPORTANT
     outcomes = run_faults(chosen(FAULTS, names), "shin2022")
     assert len(outcomes) == len(names or FAULTS)
     assert {outcome.fault.name: outcome.failures for outcome in outcomes if not outcome.held} == {}

@@ -22,12 +22,41 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.mcap import MAGIC
 from pam_antagonist.recording.notes import read_notes
 
-DEEP = bool(os.environ.get("PAM_PROOF"))
-EXAMPLES = settings(
-    max_examples=1500 if DEEP else 50,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+
+def examples(count: int) -> settings:
+    ignored = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
+    return settings(max_examples=count, derandomize=True, suppress_health_check=ignored)
+
+
+JUNK = [
+    "",
+    "~",
+    "[]",
+    "{}",
+    "1e999",
+    "../../etc/passwd",
+    "[../../../etc/passwd]",
+    "!!python/name:os.system",
+    "'\\0'",
+    "0x" + "f" * 5000,
+    "[" * 900,
+    "&a [*a]",
+    "*b",
+    "2001-13-45",
+    "\x00",
+    "\ud7ff",
+    "'a\nb'",
+    "!!set {a}",
+    "!!timestamp x",
+    "!!binary x",
+    "<<",
+    "{<<: 3}",
+    "=",
+    ".nan",
+    "[~, 1]",
+]
+
+MANY = pytest.mark.parametrize("count", [50, pytest.param(1500, marks=pytest.mark.thorough(40))])
 KINDS = [
     ("mcap", "none"), ("mcap", "chunk"), ("mcap", "message"), ("mcap", "file"), ("sqlite3", "none"), ("sqlite3", "file")
 ]  # fmt: skip
@@ -104,15 +133,16 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], Pat
     }
 
 
+@MANY
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
-def test_damaged_messages(whole: dict, tmp_path: Path, kind: tuple[str, str]) -> None:
+def test_damaged_messages(whole: dict, tmp_path: Path, kind: tuple[str, str], count: int) -> None:
     bag = tmp_path / "bag"
     shutil.copytree(whole[kind], bag)
     file = next(path for path in bag.iterdir() if path.name != "metadata.yaml")
     data, metadata = file.read_bytes(), (bag / "metadata.yaml").read_bytes()
     places = record_starts(data)
 
-    @EXAMPLES
+    @examples(count)
     @given(EDITS, st.booleans(), st.booleans(), st.sampled_from(["refuse", "last"]))
     def run(edits: list[Edit], recover: bool, closed: bool, restarts: str) -> None:
         file.write_bytes(edited(data, edits, places))
@@ -128,27 +158,28 @@ def test_damaged_messages(whole: dict, tmp_path: Path, kind: tuple[str, str]) ->
     run()
 
 
-@EXAMPLES
-@given(data=st.data())
-def test_damaged_metadata(whole: dict, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    bag = tmp_path_factory.mktemp("metadata") / "bag"
+@MANY
+def test_damaged_metadata(whole: dict, tmp_path: Path, count: int) -> None:
+    bag = tmp_path / "bag"
     shutil.copytree(whole["mcap", "none"], bag)
     text = (bag / "metadata.yaml").read_bytes()
-    if data.draw(st.booleans()):
-        lines = text.decode().splitlines()
-        at = data.draw(st.integers(0, len(lines) - 1))
-        key = lines[at].partition(":")[0]
-        junk = ["", "~", "[]", "{}", "1e999", "../../etc/passwd", "[../../../etc/passwd]", "!!python/name:os.system",
-                "'\\0'", "0x" + "f" * 5000, "[" * 900, "&a [*a]", "*b", "2001-13-45", "\x00", "\ud7ff", "'a\nb'",
-                "!!set {a}", "!!timestamp x", "!!binary x", "<<", "{<<: 3}", "=", ".nan", "[~, 1]"]  # fmt: skip
-        lines[at] = f"{key}: {data.draw(st.sampled_from(junk))}"
-        content = "\n".join(lines).encode("utf-8", "replace")
-    else:
-        content = edited(text, data.draw(EDITS), list(range(0, len(text), 7)))
-    (bag / "metadata.yaml").write_bytes(content)
-    with little_memory():
-        judged(bag)
-    shutil.rmtree(bag)
+
+    @examples(count)
+    @given(data=st.data())
+    def run(data: st.DataObject) -> None:
+        if data.draw(st.booleans()):
+            lines = text.decode().splitlines()
+            at = data.draw(st.integers(0, len(lines) - 1))
+            key = lines[at].partition(":")[0]
+            lines[at] = f"{key}: {data.draw(st.sampled_from(JUNK))}"
+            content = "\n".join(lines).encode("utf-8", "replace")
+        else:
+            content = edited(text, data.draw(EDITS), list(range(0, len(text), 7)))
+        (bag / "metadata.yaml").write_bytes(content)
+        with little_memory():
+            judged(bag)
+
+    run()
 
 
 # ---------------------------------------------------------------- built to break
@@ -163,7 +194,7 @@ READS = """read_notes(sys.argv[1])
 
 
 @pytest.mark.slow(4)
-@pytest.mark.parametrize("recover", [[], ["recover"]] if DEEP else [[]], ids=["", "recover"][: 1 + DEEP])
+@pytest.mark.parametrize("recover", [[], pytest.param(["recover"], marks=pytest.mark.thorough(4))], ids=["", "recover"])
 @pytest.mark.parametrize("name", BOMBS)
 def test_bombs(tmp_path: Path, name: str, recover: list[str]) -> None:
     assert_refused_in_a_gigabyte(IMPORTS, READS, str(BOMBS[name](tmp_path)), *recover, seconds=30.0)

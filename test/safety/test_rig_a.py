@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,10 +18,8 @@ from pam_antagonist.safety.supervision import frozen_time
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared/data/rig_a"
 CASES = sorted(path.parent.name + "/" + path.name for path in DATA.glob("*/*") if path.is_dir())
-# PAM_PROOF=1 takes all of them, half a minute.
-CHOSEN = (
-    CASES if os.environ.get("PAM_PROOF") else [case for case in CASES if case in ("nominal/locked", "case_leak/free")]
-)
+CHOSEN = [case for case in CASES if case in ("nominal/locked", "case_leak/free")]
+OTHERS = [pytest.param(case, marks=pytest.mark.thorough(2)) for case in CASES if case not in CHOSEN]
 DEFAULT = by_rig({parameter.name: parameter.default for parameter in (*VALVE_OWNER, *CONTROLLER)}, load_rig("shin2022"))
 
 pytestmark = pytest.mark.skipif(not CASES, reason=f"the recordings of rig A are not at {DATA}")
@@ -60,7 +57,7 @@ def first_of_estimates(run: EstimateRun) -> tuple[int, str]:
     return -1, ""
 
 
-@pytest.mark.parametrize("case", CHOSEN)
+@pytest.mark.parametrize("case", [*CHOSEN, *OTHERS])
 def test_a_recording_of_a_sound_joint_or_one_with_an_effect_stops_nothing(case: str) -> None:
     given = recording(case)
     supervision = pressures()

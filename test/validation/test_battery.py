@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -350,9 +349,8 @@ SMALL = (
 )
 
 
-# PAM_PROOF=1 takes all three, two minutes or three more.
-@pytest.mark.thorough(9)
-@pytest.mark.parametrize("case", SMALL if os.environ.get("PAM_PROOF") else SMALL[:1], ids=lambda case: case.name)
+@pytest.mark.thorough(60)
+@pytest.mark.parametrize("case", SMALL, ids=lambda case: case.name)
 def test_small_battery_with_the_real_diagnosis(case: Case) -> None:
     """Large effects and full recordings: what is missed here is missed on any rig."""
     found = outcomes.judge(case, command.diagnosis(case, 2))

@@ -57,7 +57,7 @@ EFFECT = Effect(
     source="Bouc (1967), Wen (1976), with A = 1, β = γ = 1/2, n = 1; for muscles: Vo-Minh et al. (2011)",
     signature="Torque and rest angle differ between shortening and lengthening, at any speed.",
     parameters=(
-        *per_muscle("amplitude", "N", -60.0, 60.0, 4.0, "half the width of the force loop", symbol="a"),
+        *per_muscle("amplitude", "N", -2000.0, 2000.0, 4.0, "half the width of the force loop", symbol="a"),
         EffectParameter("width", "m", 2e-3, 2e-4, 2e-2, 2e-3, "length over which the force reverses", "s"),
     ),
     states=state_per_muscle(

@@ -30,8 +30,8 @@ EFFECT = Effect(
     source="rigid body under gravity",
     signature="Motion and rest angle of the joint are wrong. Pressures and the torque of a locked joint are right.",
     parameters=(
-        EffectParameter("constant", "N m", 0.0, -3.0, 3.0, 0.05, "torque at angle 0", "b"),
-        EffectParameter("sine", "N m", 0.0, -10.0, 10.0, 0.1, "torque that grows with the sine of the angle", "a"),
+        EffectParameter("constant", "N m", 0.0, -200.0, 200.0, 0.05, "torque at angle 0", "b"),
+        EffectParameter("sine", "N m", 0.0, -200.0, 200.0, 0.1, "torque that grows with the sine of the angle", "a"),
     ),
     hooks={"joint_torque": load},
     sentence="something beside the muscles pulls at the joint (load_torque)",
