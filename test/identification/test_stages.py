@@ -135,17 +135,21 @@ def test_the_torque_of_a_locked_joint_creeps_as_the_law_says() -> None:
     assert late[50:] == pytest.approx(-share * np.exp(-(time[50:] - 0.495) / constant), abs=0.002)
 
 
-def test_rows_at_the_stop_do_not_widen_the_interval_elsewhere() -> None:
-    """There the filter is sure of the angle whatever the torque, although the true stop is off by 0.5 deg."""
-    voltage = commands(TRUE, 20.0, 5)
-    stop = float(np.quantile(np.abs(simulate(TRUE, voltage, joint="free", seed=1).angle), 0.9))
+@pytest.mark.parametrize(("seed", "within", "off"), [(5, 0.9, 0.5), (7, 0.5, 0.05)])
+def test_rows_at_the_stop_do_not_widen_the_interval_elsewhere(seed: int, within: float, off: float) -> None:
+    """There the filter is sure of the angle whatever the torque, although the true stop is off by so many degrees.
+
+    In the second case the estimates at the stop are a rounding away from it: 224 times a muscle's torque was asked for.
+    """
+    voltage = commands(TRUE, 20.0, seed)
+    stop = float(np.quantile(np.abs(simulate(TRUE, voltage, joint="free", seed=1).angle), within))
     known = TRUE.replaced(joint=TRUE.joint.replaced(stop=stop))
-    real = known.replaced(joint=known.joint.replaced(stop=stop + math.radians(0.5)))
+    real = known.replaced(joint=known.joint.replaced(stop=stop + math.radians(off)))
     recording = replace(simulate(real, voltage, joint="free", seed=1), torque=None)
     given = (recording, joint_condition(recording, "free", None), "stop")
     tuned = filter_stage.with_process_noise(known, [given])
     covered = filter_stage.with_unknown_torque(tuned, [given])
-    assert covered.torque < 0.1 * joint_stage.torque_scale(known)
+    assert covered.torque < 0.1 * joint_stage.torque_scale(known) and covered.share > 0.9
 
 
 SHIN = load_rig("shin2022")
