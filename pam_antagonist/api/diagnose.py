@@ -113,7 +113,7 @@ def identify(
             )
     found = _identify(read, chosen, holdout, starts, seed, jobs, progress, free=free, frozen=freeze)
     identified, *own = (with_known_curves(each, chosen) for each in (found.rig, *found.own))
-    return IdentifyResult(identified, tuple(own), found, found.held, tuple(read), seed)
+    return IdentifyResult(identified, tuple(own), found, found.held, tuple(read), seed).named()
 
 
 def _sealed(read: Sequence[_Named], rig: Rig, holdout: float, seed: int, progress: _Progress) -> IdentifyResult:
@@ -126,7 +126,7 @@ def _sealed(read: Sequence[_Named], rig: Rig, holdout: float, seed: int, progres
     found = identify_sealed([(recording, name) for recording, _, name in read], rig, holdout, progress)
     rigs = {"as_configured": found.start, "identified": found.rig}
     held = tuple(held_of(one, one, end, rigs, None) for one, end in zip(read, found.held_from, strict=True))
-    return IdentifyResult(found.rig, (), found, held, tuple(read), seed)
+    return IdentifyResult(found.rig, (), found, held, tuple(read), seed).named()
 
 
 def _episodes(

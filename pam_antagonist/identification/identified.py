@@ -7,13 +7,13 @@ import math
 import textwrap
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from typing_extensions import override
+from typing_extensions import Self, override
 
 from pam_antagonist.identification.held_out import (
     COLUMNS,
@@ -116,6 +116,21 @@ class Identified(Shown):
     def warnings(self) -> tuple[str, ...]:
         """For the user."""
         return (*([do_not_use(self.rejected)] if self.rejected else []), *self.found.notes)
+
+    def named(self) -> Self:
+        """This result with rigs that say what they were identified from, in memory as in their files."""
+        start, names = self.found.start, ", ".join(name for _, _, name in self.recordings)
+        source = f"identified from {names}; started from: {start.source.strip()}"
+        fitted = {**start.fitted, **self.fitted}
+
+        def of(rig: Rig, more: str = "") -> Rig:
+            name = f"{start.name.removesuffix('_identified')}_identified"
+            words = " ".join(f"{source}{more}".split())
+            return rig.replaced(name=name, source=words, identified=names, fitted=fitted)
+
+        alone = zip(self.own, self.recordings, strict=False)
+        own = tuple(of(rig, f"; with the values of {name} alone") for rig, (_, _, name) in alone)
+        return replace(self, rig=of(self.rig), own=own)
 
     @property
     def fitted(self) -> Mapping[str, float]:
@@ -252,26 +267,15 @@ class Identified(Shown):
                 "Standard errors are in report.json. The directions below are the combinations of errors that change "
                 "the estimate most."
             )
-        names = ", ".join(name for _, _, name in self.recordings)
-        source = f"identified from {names}; started from: {start.source.strip()}"
-
-        fitted = {**start.fitted, **self.fitted}
-
-        def named(rig: Rig, more: str = "") -> Rig:
-            name = f"{start.name.removesuffix('_identified')}_identified"
-            words = " ".join(f"{source}{more}".split())
-            return rig.replaced(name=name, source=words, identified=names, fitted=fitted)
-
         if self.rejected:
             lines = textwrap.wrap(do_not_use(self.rejected), 110)
-            write_unread(named(self.rig), folder / "rig_rejected.yaml", [*lines, *about])
+            write_unread(self.rig, folder / "rig_rejected.yaml", [*lines, *about])
             return
-        write_rig(named(self.rig), folder / "rig.yaml", about)
+        write_rig(self.rig, folder / "rig.yaml", about)
         for number, (own, (_, _, name)) in enumerate(zip(self.own, self.recordings, strict=False), 1):
             remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
             with suppress(RefusedRig):  # nobody is asked to use it
-                rig = named(own, f"; with the values of {name} alone")
-                write_rig(rig, folder / f"rig_{number}.yaml", [*about, remark])
+                write_rig(own, folder / f"rig_{number}.yaml", [*about, remark])
 
 
 def _relative(start: float, value: float) -> float:

@@ -48,6 +48,8 @@ def test_true_values_come_back_within_their_errors() -> None:
     result = identify([record("free", 1), record("locked", 1)], RIG)
     found = result.found
     assert isinstance(found, FromPressures) and not result.rejected
+    # In memory the rig says of itself what its file does: a replay by it is one of an identified rig.
+    assert result.rig.identified.count("_1") == 2 and result.rig.name == "shin2022_identified" and result.rig.fitted
     stds = {**found.joint.stds, **found.air.stds}  # type: ignore[union-attr]
     for name in ("valve_1.inflow_area", "valve_2.outflow_area", "friction.shaft"):
         assert abs(found.rig.value(name) - TRUE[name]) < 3.0 * stds[name], name
