@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 from bombs import assert_refused_in_a_gigabyte
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from test_bag_fuzz import DEEP, EDIT, EXAMPLES, edited
+from test_bag_fuzz import EDIT, edited, examples
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import read_force_map, read_volumes
@@ -21,7 +21,7 @@ from pam_antagonist.recording.csv_import import read_csv
 from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.rig import load_rig
 
-FEWER = settings(EXAMPLES, max_examples=EXAMPLES.max_examples if DEEP else 25)
+FEWER = examples(25)
 FILES: dict[str, tuple[Path, Callable[[str], Any]]] = {
     "rig": (config_dir() / "rigs" / "shin2022.yaml", load_rig),
     "sealed": (config_dir() / "rigs" / "sealed_joint.yaml", load_rig),

@@ -34,8 +34,8 @@ EFFECT = Effect(
     source="Coulomb and Stribeck; Tondu and Lopez (2000)",
     signature="The joint sticks longer or shorter than it should. Flow and the torque of a locked joint are right.",
     parameters=(
-        EffectParameter("coulomb", "N m", 0.0, -20.0, 200.0, 0.02, "constant Coulomb torque", "c"),
-        EffectParameter("stribeck", "N m", 0.0, -20.0, 200.0, 0.02, "further torque at rest", "d"),
+        EffectParameter("coulomb", "N m", 0.0, -0.5, 200.0, 0.02, "constant Coulomb torque", "c"),
+        EffectParameter("stribeck", "N m", 0.0, -0.5, 200.0, 0.02, "further torque at rest", "d"),
         EffectParameter("velocity", "rad/s", 0.3, 0.01, 10.0, 0.3, "velocity over which the torque at rest fades", "v"),
     ),
     hooks={"coulomb_torque": extra_coulomb},
