@@ -100,11 +100,10 @@ def identify(
     })  # fmt: skip
     if kind is EPISODES:
         return _episodes(given, chosen, holdout, jobs, progress)
-    driven = [one.driven_by(chosen.drive) for one in given]
     if kind is SEALED:
-        read = named([one.in_one_piece() for one in driven], chosen, joint, lock_angle)
+        read = named([one.in_one_piece() for one in given], chosen, joint, lock_angle)
         return _sealed(read, chosen, holdout, seed, progress)
-    read = named(driven, chosen, joint, lock_angle)
+    read = named(given, chosen, joint, lock_angle)
     for recording, _, name in read:
         if sealed_muscles(recording.path):
             raise BadInput(
@@ -199,7 +198,7 @@ def diagnose(
         "joint": joint, "lock_angle": lock_angle, "seed": seed, "store": store, "also": also,
     })  # fmt: skip
     if kind in (TRIALS, DATA_SHEET):
-        given = named([one.driven_by(chosen.drive) for one in every], chosen, joint, lock_angle)
+        given = named(every, chosen, joint, lock_angle)
         settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or silent)
         found = _from_pressures(given, chosen, settings, len(kept))
         return widened(PressuresDiagnoseResult, found, start=chosen, hashes=hashes)
@@ -211,7 +210,7 @@ def diagnose(
         later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
         return EpisodesDiagnoseResult(_of_episodes(first, holdout, later, progress or silent), first, hashes)
     for recording in every:
-        recording.driven_by(chosen.drive).in_one_piece()
+        recording.in_one_piece()
     run = partial(
         _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed,
         progress=progress or silent, profiles=profiles, estimator=estimator, store=store or Checkpoint(),

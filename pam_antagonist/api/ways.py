@@ -55,15 +55,14 @@ def way(recordings: Sequence[Recording], rig: Rig) -> Way:
     Raises:
         BadInput: recordings without the commands that this way needs.
     """
-    if rig.valves.sealed:
-        return SEALED
-    if rig.is_from_data_sheets:
-        return DATA_SHEET
+    by_rig = SEALED if rig.valves.sealed else DATA_SHEET if rig.is_from_data_sheets else None
     in_episodes = any(one.episode_ns is not None for one in recordings)
-    if rig.drive == "regulator" and in_episodes:
+    if by_rig is None and rig.drive == "regulator" and in_episodes:
         return EPISODES
     for one in recordings:
         one.driven_by(rig.drive)
+    if by_rig is not None:
+        return by_rig
     short = in_episodes or any(one.duration_s < SHORTEST for one in recordings)
     if rig.drive == "valve" and short and sum(one.duration_s for one in recordings) >= SHORTEST:
         return TRIALS

@@ -21,7 +21,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
-from pam_antagonist.identification.joint_stage import force_gains, torque_scale
+from pam_antagonist.identification.joint_stage import force_gains, off_stop, torque_scale
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import Recording
@@ -254,8 +254,7 @@ def _errors(rig: Rig, channel: str, recording: Recording, state: JointCondition,
     assert readings is not None
     error = run.rows[channel] - readings[run.index]
     known = np.isfinite(error)
-    stop = math.inf if rig.joint.stop is None else rig.joint.stop - _AT_STOP
-    inside = known & (np.abs(run.rows["angle"]) < stop)
+    inside = known & (np.abs(run.rows["angle"]) < off_stop(rig, _AT_STOP))
     known = inside if inside.any() else known
     return error[known], np.sqrt(run.rows["covariance"][:, place, place])[known]
 

@@ -261,9 +261,12 @@ def by_the_model(run: Run, p: Floats) -> Run:
     return replace(run, angle=angle, velocity=np.gradient(angle, run.time))
 
 
-def off_stop(rig: Rig) -> float:
-    """Angle [rad] within which a joint does not lean on its stops, which are set by eye."""
-    return math.inf if rig.joint.stop is None else rig.joint.stop - _EYE_STD
+def off_stop(rig: Rig, margin: float = _EYE_STD) -> float:
+    """Angle [rad] within which a joint does not lean on its stops; a reading may be off, since they are set by eye.
+
+    `margin`: [rad].
+    """
+    return math.inf if rig.joint.stop is None else rig.joint.stop - margin
 
 
 def muscle_torque(run: Run, stop: float) -> Floats:

@@ -234,7 +234,7 @@ class EstimatorNode(PamNode):
         }
         complaint, many = self._estimator.complaint, nis.size and outliers > 0.05 * nis.size
         finding = self._sources.report(steady_ns) if self._sources else Finding(Level.OK, "")
-        self._mixed = self._sources is not None and self._sources.is_mixed
+        self._mixed = finding.is_mixed
         second, waits, lacks = several(self, [TOPICS["joint_estimate"].relative]), self._waits_for(), finding.words
         some = f"{late} late and {incomplete} incomplete samples" + (f": {lacks}" if incomplete and lacks else "")
         return {

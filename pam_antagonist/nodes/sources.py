@@ -77,6 +77,7 @@ class Finding(NamedTuple):
 
     level: Level
     words: str  # empty if nothing is
+    is_mixed: bool = False  # whether several nodes send samples, of which nothing tells the right ones
 
 
 class SampleSources:
@@ -84,13 +85,9 @@ class SampleSources:
 
     `names`: relative names of the topics by their places in a sample. `pairing`: what combines their messages.
     `period`: of the samples [s].
-
-    Attributes:
-        is_mixed: whether several nodes send samples, of which nothing tells the right ones.
     """
 
     def __init__(self, node: PamNode, names: Mapping[int, str], pairing: SamplePairing, period: float) -> None:
-        self.is_mixed = False
         self._node, self._names, self._pairing, self._period = node, names, pairing, period
         self._samples = self._complete = 0
         self._lacking = dict(pairing.counts.lacking)
@@ -121,12 +118,11 @@ class SampleSources:
         self._lacking = dict(counts.lacking)
         recent = {self._names[place]: stamps for place, stamps in self._pairing.arrivals.take().items()}
         silent = [name for name, stamps in recent.items() if not len(stamps)]
-        self.is_mixed = False
         if len(silent) == len(recent):
             return "silent", Finding(Level.WARN, f"no samples: {absent(self._node, silent)}")
         if second := several(self._node, recent):
-            self.is_mixed = any(mixed(stamps, self._period) for stamps in recent.values())
-            return "several", Finding(Level.ERROR, second)
+            is_mixed = any(mixed(stamps, self._period) for stamps in recent.values())
+            return "several", Finding(Level.ERROR, second, is_mixed)
         if silent:
             coming = listed([name for name in recent if name not in silent])
             why = f"{absent(self._node, silent)}; the {self._node.NAME} needs {listed(silent)} too"

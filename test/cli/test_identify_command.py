@@ -189,7 +189,7 @@ def test_rig_a_comes_near_to_its_sensors_noise(tmp_path):
     assert free["identified"]["ukf"]["angle"]["rmse_deg"] <= 0.1
     for entry in (free, locked):
         assert max(entry["own"]["model_alone"]["pressure"]["rmse_pa"]) <= 800.0
-        # The process noise is the one with which the angle errs least: the innovations are smaller than it allows for.
+        # Below 2: on rig A the innovations are smaller than the filter allows for. Why was not looked into.
         assert 0.5 < entry["identified"]["innovation"]["nis_mean"] < 2.2
         assert entry["identified"]["ukf"]["torque"]["coverage95"] >= 0.90
     assert free["identified"]["ukf"]["angle"]["coverage95"] >= 0.90
