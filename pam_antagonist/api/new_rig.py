@@ -87,15 +87,10 @@ def _or_none(quantity: str, low: float, high: float) -> Callable[[str], float | 
 
 def _volts(text: str) -> tuple[float, float]:
     low, colon, high = text.partition(":")
-    read = _quantity("voltage", 0.0, 10.0, "V")
-    if colon and plain(low).lstrip().startswith("-"):
-        raise BadInput(
-            f"{text!r}: expected 0 to 10 V. With a bipolar amplifier before the valve, count from its least voltage: "
-            "add it in your driver, and as offset of the valves in the map of import_csv"
-        )
+    read = _quantity("voltage", -10.0, 10.0, "V")
     values = (read(low), read(high)) if colon else (math.nan, math.nan)
     if not values[0] < values[1]:
-        raise BadInput(f"{text!r}: expected the least and the largest voltage [V], such as 0:10")
+        raise BadInput(f"{text!r}: expected the least and the largest voltage [V], such as 0:10 or -5:5")
     return values
 
 
@@ -216,7 +211,9 @@ _FIELDS = (
     ("valve-centre", "Middle position of the valve: closed or open",
      "its data sheet: closed if no air passes in the middle, as in a 5/3 valve with closed centre",
      _one_of("closed", "open"), "closed", ("valve", OWN)),
-    ("voltage", "Least and largest voltage of a valve [V]", "what your driver can put out", _volts, "0:10", _VALVES),
+    ("voltage", "Least and largest voltage of a valve [V]",
+     "what your driver can put out; -5:5 with a bipolar amplifier, over whose range the valve's curve is then laid",
+     _volts, "0:10", _VALVES),
     ("inertia", "Inertia of the parts that turn with the joint [kg m²]",
      "roughly the mass times the squared distance of its centre from the axis",
      _quantity("inertia", 2e-7, 5.0, "kg m²")),
@@ -343,6 +340,9 @@ def remarks(facts: Facts, assumed: Collection[str]) -> list[str]:
             f"Their rise time is your answer, their damping ratio assumed, {told}. Valves and flow are not used."
         )
         lines.append("Compare range and hysteresis with the data sheet of yours.")
+    if facts.regulator is None and facts.voltage[0] < 0.0:
+        low, high = facts.voltage
+        lines.append(f"A bipolar amplifier: {low:g} to {high:g} V move the valve from end to end.")
     if facts.valve.closed_centre:
         lines.append(
             "This valve lets no air pass at its middle voltage (overlap 0.5). Near it, it holds a pressure, so that the"

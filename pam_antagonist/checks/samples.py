@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.checks.wiring import Finding, Status
+from pam_antagonist.estimation.possible import bounds
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.faults import faults_of, in_words, masked
@@ -214,9 +215,9 @@ _SLACK = 1.0
 
 
 def commands(recording: Recording, rig: Rig) -> list[Finding]:
-    """Unit, range and origin of the commands; nothing for a rig with valves."""
+    """Unit, range and origin of the commands."""
     if rig.drive == "valve":
-        return []
+        return _voltages(recording, rig)
     unit = _unit(recording)
     if unit:
         return [Finding("wrong", f"the commanded pressures are in {unit}, expected absolute pressures in Pa (sure)")]
@@ -242,6 +243,23 @@ def commands(recording: Recording, rig: Rig) -> list[Finding]:
         f"(beyond it: {100.0 * share:.2g} % of the samples, {100.0 * _SATURATED:g} at most)"
     )
     return out or [Finding("good", text)]
+
+
+def _voltages(recording: Recording, rig: Rig) -> list[Finding]:
+    """What is said of voltages that the rig's valves do not get; nothing of others."""
+    low, high = bounds(rig)[2:].T
+    share = float(np.mean(((recording.voltage < low) | (recording.voltage > high)).any(axis=1)))
+    if share <= _SATURATED:
+        return []
+    least, most = (float(np.nanquantile(recording.voltage, q)) for q in (0.01, 0.99))
+    own = f"{rig.valves.voltage_min:g} to {rig.valves.voltage_max:g} V"
+    bipolar = least < -0.5 and rig.valves.voltage_min >= 0.0
+    hint = ": with a bipolar amplifier, make the rig file with new_rig --voltage=-5:5" if bipolar else ""
+    text = (
+        f"the voltages go from {least:.3g} to {most:.3g} V and lie beyond those of the rig's valves, {own}, in "
+        f"{100.0 * share:.0f} % of the samples{hint}"
+    )
+    return [Finding("doubtful", text)]
 
 
 def _unit(recording: Recording) -> str:

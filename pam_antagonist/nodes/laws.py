@@ -30,8 +30,9 @@ PARAMETERS = (
         "none: the pressures are not measured, so estimates without them do not stop the controller; for a rig with "
         "drive: regulator"
     ),
-    Parameter("bias", -1.0, 0.0, 10.0, read_only=False, left=-1.0).about(
-        "voltage of both valves at rest [V]; -1: at which they keep the pressure at rest, by the rig file"
+    Parameter("bias", -1.0, -10.0, 10.0, read_only=False, left=-1.0).about(
+        "voltage of both valves at rest [V]; -1: at which they keep the pressure at rest, by the rig file (write "
+        "-1.001 for that voltage)"
     ),
     Parameter("angle_proportional", _ANGLE.proportional, 0.0, 1e3, read_only=False).about("T_P for the angle [V/rad]"),
     Parameter("angle_integral", _ANGLE.integral, 0.0, 1e9, read_only=False).about("T_I for the angle [V/(rad s)]"),

@@ -66,7 +66,7 @@ class Parameter:
             text += " without spaces"
         if self.low is not None and self.high is not None:
             text += f" from {self.low:g} to {self.high:g}"
-        if self.left is not None:
+        if self.left is not None and not (self.low is not None and self.low <= self.left):
             text += f", or {self.left:g}"
         return text
 
@@ -102,16 +102,16 @@ JOINT_NAME = Parameter("joint_name", "joint", solid=True).about("name of the joi
 FRAME = Parameter("frame_id", "joint").about("frame of the joint in the messages")
 SIMULATED_JOINT = (RIG, JOINT, LOCK_ANGLE, JOINT_NAME, FRAME)
 """Parameters of a node that knows the equations of the joint."""
-SAFE_VOLTAGE = Parameter("safe_voltage", [-1.0, -1.0], 0.0, 10.0, left=-1.0).about(
+SAFE_VOLTAGE = Parameter("safe_voltage", [-1.0, -1.0], -10.0, 10.0, left=-1.0).about(
     "voltages of both valves while no valid command comes [V]; -1: at which they keep the pressure at rest, by the rig "
-    "file"
+    "file (write -1.001 for that voltage)"
 )
 SAFE_ACTION = Parameter("safe_action", "hold", choices=("hold", "vent")).about(
     "what the valves get while no valid command comes: hold keeps safe_voltage; vent moves slowly from there to "
     "vent_voltage"
 )
-VENT_VOLTAGE = Parameter("vent_voltage", [-1.0, -1.0], 0.0, 10.0, left=-1.0).about(
-    "voltages at which both valves let the air out [V]; -1: the lowest of the rig file"
+VENT_VOLTAGE = Parameter("vent_voltage", [-1.0, -1.0], -10.0, 10.0, left=-1.0).about(
+    "voltages at which both valves let the air out [V]; -1: the lowest of the rig file (write -1.001 for that voltage)"
 )
 VENT_RATE = Parameter("vent_rate", 1.0, 0.01, 1e3).about(
     "largest change of each voltage on the way to vent_voltage [V/s]"

@@ -101,8 +101,8 @@ _RANGES = {
         "outside {low:.3g} to 2000 kPa absolute",
         "the pressures of a filled muscle, {low:.3g} to 2000 kPa absolute",
     ),
-    # Valves take 0 to 10 V; a measured voltage has an error.
-    "voltage": _Range(-0.5, 10.5, 5.0, "outside 0 to 10 V", "0 to 10 V"),
+    # Valves take 0 to 10 V, a bipolar amplifier before them -10 to 10 V; a measured voltage has an error.
+    "voltage": _Range(-10.5, 10.5, 5.0, "outside -10 to 10 V", "-10 to 10 V"),
     "angle": _Range(
         -3.2,
         3.2,
@@ -203,7 +203,7 @@ def judge(where: str, signal: Signal, issues: list[str]) -> None:
     count, size = _odd(signal.range, signal.si())
     tiny = quantity == "voltage" and signal.unit != "V" and 0.0 < np.nanmax(np.abs(signal.si())) < _TINY
     turning = quantity == "angle" and _turns(signal)
-    if not few(count, size) or tiny or turning:
+    if not few(count, size) or tiny or turning or _upside_down(signal):
         raise refusal(where, signal)
     if count:
         text = f"{count} of {size} values on {signal.label} lie {signal.range.odd}"
@@ -212,6 +212,11 @@ def judge(where: str, signal: Signal, issues: list[str]) -> None:
         moved = float(np.ptp(finite))
         if math.radians(moved) < _STILL < moved:
             issues.append(f"{signal.label} goes from {signal.span}: a locked joint? {moved:.3g} could be rad")
+
+
+def _upside_down(signal: Signal) -> bool:
+    """Whether voltages are nearly all below 0: an amplifier that gives such ones gives positive ones as well."""
+    return signal.quantity == "voltage" and _top(signal.si()) < 0.0
 
 
 def judge_muscles(where: str, first: Signal, second: Signal, issues: list[str]) -> None:
@@ -242,6 +247,8 @@ def refusal(where: str, signal: Signal) -> BadInput:
     elif quantity == "voltage":
         # What is a little beyond the range is a voltage of another valve, and no other unit.
         hint = "" if signal.unit == "V" and _top(np.abs(si)) <= MOST_VOLTS else _looks_like(signal)
+        if _upside_down(signal):
+            hint = "; none is above 0: is the sign right?"
         if signal.unit == "V" and MOST_VOLTS < _top(np.abs(si)) <= 100.0:
             hint = f"; {_top(np.abs(si)):.3g} looks like percent" + (": give scale: 0.1" if signal.mapped else "")
         if not hint and signal.mapped:

@@ -293,6 +293,14 @@ def _unknown_torque(facts: Facts) -> float:
     return _GRAVITY * math.sqrt(facts.inertia * facts.mass)
 
 
+def _put_out(facts: Facts) -> tuple[float, ...]:
+    """Voltages of the valve's curve [V], as the driver puts them out: a bipolar amplifier lays them over its own."""
+    own, (low, high) = facts.valve.curve.voltage, facts.voltage
+    if low >= 0.0:
+        return own
+    return tuple(low + (at - own[0]) / (own[-1] - own[0]) * (high - low) for at in own)
+
+
 def _content(facts: Facts) -> dict[str, Any]:
     """Content of the rig file, without the areas of the valves and the priors."""
     part: Mapping[str, Any] = {"volume": volume_map(facts), "force": force_map(facts)}
@@ -300,7 +308,7 @@ def _content(facts: Facts) -> dict[str, Any]:
         "inflow_area": 1e-8,
         "outflow_area": 1e-8,
         "overlap": _OVERLAP if facts.valve.closed_centre else 0.0,
-        "curve": {"voltage": facts.valve.curve.voltage, "open_rate": facts.valve.curve.open_rate},
+        "curve": {"voltage": _put_out(facts), "open_rate": facts.valve.curve.open_rate},
     }
     slope = _friction_guess(facts) / facts.supply
     effects = {"friction_by_pressure": {"slope_1": slope, "slope_2": slope}}

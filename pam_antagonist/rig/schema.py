@@ -92,8 +92,8 @@ class Valve(Strict):
 class ValveLimits(Strict):
     """What may be put on the valves."""
 
-    voltage_min: float = Field(ge=0.0, le=10.0, description="[V]")
-    voltage_max: float = Field(ge=0.0, le=10.0, description="[V]")
+    voltage_min: float = Field(ge=-10.0, le=10.0, description="[V]; below 0 with a bipolar amplifier")
+    voltage_max: float = Field(ge=-10.0, le=10.0, description="[V]")
     sealed: bool = Field(False, description="no air passes: the chambers are closed")
     charge_1: float = Field(0.0, ge=0.0, lt=2e6, description="pressure of sealed muscle 1 at ψ = 0 [Pa], 0: not known")
     charge_2: float = Field(0.0, ge=0.0, lt=2e6, description="the same of muscle 2 [Pa]")

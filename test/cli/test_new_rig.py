@@ -235,9 +235,24 @@ def test_a_range_may_have_its_unit_once(tmp_path, given):
         ("inertia", "9 kg m²", "expected 2e-07 to 5 kg m2"),
         ("rate", "often", "expected a number and its unit, 10 to 10000 Hz"),
         ("mass", "1", "expected a number and its unit, such as 250g"),
-        ("voltage", "-5:5", "count from its least voltage"),
-        ("voltage", "0:12", "expected 0 to 10 V"),
+        ("voltage", "-12:5", "expected -10 to 10 V"),
+        ("voltage", "5:-5", "expected the least and the largest voltage"),
     ],
 )
 def test_a_number_that_cannot_be_is_refused_with_its_unit(refused, tmp_path, option, given, words):
     refused(new_rig.main, typed({**BOUGHT, option: given}, tmp_path / "rig.yaml"), f"--{option}", words)
+
+
+def test_valves_behind_a_bipolar_amplifier_take_its_voltages(tmp_path):
+    """The same joint, with every voltage counted from the middle; a rig file of the valve alone does not fit."""
+    plain, bipolar = (
+        written({**BOUGHT, "voltage": given}, tmp_path / name)
+        for given, name in (("0:10", "a.yaml"), ("-5:5", "b.yaml"))
+    )
+    one, other = (simulate(rig, duration=12.0, seed=3) for rig in (plain, bipolar))
+    assert np.allclose(other.voltage, one.voltage - 5.0, atol=1e-9) and other.voltage.min() < -1.0
+    assert np.array_equal(one.pressure, other.pressure)
+    assert {item.status for item in check(other, bipolar).findings} <= {"good", "untested"}
+    said = [item.text for item in check(other, plain).findings if "bipolar" in item.text]
+    assert len(said) == 1 and "beyond those of the rig's valves, 0 to 10 V" in said[0]
+    assert not [item for item in check(one, plain).findings if "beyond those of the rig" in item.text]

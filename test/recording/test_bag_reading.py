@@ -257,7 +257,7 @@ def test_rare_outliers_stay_and_are_counted(rig: FakeRig, tmp_path: Path) -> Non
     rig.assert_same(recording)
     assert len(recording.issues) == 2
     assert "1 of 40 values on /pam/pressure_1 lie outside 50 to 2000 kPa absolute: kept" in recording.issues[0]
-    assert "1 of 80 values on /pam/valve_state lie outside 0 to 10 V: kept" in recording.issues[1]
+    assert "1 of 80 values on /pam/valve_state lie outside -10 to 10 V: kept" in recording.issues[1]
 
 
 def test_hash_is_that_of_the_message_file(rig: FakeRig, tmp_path: Path) -> None:

@@ -182,13 +182,13 @@ def measured(lab: Lab, values: list[float], quantity: str, unit: str) -> Lab:
             4000,
             6000,
             "V",
-            "valve_2 (column 'x') goes from 4000 to 6000 V, expected 0 to 10 V; 5.98e+03 loo",
+            "valve_2 (column 'x') goes from 4000 to 6000 V, expected -10 to 10 V; 5.98e+03 loo",
         ),
         ("valve_2", 4000, 6000, "V", "looks like mV"),
         ("valve_2", 4, 6, "mV", "looks like V"),
         ("valve_2", 30, 70, "V", "looks like percent: give scale: 0.1"),
         ("valve_2", -8, 20e6, "V", "give scale and offset"),
-        ("valve_2", 0, 12, "V", "expected 0 to 10 V; give scale and offset"),
+        ("valve_2", 0, 12, "V", "expected -10 to 10 V; give scale and offset"),
     ],
 )
 def test_a_wrong_unit(lab: Lab, quantity: str, low: float, high: float, unit: str, says: str) -> None:
