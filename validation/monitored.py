@@ -22,7 +22,7 @@ from pam_antagonist.control.stiffness import Box
 from pam_antagonist.diagnosis.monitor import RATE, slower
 from pam_antagonist.diagnosis.monitor_responses import hypotheses
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import rest_pressure, rest_voltage
@@ -95,7 +95,7 @@ class Joint:
             rows = slice(first, first + every)
             voltage[rows] = self._command
             driven = np.tile(self._command, (every + 1, 1))
-            states[rows] = integration.course(self.x, driven, self.p, dt, self._substeps)[0][1:]
+            states[rows] = drive.course(self.x, driven, self.p, dt, self._substeps)[0][1:]
             self.x = states[first + every - 1].copy()
             pressure[rows] = shown(readings(states[rows], self.p), rig.sensors.reading("pressure"), noise[rows, :2])
             self._control(int(stamps[first + every - 1]), pressure[rows].mean(axis=0))
@@ -180,7 +180,7 @@ def _moved(fault: Fault, size: float, rig: Rig, minute: Samples) -> float:
     found = []
     for q in (p, fault.applied(p, size)):
         x, substeps = _rest(rig, p, minute.voltage[0], q), integration.substeps_of(rig.sample_period)
-        states, _ = integration.course(x, minute.voltage, q, rig.sample_period, substeps)
+        states, _ = drive.course(x, minute.voltage, q, rig.sample_period, substeps)
         found.append(np.column_stack([readings(states, q), states[:, 0]]))
     assert rig.encoder is not None
     stds = np.array([rig.sensors.pressure_std] * 2 + [rig.encoder.std])

@@ -16,7 +16,7 @@ import numpy as np
 
 from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.estimation import filter as kernels
-from pam_antagonist.model import integration, lanes
+from pam_antagonist.model import drive, lanes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.lane_values import LANES
 from pam_antagonist.program import started
@@ -32,7 +32,8 @@ def _lanes() -> None:
     p, pressure = load_rig(_RIG).parameters("free", 0.0), 4e5
     start = np.array([0.0, 0.0, pressure, pressure])
     # As many as there are lanes: fewer may run one by one.
-    lanes.courses([start] * LANES, np.full((2, 2), 5.0), [p] * LANES, 1e-3, 1)
+    along = drive.Inputs.even(2, 1e-3, command=np.full((2, 2), 5.0))
+    along.driven_each([start[None]] * LANES, [p] * LANES, drive.TORQUE)
 
 
 REPLAY = "filter", "model"
@@ -55,7 +56,7 @@ def compile_first(parts: Sequence[str], rig: Rig) -> None:
 
     `parts` are ``REPLAY`` or ``FITS``.
     """
-    if not (_missing(kernels.process_all) and _missing(integration.simulate)):
+    if not (_missing(kernels.process_all) and _missing(drive.drive)):
         return
     plain = bool(rig.parameters()[par.PLAIN])
     what = "for a rig without effects" if plain else "for a rig with effects"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.free_parameters import Direction, free_parameters
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, TORQUE
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import rest_pressure
@@ -113,7 +113,7 @@ class Information:
         `starts`: states (n,) at its beginning, of the model and of each neighbour. `voltage`: (N, 2) [V], a row a step.
         """
         given = np.concatenate([voltage[:1], voltage])
-        runs = [integration.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
+        runs = [drive.course(x, given, p, self.dt, 1) for x, p in zip(starts, self.vectors, strict=True)]
         shown = [
             np.column_stack(
                 [states[1:, 0], torque[1:], dynamics.readings(states[1:, 2:4], p), *self._gauges(states[1:], p)]

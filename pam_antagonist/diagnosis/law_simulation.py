@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from pam_antagonist.diagnosis.law_kernels import along_pressures
 from pam_antagonist.diagnosis.law_regression import Regression, operated, roughness
 from pam_antagonist.diagnosis.residual_equations import base_groups, with_base
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
-from pam_antagonist.model import driven, dynamics
+from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.drive import TORQUE, Inputs
 from pam_antagonist.model.effects import parameter_path
 from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.rig import Rig
@@ -130,12 +130,10 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = _PARTS, law: Law
     period = float(np.median(np.diff(course.time)))
     raised, turned = misread(law, course.pressure, course.angle, period)
     angle = course.angle - turned
-    held = p.copy()
-    held[par.LOCKED] = 1.0
     if "air" in parts:
         start = dynamics.pressures_behind(course.measured[:1, :2] - raised[:1], p)
-        whole, begun = np.array([0, len(course.time)]), np.array([True])
-        shown = driven.pressures(whole, start, course.time, course.command, angle, held, _LONGEST, begun)
+        along = Inputs.at(course.time, _LONGEST, command=course.command, motion=angle[:, None])
+        shown = along.driven(along.settled(angle[:1], start, p), p)[0][:, 2:4]
         # By the simulated pressures, which hold none of the noise that is to be explained.
         out[:, :2] = _blocks(dynamics.readings(shown, p) + misread(law, shown, angle, period)[0], course.size)
     wanted = {
@@ -149,16 +147,19 @@ def simulated(course: Course, p: Floats, parts: Sequence[str] = _PARTS, law: Law
     velocity = np.zeros(len(course.time))
     if not course.locked:
         velocity[reach:-reach] = (angle[2 * reach :] - angle[: -2 * reach]) / (2.0 * reach * period)
-    anew = np.arange(len(course.time)) % max(round(_ANEW_S / period), 2 * reach) == 0
-    for name in (name for name, is_wanted in wanted.items() if is_wanted):
-        # The measured pressures have what regulators do.
-        q = par.changed(held, NO_REGULATORS)
-        q[par.LOCKED] = float(name == "torque")
-        along = along_pressures(course.time, behind, angle, velocity, anew, course.command, q, _LONGEST)
-        if name == "torque":
-            out[:, 2] = _blocks(along[:, 1], course.size)
-        else:
-            out[:, 3] = _blocks(along[:, 0] + misread(law, course.pressure, along[:, 0], period)[1], course.size)
+    # The measured pressures have what regulators do.
+    p = par.changed(p, NO_REGULATORS)
+    given = {"command": course.command, "pressure": behind}
+    if wanted["torque"]:
+        along = Inputs.at(course.time, _LONGEST, motion=np.column_stack([angle, velocity]), **given)
+        out[:, 2] = _blocks(along.driven(along.settled(angle[:1], behind[:1], p), p, TORQUE)[1][0], course.size)
+    if wanted["angle"]:
+        begin = np.arange(0, len(course.time), max(round(_ANEW_S / period), 2 * reach))
+        along = Inputs.at(course.time, _LONGEST, np.append(begin, len(course.time)), **given)
+        # What effects and laws remember goes on where the motion is set anew.
+        start = along.settled(angle[begin], behind[begin], p, velocity[begin])
+        turning = along.driven(start, p, keeps=begin > 0)[0][:, 0]
+        out[:, 3] = _blocks(turning + misread(law, course.pressure, turning, period)[1], course.size)
     return out
 
 

@@ -31,7 +31,7 @@ from pam_antagonist.estimation import metrics
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
-from pam_antagonist.model import dynamics, flow, integration, muscle
+from pam_antagonist.model import drive, dynamics, flow, muscle
 
 Floats = NDArray[np.float64]
 
@@ -266,7 +266,7 @@ def equation_errors(experiment: Experiment, point: Point) -> EquationErrors:
     def ends_at(block: int, x: Floats) -> Floats:
         """Pressures' readings and angle at the end of a window (3,)."""
         first, p = block * size + size // 2, p_at[block]
-        run, _ = integration.course(x, trial.given[first : first + (span + 1) * size], p, trial.dt, trial.substeps)
+        run, _ = drive.course(x, trial.given[first : first + (span + 1) * size], p, trial.dt, trial.substeps)
         end = run[span * size - size // 2 :][:size].mean(axis=0)
         return np.array([dynamics.reading(0, end[2], p), dynamics.reading(1, end[3], p), end[0]])
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.divergence import diverged_from
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -78,7 +78,7 @@ def simulate_model(
     else:
         angle = equilibrium.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
     start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
-    states, torques, sigma = integration.simulate(start, held, p, every, substeps)
+    states, torques, sigma = drive.simulate(start, held, p, every, substeps)
     readings = dynamics.readings(states[:, 2:4], p)
     lost = slice(diverged_from(np.column_stack([states[:, :2], torques, readings])), None)
     for column in (states, torques, readings):

@@ -1,6 +1,6 @@
 """Chambers and valves, or regulators, from the measured motion: the joint's mechanics need not be known.
 
-Commands and the measured angle drive the chambers (:mod:`pam_antagonist.model.driven`), and the simulated
+Commands and the measured angle drive the chambers (:mod:`pam_antagonist.model.drive`), and the simulated
 pressures are compared with the measured ones. The simulation starts anew from the measured pressures after a horizon of
 a second at most: a valve that is shut leaves a pressure to an integrator, whose free run says nothing.
 """
@@ -27,7 +27,7 @@ from pam_antagonist.inference.unknowns import (
     within_bounds,
 )
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.driven import pressures
+from pam_antagonist.model.drive import Inputs
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.schema import limits
 
@@ -101,11 +101,12 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
     first = np.append(np.arange(begin, max(end - size // 2, begin + 1), size), end)
     starts = np.zeros(len(run), bool)
     starts[first[:-1]] = True
+    along = Inputs.at(run.time, _LONGEST_STEP, first, command=run.command, motion=angle[:, None])
+    start = along.settled(angle[first[:-1]], run.pressure[first[:-1]], p)
     # What droops or lags goes on over a restart.
-    anew = first[:-1] == begin
-    found = pressures(first, run.pressure[first[:-1]], run.time, run.command, angle, p, _LONGEST_STEP, anew)
+    found = along.driven(start, p, keeps=first[:-1] > begin)[0][:, 2:4].copy()
     found[:begin], found[end:] = run.pressure[:begin], run.pressure[end:]
-    return np.asarray(found), starts
+    return found, starts
 
 
 def usable(runs: Sequence[Run]) -> list[Run]:

@@ -1,6 +1,6 @@
 """Joint and muscles from measured pressures: no valve has to be known.
 
-The measured pressures drive the joint (:mod:`pam_antagonist.model.driven`), and the simulated angle is
+The measured pressures drive the joint (:mod:`pam_antagonist.model.drive`), and the simulated angle is
 compared with the measured one. Where the torque was measured, the torque of the muscles at the measured angle is
 compared as well. The simulation starts anew from the measurement after a horizon, which grows from a fraction of a
 second to whole runs, so that no start runs away. A fit that begins far off may still end in a false minimum. So another
@@ -32,8 +32,7 @@ from pam_antagonist.inference.unknowns import (
 )
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.driven import angles
-from pam_antagonist.model.driven import torques as given_torques
+from pam_antagonist.model.drive import TORQUE, Inputs
 from pam_antagonist.model.equilibrium import initial_state, rest_angle
 from pam_antagonist.rig import Rig
 
@@ -82,8 +81,9 @@ def torques(run: Run, p: Floats, zero: float = 0.0, delay: float = 0.0) -> Float
     """
     known = np.isfinite(run.angle)
     speed = run.velocity[known]
-    at = run.angle[known] - zero + delay * speed
-    return np.asarray(given_torques(run.time[known], at, speed, run.pressure[known], p, _LONGEST_STEP))
+    at, pressure = run.angle[known] - zero + delay * speed, run.pressure[known]
+    along = Inputs.at(run.time[known], _LONGEST_STEP, pressure=pressure, motion=np.column_stack([at, speed]))
+    return along.driven(along.settled(at[:1], pressure[:1], p), p, TORQUE)[1][0]
 
 
 @kernel
@@ -244,8 +244,9 @@ def simulated(
     begin = first[:-1]
     # What the reading shows with a delay has moved on meanwhile.
     speed = np.where(np.abs(run.velocity[begin]) < _MOVING, 0.0, run.velocity[begin])
-    start = np.column_stack([angle[begin] + delay * speed, speed])
-    out = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, longest))
+    along = Inputs.at(run.time, longest, first, pressure=run.pressure)
+    start = along.settled(angle[begin] + delay * speed, run.pressure[begin], p, speed)
+    out = along.driven(start, p)[0][:, 0]
     return out + zero if delay == 0.0 else np.interp(run.time - delay, run.time, out) + zero
 
 
@@ -255,9 +256,9 @@ def by_the_model(run: Run, p: Floats) -> Run:
     `p`: parameter vector (m,).
     """
     p = par.changed(p, NO_REGULATORS)
-    start = np.array([[rest_angle(run.pressure[0, 0], run.pressure[0, 1], p), 0.0]])
-    first = np.array([0, len(run)])
-    angle = np.asarray(angles(first, start, run.time, run.pressure, np.empty((len(run), 0)), p, _LONGEST_STEP))
+    along = Inputs.at(run.time, _LONGEST_STEP, pressure=run.pressure)
+    rest = np.array([rest_angle(run.pressure[0, 0], run.pressure[0, 1], p)])
+    angle = along.driven(along.settled(rest, run.pressure[:1], p), p)[0][:, 0].copy()
     return replace(run, angle=angle, velocity=np.gradient(angle, run.time))
 
 

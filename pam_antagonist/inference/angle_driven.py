@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist._jit import kernel
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
 from pam_antagonist.inference.free_run import Run, predict, start_of
 from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model.drive import NEEDED, Inputs
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 
@@ -50,33 +50,6 @@ _FORCE = 10.0
 """[N] Prior of the force difference between two muscles of one kind."""
 _VISCOUS = 0.02
 """[N m s/rad] Prior of a change of the viscous friction. Ten times as much looks like Coulomb friction."""
-_STAGES = integration.STAGES
-_rk4_step, _torque_needed = integration.rk4_step_within, dynamics.torque_needed
-
-
-@kernel
-def _driven(x0, angle, velocity, acceleration, direction, p, dt, substeps):  # type: ignore[no-untyped-def]
-    """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that a motion needs."""
-    samples = len(angle)
-    x = x0.copy()
-    u = np.zeros(3)
-    pressure = np.empty((samples, 2))
-    needed = np.empty(samples)
-    scratch = np.empty((_STAGES + 1, x.shape[0]))
-    for k in range(samples):
-        if k > 0:
-            # Angle and velocity are held over a step at its middle (second order). p locks the joint; only the
-            # chambers use the velocity.
-            x[1] = (angle[k] - angle[k - 1]) / dt
-            for j in range(substeps):
-                x[0] = 0.5 * (angle[k] + angle[k - 1]) + ((j + 0.5) / substeps - 0.5) * (angle[k] - angle[k - 1])
-                _rk4_step(x, u, p, dt / substeps, x, scratch)
-        x[0] = angle[k]
-        x[1] = velocity[k]
-        needed[k] = _torque_needed(x, acceleration[k], direction[k], p)
-        pressure[k, 0] = x[2]
-        pressure[k, 1] = x[3]
-    return pressure, needed
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +60,11 @@ class Motion:
     velocity: Floats  # (N,) [rad/s]
     acceleration: Floats  # (N,) [rad/s²]
     direction: Floats  # of motion (N,), −1 to 1
+
+    @property
+    def columns(self) -> Floats:
+        """The motion as the driver takes it (N, 4)."""
+        return np.column_stack([self.angle, self.velocity, self.acceleration, self.direction])
 
 
 def filled_in(measured: Floats) -> Floats:
@@ -255,13 +233,13 @@ class AngleDriven(Experiment):
         end = len(self.trial) if whole else self.fitted
         stride = self.trial.samples(_STEP_S)
         at = np.arange(0, end, stride)
-        course = [part[:end][at] for part in (motion.angle, motion.velocity, motion.acceleration)]
+        course = motion.columns[:end][at]
         # The mean direction of a step: it is about 0 for a sticking joint that vibrates.
-        direction = np.add.reduceat(motion.direction[:end], at) / np.diff(np.append(at, end))
-        period = stride * self.trial.dt
-        pressure, needed = _driven(x0, *course, direction, p, period, integration.substeps_of(period, _STEP_S))
+        course[:, 3] = np.add.reduceat(motion.direction[:end], at) / np.diff(np.append(at, end))
+        along = replace(Inputs.even(len(at), stride * self.trial.dt, motion=course), longest=_STEP_S)
+        states, (_, needed) = along.driven(x0[None], p, NEEDED)
         every = np.arange(end)
-        columns = [np.interp(every, at, column) for column in (*pressure.T, needed)]
+        columns = [np.interp(every, at, column) for column in (*states[:, 2:4].T, needed)]
         return np.column_stack(columns[:2]), np.asarray(columns[2])
 
     @override

@@ -1,7 +1,7 @@
 """The pressure regulators of a joint in many short recordings: their commands are the input.
 
 The model of the chambers runs from the first row of each episode, with the commands and with the measured motion
-(:mod:`pam_antagonist.model.driven`). Its pressures are compared with the measured ones. The lag is free; other
+(:mod:`pam_antagonist.model.drive`). Its pressures are compared with the measured ones. The lag is free; other
 effects of a regulator are candidates.
 """
 
@@ -19,7 +19,7 @@ from pam_antagonist.inference.episodes import EpisodeModel, Episodes, noise_of
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
 from pam_antagonist.inference.point import Point
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.driven import pressures
+from pam_antagonist.model.drive import Inputs
 from pam_antagonist.model.effects import CATALOGUE, Form, parameter_path
 
 Floats = NDArray[np.float64]
@@ -121,10 +121,9 @@ class CommandDriven(Episodes):
     @override
     def simulated(self, point: Point) -> Floats:
         p = par.changed(self.rig.parameters("locked", 0.0), self.values(point))
-        start = np.ascontiguousarray(self.pressure[self.first[:-1]])
-        longest = min(self.longest_step, _LONGEST_STEP)
-        anew = np.ones(len(start), bool)
-        return np.asarray(pressures(self.first, start, self.time, self.command, self._motion, p, longest, anew))
+        motion, longest, begin = self._motion, min(self.longest_step, _LONGEST_STEP), self.first[:-1]
+        along = Inputs.at(self.time, longest, self.first, command=self.command, motion=motion[:, None])
+        return along.driven(along.settled(motion[begin], self.pressure[begin], p), p)[0][:, 2:4]
 
     @override
     def as_if(self, model: Point) -> CommandDriven:

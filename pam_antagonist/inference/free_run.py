@@ -15,6 +15,7 @@ from pam_antagonist.inference.threads import side_by_side
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.model import dynamics, equilibrium, lanes
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.drive import TORQUE, Inputs
 
 Floats = NDArray[np.float64]
 _Result = TypeVar("_Result")
@@ -149,16 +150,13 @@ def _shown(trial: Trial, model: Run, course: Course) -> Floats:
 def courses(trial: Trial, models: Sequence[Run], start: Start) -> list[Course]:
     """States (N, n) and torques (N,) [N m] of models whose phases begin at the same times, side by side.
 
-    `models`: the models; the step of their friction is that of the integration.
+    `models`: the models.
     """
     given = trial.voltage if trial.external is None else trial.given
     parts = [_parts(trial, model) for model in models]
     done: list[list[Course]] = [[] for _ in models]
     for number, (rows, _) in enumerate(parts[0]):
-        vectors = [part[number][1].copy() for part in parts]
-        for vector in vectors:
-            # A joint must be able to stick within a step.
-            vector[par.FRICTION_STEP] = trial.step
+        vectors = [part[number][1] for part in parts]
         # The first row of a later phase's course is its start, which is the last one of the course before.
         later = min(number, 1)
         begin = rows.start - later
@@ -167,8 +165,9 @@ def courses(trial: Trial, models: Sequence[Run], start: Start) -> list[Course]:
         else:
             ends = zip(done, parts, vectors, strict=True)
             starts = [_taken_over(own[-1][0][-1], part[number - 1][1], p, given[begin]) for own, part, p in ends]
-        here = lanes.courses(starts, given[begin : rows.stop], vectors, trial.dt, trial.substeps)
-        for own, (states, torque) in zip(done, here, strict=True):
+        along = Inputs.even(rows.stop - begin, trial.dt, trial.substeps, command=given[begin : rows.stop])
+        here = along.driven_each([x[None] for x in starts], vectors, TORQUE)
+        for own, (states, (torque, _)) in zip(done, here, strict=True):
             own.append((states[later:], torque[later:]))
     return [_joined(own) for own in done]
 

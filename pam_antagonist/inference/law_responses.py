@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.driven import linearised, remembered, responses
+from pam_antagonist.model.drive import Inputs
+from pam_antagonist.model.linearised import linearised, remembered, responses
 from pam_antagonist.rig.learned import Law
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,7 @@ class Responses:
         self, first: Indices, start: Floats, time: Floats, pressure: Floats, signals: Floats, p: Floats, longest: float,
         names: list[str], laws: dict[int, Law],
     ) -> None:  # fmt: skip
-        """The arguments before the last two are those of :func:`~pam_antagonist.model.driven.linearised`.
+        """The arguments before the last two are those of :func:`~pam_antagonist.model.linearised.linearised`.
 
         `names`: of the further signals. `laws`: of the model, by their numbers.
         """
@@ -39,7 +40,8 @@ class Responses:
         moving = np.array([0, 1, *(par.BASE_STATES + k for k in added)])
         moves = np.array([*_MOVES[:2], *_MOVES[2:] * len(added)])
         self._first, self._rows, self._inertia = first, len(time), p[par.INERTIA]
-        found = linearised(first, start, time, pressure, signals, p, longest, moving, moves)
+        held = Inputs.at(time, longest, first, pressure=pressure).vector(p)
+        found = linearised(first, start, time, pressure, signals, held, longest, moving, moves)
         self._row, seen, self._passed = found
         since, self._length, angle, velocity, pressure_1, pressure_2, pull_1, pull_2, slides = seen[:, :9].T
         self._per_unit = {

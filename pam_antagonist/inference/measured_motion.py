@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 from typing_extensions import override
 
-from pam_antagonist._jit import kernel
 from pam_antagonist.inference.angle_driven import JOINT_PLACES, Motion, filled_in
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_run import initial_state
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
-from pam_antagonist.model import dynamics, integration
+from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.drive import IMBALANCE, TORQUE, Inputs
 
 Floats = NDArray[np.float64]
 
@@ -55,35 +55,7 @@ _STICKS = 0.02
 with the paper's friction have 0.04 to 0.25."""
 _PROBE = 1e3
 """[Pa] Step of the differences that convert noise of the pressures to noise of the torque."""
-_STAGES = integration.STAGES
-_step, _imbalance, _torque = integration.rk4_step_within, dynamics.imbalance, dynamics.torque
-
-
-@kernel
-def _along(x0, voltage, angle, velocity, acceleration, direction, p, dt, substeps):  # type: ignore[no-untyped-def]
-    """States (N, n), torques of the muscles (N,) and imbalance of all torques (N,) [N m]."""
-    samples = voltage.shape[0]
-    states = np.empty((samples, x0.shape[0]))
-    torques, imbalance = np.empty(samples), np.empty(samples)
-    x = x0.copy()
-    u = np.zeros(voltage.shape[1])
-    scratch = np.empty((_STAGES + 1, x.shape[0]))
-    for k in range(samples):
-        if k > 0:
-            for i in range(voltage.shape[1]):
-                u[i] = voltage[k, i]
-            moved = angle[k] - angle[k - 1]
-            x[1] = moved / dt
-            for j in range(substeps):
-                # The angle is held over a step at its middle (second order).
-                x[0] = angle[k - 1] + (j + 0.5) / substeps * moved
-                _step(x, u, p, dt / substeps, x, scratch)
-        x[0], x[1] = angle[k], velocity[k]
-        torques[k] = _torque(x, p)
-        imbalance[k] = _imbalance(x, acceleration[k], direction[k], p)
-        for i in range(x.shape[0]):
-            states[k, i] = x[i]
-    return states, torques, imbalance
+_torque = dynamics.torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,13 +205,12 @@ class MeasuredMotion(ValveDriven):
 
     def _course(self, trial: Trial, point: Point) -> tuple[Floats, Floats, Floats]:
         p = self.parameters(point)
-        p[par.FRICTION_STEP] = trial.step
         x0 = initial_state(trial, p, self.first, self.start_shift(point))
-        p[par.LOCKED] = 1.0
         stride = round(trial.dt / self.trial.dt)
-        m = self.motion
-        motion = (part[::stride][: len(trial)].copy() for part in (m.angle, m.velocity, m.acceleration, m.direction))
-        return _along(x0, trial.given, *motion, p, trial.dt, trial.substeps)  # type: ignore[no-any-return]
+        motion = self.motion.columns[::stride][: len(trial)]
+        along = Inputs.even(len(trial), trial.dt, trial.substeps, command=trial.given, motion=motion)
+        states, (torque, imbalance) = along.driven(x0[None], p, TORQUE | IMBALANCE)
+        return states, torque, imbalance
 
 
 def along_motion(experiment: Experiment) -> Experiment:

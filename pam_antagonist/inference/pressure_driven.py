@@ -22,7 +22,7 @@ from pam_antagonist.inference.law_responses import Responses
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step, white_std
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.driven import angles
+from pam_antagonist.model.drive import Inputs
 from pam_antagonist.model.effects import CATALOGUE, Form
 from pam_antagonist.rig.learned import value_path
 
@@ -173,9 +173,10 @@ class PressureDriven(Episodes):
 
     @override
     def simulated(self, point: Point) -> Floats:
-        p = self._vector(point)
-        found = angles(self.first, self._start, self.time, self.pressure, self.signals, p, self.longest_step)
-        return np.asarray(found)[:, None]
+        p, (angle, speed) = self._vector(point), self._start.T
+        along = Inputs.at(self.time, self.longest_step, self.first, pressure=self.pressure, signals=self.signals)
+        start = along.settled(angle, self.pressure[self.first[:-1]], p, speed)
+        return along.driven(start, p)[0][:, :1]
 
     @override
     def as_if(self, model: Point) -> PressureDriven:

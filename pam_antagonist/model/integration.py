@@ -1,4 +1,4 @@
-"""Integration of the model: Runge-Kutta steps with the mechanical stop, and courses along recorded inputs.
+"""Integration of the model: Runge-Kutta steps with the mechanical stop.
 
 Names and arguments are those of :mod:`pam_antagonist.model.dynamics`.
 """
@@ -19,7 +19,7 @@ STAGES = 4
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _open_rate, _external_torque = flow.open_rate, dynamics.external_torque
-_slopes, _rows, _torque, _subsystem = dynamics.slopes, dynamics.rows, dynamics.torque, dynamics.subsystem
+_slopes, _rows = dynamics.slopes, dynamics.rows
 
 
 @inlined
@@ -130,46 +130,3 @@ def substeps_of(period: float, longest: float = LONGEST_STEP) -> int:
     `period`: sample period [s]. `longest`: longest step [s]; a tenth more is allowed.
     """
     return max(1, math.ceil(period / longest - 0.1))
-
-
-@in_place
-def _course(x, voltage, p, dt, substeps, states, torques, scratch):
-    for k in range(states.shape[0]):
-        if k > 0:
-            for _ in range(substeps):
-                rk4_step_within(x, voltage[k], p, dt / substeps, x, scratch)
-        for i in range(x.shape[0]):
-            states[k, i] = x[i]
-        torques[k] = _torque(x, p)
-
-
-@kernel
-def course(x0, voltage, p, dt, substeps):
-    """The model alone, driven by recorded voltages: states and torques, as a fit needs them.
-
-    `x0`: state (n,) at the first sample. `voltage`: (N, 2) [V], or (N, 3) with the torque from outside [N m]; row k
-    holds over the step that ends at sample k, row 0 is not used. `dt`: sample period [s]. Returns states (N, n) and
-    torques (N,) [N m].
-    """
-    samples, n = voltage.shape[0], x0.shape[0]
-    states, torques = np.empty((samples, n)), np.empty(samples)
-    _course(x0.copy(), voltage, p, dt, substeps, states, torques, np.empty((STAGES + 1, n)))
-    return states, torques
-
-
-@kernel
-def simulate(x0, voltage, p, dt, substeps):
-    """States and torques of :func:`course`, and the subsystem σ (N,) at each sample.
-
-    Args:
-        x0: first state (n,).
-        voltage: as for :func:`course`, (N, 2) or (N, 3) [V, N m].
-        p: parameter vector (m,).
-        dt: time between the rows [s].
-        substeps: Runge-Kutta steps in that time.
-    """
-    states, torques = course(x0, voltage, p, dt, substeps)
-    sigma = np.empty(states.shape[0], dtype=np.int64)
-    for k in range(states.shape[0]):
-        sigma[k] = _subsystem(states[k], p)
-    return states, torques, sigma

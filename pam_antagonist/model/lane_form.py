@@ -10,7 +10,7 @@ in the branches, since different lanes may take different ones. This module gene
 A condition that is the same in all lanes stays an ``if``. Code without a lane form raises :class:`NoLaneForm`: the
 functions for numbers are used instead, with the same result.
 
-To read the generated module: ``python -m pam_antagonist.model.lane_course``.
+To read the generated module: ``python -m pam_antagonist.model.lane_drive``.
 """
 
 from __future__ import annotations

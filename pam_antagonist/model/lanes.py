@@ -21,31 +21,10 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.model.lane_values import CHUNK, FEWEST, LANES
 
 
-def courses(
-    starts: Sequence[np.ndarray], voltage: np.ndarray, vectors: Sequence[np.ndarray], dt: float, substeps: int
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """:func:`~pam_antagonist.model.integration.course` of many models on the same inputs, with the same bits.
-
-    `starts`: state (n,) of each model at the first sample; n may differ. `voltage`: input (N, 2) or (N, 3), as for one
-    course. `vectors`: parameter vector (P,) of each model. `dt`: sample period [s]. Returns states (N, n) and torques
-    (N,) [N m] of each model.
-    """
-    out: list[Any] = [None] * len(vectors)
-    for group in groups([[p] for p in vectors]):
-        together = _side_by_side() if len(group) >= FEWEST else None
-        if together is None:
-            for k in group:
-                out[k] = integration.course(starts[k], voltage, vectors[k], dt, substeps)
-            continue
-        # Unused lanes repeat the first model.
-        filled = [*group, *group[:1] * (LANES - len(group))]
-        x = np.stack([starts[k] for k in filled], axis=1)
-        p = beside([vectors[k] for k in filled])
-        states, torques = np.empty((LANES, len(voltage), len(x))), np.empty((LANES, len(voltage)))
-        together.course(x, voltage, p, dt, substeps, states, torques, _scratch(len(x)))
-        for lane, k in enumerate(group):
-            out[k] = states[lane], torques[lane]
-    return out
+def driver() -> Any:
+    """The driver of several models, compiled; None where an effect of another package has no lane form."""
+    together = _side_by_side()
+    return None if together is None else together.drive
 
 
 def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
@@ -94,16 +73,17 @@ def _structure(p: np.ndarray) -> bytes:
 
 @lru_cache(maxsize=1)
 def _side_by_side() -> Any:
-    """Module of the compiled course of several models; None where an effect of another package has no lane form."""
+    """Module of the compiled driver of several models; None where an effect of another package has no lane form."""
     try:
-        return importlib.import_module("pam_antagonist.model.lane_course")
+        return importlib.import_module("pam_antagonist.model.lane_drive")
     except lane_form.NoLaneForm:
         return None
 
 
-def _scratch(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Scratch of the course: for a step, and for states and torques of the last samples."""
-    return np.empty((integration.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES)), np.empty((CHUNK, LANES))
+def scratch(n: int, inputs: int) -> tuple[np.ndarray, ...]:
+    """Scratch of the driver: for a step, for the state, for the input, for states and torques of the last rows."""
+    stages, recent = np.empty((integration.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES))
+    return stages, np.empty((n, LANES)), np.zeros(inputs), recent, np.empty((CHUNK, LANES))
 
 
 def sigma_points_beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:

@@ -25,7 +25,7 @@ from pam_antagonist.inference.bootstrap import Interval, drawn, ratio, rmse
 from pam_antagonist.inference.episode_search import ABOVE_NOISE, with_effect
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.model.driven import angles
+from pam_antagonist.model.drive import Inputs
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.recording.recording import FurtherSignal
 from pam_antagonist.replays import run as replays_run
@@ -255,9 +255,11 @@ def test_rows_of_any_period_give_the_same_course() -> None:
     """Inner steps: a row in the place of four changes little where the pressures are linear between them."""
     time = np.linspace(0.0, 1.0, 201)
     pressure = np.column_stack([300e3 + 200e3 * time, 400e3 - 100e3 * time])
-    p, start, none = RIG.parameters(), np.array([[0.1, 0.0]]), np.empty((201, 0))
-    fine = angles(np.array([0, 201]), start, time, pressure, none, p, 1e-3)
-    coarse = angles(np.array([0, 51]), start, time[::4], pressure[::4], none[::4], p, 1e-3)
+    p, start = RIG.parameters(), np.array([0.1])
+    fine, coarse = (
+        along.driven(along.settled(start, pressure[:1], p), p)[0][:, 0]
+        for along in (Inputs.at(time[::every], 1e-3, pressure=pressure[::every]) for every in (1, 4))
+    )
     assert coarse == pytest.approx(fine[::4], abs=1e-4)
     assert np.ptp(fine) > 0.05
 

@@ -9,7 +9,7 @@ import pytest
 
 from pam_antagonist.diagnosis.monitor import THRESHOLD, Monitor
 from pam_antagonist.diagnosis.monitor_blocks import alike
-from pam_antagonist.model import equilibrium, integration
+from pam_antagonist.model import drive, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Encoder, load_rig
 from pam_antagonist.rig.physical import rest_voltage
@@ -42,7 +42,7 @@ def run() -> Run:
     x, parts, rng = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), [], np.random.default_rng(7)
     leaking = par.changed(p, {"effects.leak.area_1": AREA})
     for q, samples in ((p, 1000 * ONSET), (leaking, 1000 * (SECONDS - ONSET))):
-        states, _ = integration.course(x, voltage[: samples + 1], q, 1e-3, 1)
+        states, _ = drive.course(x, voltage[: samples + 1], q, 1e-3, 1)
         parts.append(states[1:])
         x = states[-1].copy()
     states = np.concatenate(parts)

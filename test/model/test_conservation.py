@@ -13,7 +13,7 @@ import transcription as paper
 from scipy.optimize import brentq
 from states import ATMOSPHERE, TANK, held, sealed, steps
 
-from pam_antagonist.model import integration
+from pam_antagonist.model import drive
 from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
@@ -49,16 +49,14 @@ def test_steady_pressure_is_the_root_of_the_balance(rig, voltage):
         p = rig.parameters("locked", changes=changes)
         # 300 s: the time constant is 4 s with the table's areas and 15 s with the small one.
         voltages = np.full((15_001, 2), voltage)
-        states, _, _ = integration.simulate(np.array([0.0, 0.0, 120e3, 690e3]), voltages, p, 0.02, 1)
+        states, _, _ = drive.simulate(np.array([0.0, 0.0, 120e3, 690e3]), voltages, p, 0.02, 1)
         assert states[-1, 2:] == pytest.approx([expected, expected], abs=1.0)
 
 
 @pytest.mark.parametrize(("voltage", "expected"), [(0.0, ATMOSPHERE), (10.0, TANK)])
 def test_shut_valve_ends_at_the_atmosphere_or_the_tank(p_locked, voltage, expected):
     """... and stays there: with the root in the subsonic branch the pressure arrives in finite time."""
-    states, _, _ = integration.simulate(
-        np.array([0.0, 0.0, 300e3, 300e3]), np.full((4001, 2), voltage), p_locked, 1e-3, 1
-    )
+    states, _, _ = drive.simulate(np.array([0.0, 0.0, 300e3, 300e3]), np.full((4001, 2), voltage), p_locked, 1e-3, 1)
     assert states[-1, 2:] == pytest.approx([expected] * 2, abs=1.0)
     # An overshoot through the flow's infinite slope at equal pressures is bounded by a step.
     assert np.all(states[:, 2] >= ATMOSPHERE - 50.0)

@@ -9,7 +9,7 @@ import pytest
 import transcription as paper
 from states import TANK, sealed
 
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
 
@@ -24,7 +24,7 @@ def locked(rig, **effects):
 def held(p, u, seconds):
     """States (N, n) of a joint held at 0° at constant voltages."""
     voltage = np.tile(np.asarray(u, dtype=np.float64), (round(seconds / DT) + 1, 1))
-    return integration.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 1)[0]
+    return drive.simulate(equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p), voltage, p, DT, 1)[0]
 
 
 def test_a_shifted_valve_at_rest_stands_where_its_voltage_asks(rig):
@@ -90,15 +90,13 @@ def test_a_known_push_and_an_estimated_one_move_alike(rig):
     time = np.arange(2000)
     pushes = np.where((time > 300) & (time < 900), 0.4, 0.0)
     voltage = np.tile([5.8, 5.2], (2000, 1))
-    known, _, _ = integration.simulate(
-        np.array([0.0, 0.0, 450e3, 450e3]), np.column_stack([voltage, pushes]), base, DT, 1
-    )
+    known, _, _ = drive.simulate(np.array([0.0, 0.0, 450e3, 450e3]), np.column_stack([voltage, pushes]), base, DT, 1)
     x = np.array([0.0, 0.0, 450e3, 450e3, 0.0])
     for k in range(1, 2000):
         x[4] = pushes[k]
         integration.rk4_step(x, voltage[k], p, DT, x)
         assert np.array_equal(x[:4], known[k])
-    quiet, torque, _ = integration.simulate(np.array([0.0, 0.0, 450e3, 450e3]), voltage, base, DT, 1)
+    quiet, torque, _ = drive.simulate(np.array([0.0, 0.0, 450e3, 450e3]), voltage, base, DT, 1)
     assert known[800, 0] > quiet[800, 0] + math.radians(1.0), "a push about +z turns the joint that way"
     # The muscles' torque is what pulls back: the meter reads less.
     assert dynamics.torque(known[800], base) < torque[800] - 0.2

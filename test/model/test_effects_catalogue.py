@@ -11,7 +11,7 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.model.effects.page import page
@@ -34,7 +34,7 @@ NAMES = (
 def run(p: np.ndarray, substeps: int = 1, start: np.ndarray | None = None):
     if start is None:
         start = equilibrium.initial_state(0.05, 430e3, 470e3, VOLTAGE[0], p)
-    return integration.simulate(start, VOLTAGE, p, 1e-3, substeps)
+    return drive.simulate(start, VOLTAGE, p, 1e-3, substeps)
 
 
 def same(one, other) -> None:
@@ -151,7 +151,7 @@ def test_the_quickest_time_that_is_allowed_does_not_diverge(tmp_path, period):
     p = rig.parameters()
     voltage = excitation.profile("steps", 5.0, period, seed=1)
     start = equilibrium.initial_state(0.0, 450e3, 450e3, voltage[0], p)
-    states, torques, _ = integration.simulate(start, voltage, p, period, integration.substeps_of(period))
+    states, torques, _ = drive.simulate(start, voltage, p, period, integration.substeps_of(period))
     assert np.all(np.isfinite(states)) and np.all(np.isfinite(torques))
     assert 0.0 <= states[:, 4].min() and states[:, 4].max() <= 1.0
 

@@ -15,7 +15,7 @@ import transcription as paper
 from scipy.integrate import solve_ivp
 from states import steps
 
-from pam_antagonist.model import dynamics, integration
+from pam_antagonist.model import drive, dynamics
 
 T = paper.CORRECTED
 SCALE = np.array([0.1, 10.0, 1e5, 1e5])
@@ -85,7 +85,7 @@ def voltages(samples: int, seed: int = 16) -> np.ndarray:
 @pytest.mark.parametrize("substeps", [1, 4])
 def test_row_k_of_the_voltages_acts_over_the_step_that_ends_at_sample_k(p_stop, substeps):
     u = voltages(600)
-    states, torques, sigma = integration.simulate(START, u, p_stop, 1e-3, substeps)
+    states, torques, sigma = drive.simulate(START, u, p_stop, 1e-3, substeps)
     assert states.shape == (600, 4)
     assert torques.shape == sigma.shape == (600,)
     assert np.array_equal(states[0], START)
@@ -99,12 +99,12 @@ def test_row_0_is_not_used(p_stop):
     u = voltages(50)
     other = u.copy()
     other[0] = np.nan
-    one, two = (integration.simulate(START, voltage, p_stop, 1e-3, 1)[0] for voltage in (u, other))
+    one, two = (drive.simulate(START, voltage, p_stop, 1e-3, 1)[0] for voltage in (u, other))
     assert np.array_equal(one, two)
 
 
 def test_torque_and_subsystem_are_those_of_the_state_reported(p_stop):
-    states, torques, sigma = integration.simulate(START, voltages(6000), p_stop, 1e-3, 1)
+    states, torques, sigma = drive.simulate(START, voltages(6000), p_stop, 1e-3, 1)
     for k in range(0, 6000, 37):
         assert torques[k] == dynamics.torque(states[k], p_stop)
         assert sigma[k] == dynamics.subsystem(states[k], p_stop)
@@ -114,7 +114,7 @@ def test_torque_and_subsystem_are_those_of_the_state_reported(p_stop):
 @pytest.mark.parametrize("angle", [0.0, 0.2, -math.radians(25.0), math.radians(25.0)])
 def test_locked_joint_holds_exactly(rig, angle):
     start = np.array([angle, 0.0, 450e3, 450e3])
-    states, torques, sigma = integration.simulate(start, voltages(3000), rig.parameters("locked", angle), 1e-3, 1)
+    states, torques, sigma = drive.simulate(start, voltages(3000), rig.parameters("locked", angle), 1e-3, 1)
     assert np.all(states[:, 0] == angle)
     assert np.all(states[:, 1] == 0.0)
     assert np.all(sigma % 2 == 1)
@@ -127,8 +127,8 @@ def test_mirrored_drive_mirrors_the_motion(rig):
     same = {f"muscle_2.force.{k}": rig.value(f"muscle_1.force.{k}") for k in ("v1", "v2", "w1", "w2")}
     p = rig.parameters(changes=same)
     u = voltages(4000)
-    one, _, _ = integration.simulate(START, u, p, 1e-3, 1)
-    other, _, _ = integration.simulate(START, np.ascontiguousarray(u[:, ::-1]), p, 1e-3, 1)
+    one, _, _ = drive.simulate(START, u, p, 1e-3, 1)
+    other, _, _ = drive.simulate(START, np.ascontiguousarray(u[:, ::-1]), p, 1e-3, 1)
     assert np.ptp(one[:, 0]) > 0.05
     assert other[:, 0] == pytest.approx(-one[:, 0], abs=1e-9)
     assert other[:, [3, 2]] == pytest.approx(one[:, [2, 3]], rel=1e-9)

@@ -12,10 +12,10 @@ import pytest
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model import (
     composition,
+    drive,
     dynamics,
     equilibrium,
-    integration,
-    lane_course,
+    lane_drive,
     lane_form,
     lane_values,
     lanes,
@@ -44,11 +44,12 @@ def _whatever_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def assert_same(vectors: list[np.ndarray], given: np.ndarray) -> None:
     starts = [equilibrium.initial_state(0.05, 3e5, 2.5e5, given[0], p) for p in vectors]
-    together = lanes.courses(starts, given, vectors, 1e-3, 1)
-    for x, p, (states, torques) in zip(starts, vectors, together, strict=True):
-        alone = integration.course(x, given, p, 1e-3, 1)
+    along = drive.Inputs.even(len(given), 1e-3, command=given)
+    together = along.driven_each([x[None] for x in starts], vectors, drive.TORQUE)
+    for x, p, (states, shown) in zip(starts, vectors, together, strict=True):
+        alone = drive.course(x, given, p, 1e-3, 1)
         assert np.array_equal(states, alone[0], equal_nan=True)
-        assert np.array_equal(torques, alone[1], equal_nan=True)
+        assert np.array_equal(shown[0], alone[1], equal_nan=True)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +146,7 @@ def test_an_effect_without_lane_form_leaves_the_models_to_run_one_by_one(p0, mon
         raise lane_form.NoLaneForm("an effect with a while")
 
     monkeypatch.setattr(composition, "remembered", refuse)
-    monkeypatch.delitem(sys.modules, "pam_antagonist.model.lane_course", raising=False)
+    monkeypatch.delitem(sys.modules, "pam_antagonist.model.lane_drive", raising=False)
     lanes._side_by_side.cache_clear()
     try:
         assert lanes._side_by_side() is None
@@ -155,7 +156,7 @@ def test_an_effect_without_lane_form_leaves_the_models_to_run_one_by_one(p0, mon
 
 
 def test_the_source_of_the_equations_is_what_is_written_for_lanes() -> None:
-    text = lane_course.TEXT
+    text = lane_drive.TEXT
     for function in (dynamics.slopes, dynamics.rows):
         assert f"def dynamics__{function.py_func.__name__}(" in text
         assert "lanes" not in inspect.getsource(function.py_func)

@@ -13,7 +13,7 @@ import transcription as paper
 from scipy.integrate import solve_ivp
 from states import random_states
 
-from pam_antagonist.model import dynamics, equilibrium, integration, lanes
+from pam_antagonist.model import drive, dynamics, equilibrium, lanes
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, value_path, with_law
@@ -211,7 +211,7 @@ def test_trajectory(signalled: Rig, case: str) -> None:
     law, u = CASES[case], np.array([5.6, 5.2])
     p = vector(signalled, law)
     x = equilibrium.initial_state(0.02, 380e3, 330e3, u, p)
-    states, _ = integration.course(x, np.tile(u, (1001, 1)), p, 0.25e-3, 1)
+    states, _ = drive.course(x, np.tile(u, (1001, 1)), p, 0.25e-3, 1)
     memories = [] if law.operator == "none" else list(x[4:] * span(law))
     solution = solve_ivp(
         lambda t, y: second_version(law, y.tolist(), (u[0], u[1]), t, (0.0, 0.0)),
@@ -277,7 +277,7 @@ def test_no_law_drives_the_joint_or_pumps_air(rig: Rig) -> None:
         (Law("exchange", (0.0,), (1e-4,)), 180e3, 220e3),
     ):
         p = with_law(rig, law).parameters("locked", changes=shut)
-        states, _ = integration.course(np.array([0.0, 0.0, 200e3, 200e3]), np.tile(u, (4001, 1)), p, 1e-3, 1)
+        states, _ = drive.course(np.array([0.0, 0.0, 200e3, 200e3]), np.tile(u, (4001, 1)), p, 1e-3, 1)
         assert states[:, 2:].min() >= low - 50.0 and states[:, 2:].max() <= high + 50.0
 
 
@@ -292,7 +292,7 @@ def test_side_by_side_it_has_the_same_bits(signalled: Rig, case: str) -> None:
     starts = [equilibrium.initial_state(0.05, 430e3, 470e3, voltage[0], p) for p in vectors]
     together = lanes.courses(starts, voltage, vectors, 1e-3, 1)
     for x, p, found in zip(starts, vectors, together, strict=True):
-        for one, other in zip(integration.course(x, voltage, p, 1e-3, 1), found, strict=True):
+        for one, other in zip(drive.course(x, voltage, p, 1e-3, 1), found, strict=True):
             assert np.array_equal(one, other)
 
 

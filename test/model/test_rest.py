@@ -12,7 +12,7 @@ import pytest
 import transcription as paper
 from states import random_states, steps
 
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import load_rig
 
@@ -70,7 +70,7 @@ def driven(printed):
     """3 s against the upper stop, 3 s towards the other side."""
     voltages = np.repeat([[8.0, 3.0], [3.0, 8.0]], 3000, axis=0)
     start = np.array([0.0, 0.0, 450e3, 450e3])
-    states, torques, _ = integration.simulate(start, voltages, printed.parameters(), PERIOD, 1)
+    states, torques, _ = drive.simulate(start, voltages, printed.parameters(), PERIOD, 1)
     return states, torques
 
 
@@ -117,7 +117,7 @@ def test_pressures_at_the_stop_are_those_of_a_joint_locked_there(driven, printed
     arrival = int(np.argmax(states[:, 0] == STOP))
     locked = printed.parameters("locked", STOP)
     voltages = np.full((3000 - arrival, 2), (8.0, 3.0))
-    alone, torque_alone, _ = integration.simulate(states[arrival], voltages, locked, PERIOD, 1)
+    alone, torque_alone, _ = drive.simulate(states[arrival], voltages, locked, PERIOD, 1)
     assert states[arrival:3000, 2:] == pytest.approx(alone[:, 2:], rel=1e-12)
     assert torques[arrival:3000] == pytest.approx(torque_alone, rel=1e-9)
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.drive import simulate
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant, scattered
 
@@ -31,7 +32,7 @@ def test_exact_plant_is_the_model_alone(rig):
     u = drive(800)
     measured, truth = record(Plant(rig, substeps=1, noise=False, initial_angle=0.1), u)
     start = np.array([0.1, 0.0, 450e3, 450e3])
-    states, torques, _ = integration.simulate(start, np.vstack((u[:1], u)), rig.parameters(), rig.sample_period, 1)
+    states, torques, _ = simulate(start, np.vstack((u[:1], u)), rig.parameters(), rig.sample_period, 1)
     assert np.array_equal(truth, states[1:])
     assert np.array_equal(measured, np.column_stack((states[1:, 2:], states[1:, 0], torques[1:])))
     assert np.ptp(truth[:, 0]) > 0.01
@@ -54,7 +55,7 @@ def test_its_friction_law_has_its_own_step(rig):
     _, truth = record(Plant(rig, substeps=4, noise=False, initial_angle=0.1), u)
     p = par.changed(rig.parameters(), {"friction.time_step": rig.sample_period / 4})
     start = np.array([0.1, 0.0, 450e3, 450e3])
-    states, _, _ = integration.simulate(start, np.vstack((u[:1], u)), p, rig.sample_period, 4)
+    states, _, _ = simulate(start, np.vstack((u[:1], u)), p, rig.sample_period, 4)
     assert np.array_equal(truth, states[1:])
 
 

@@ -15,7 +15,7 @@ from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.metrics import ChannelErrors
-from pam_antagonist.model import integration
+from pam_antagonist.model import drive, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.recording.joint import joint_condition
@@ -74,7 +74,7 @@ def test_without_effects_it_is_the_model_at_a_finer_step(joint: str) -> None:
         integration.rk4_step(x, voltage[0], p, 1e-3 / substeps, x)
         x[2:] = 450e3
     # ``simulate`` shows the start first, the battery the end of the first period.
-    states, torques, _ = integration.simulate(x, np.vstack([voltage[:1], voltage]), p, 1e-3, substeps)
+    states, torques, _ = drive.simulate(x, np.vstack([voltage[:1], voltage]), p, 1e-3, substeps)
     shown = case.channels(joint, seconds)
     np.testing.assert_allclose(shown.pressure, states[1:, 2:], rtol=1e-9)
     np.testing.assert_allclose(shown.angle, states[1:, 0], atol=1e-9)

@@ -11,8 +11,9 @@ import numpy as np
 from pam_antagonist.identification.static_fit import StaticFit, fit
 from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.valve_curve import steady_points, valve_curve
-from pam_antagonist.model import dynamics, equilibrium, flow, integration, muscle
+from pam_antagonist.model import dynamics, equilibrium, flow, muscle
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.drive import course
 from pam_antagonist.rig import Rig
 from pam_antagonist.simulation.excitation import Span
 from validation.paper.virtual import START, Floats, VirtualRig
@@ -147,7 +148,7 @@ def response(rig: Rig, factors: dict[str, float]) -> Response:
     def states(drive: Floats) -> Floats:
         voltage = span.voltage(drive)
         start = equilibrium.initial_state(float(equilibrium.rest_angle(*START, p)), *START, voltage[0], p)
-        return np.asarray(integration.course(start, voltage, p, period, 1)[0])
+        return np.asarray(course(start, voltage, p, period, 1)[0])
 
     pulsed = []
     for length in _PULSES_S:

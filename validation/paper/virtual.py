@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.estimation import Estimator, metrics, simulate_model
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig, load_rig
 from pam_antagonist.rig.schema import Curve, Valve
@@ -132,7 +132,7 @@ class VirtualRig:
         x = equilibrium.initial_state(angle, *START, np.zeros(3), p)
         # `simulate` takes its first row for the state at the first sample.
         held = np.vstack([voltage[:1], voltage])
-        states, torque, sigma = integration.simulate(x, held, p, self.actual.sample_period, _SUBSTEPS)
+        states, torque, sigma = drive.simulate(x, held, p, self.actual.sample_period, _SUBSTEPS)
         return states[1:], torque[1:], sigma[1:]
 
     def record(self, voltage: Floats, joint: str = "free") -> Recording:
