@@ -8,7 +8,7 @@ a second at most: a valve that is shut leaves a pressure to an integrator, whose
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -19,7 +19,9 @@ from pam_antagonist.identification.runs import Run
 from pam_antagonist.inference.fit_errors import Rows, with_errors
 from pam_antagonist.inference.unknowns import (
     Fit,
+    Residual,
     Unknown,
+    Values,
     deviations,
     fitted,
     parameters,
@@ -93,6 +95,14 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
     `p`: parameter vector of a locked joint (m,). `zero`: reading of the encoder at ψ = 0 [rad]. `horizon`: time after
     which the simulation starts anew from the measurement [s].
     """
+    (shown,), starts = simulated_each(run, [p], zero, horizon)
+    return shown, starts
+
+
+def simulated_each(
+    run: Run, vectors: Sequence[Floats], zero: float, horizon: float
+) -> tuple[list[Floats], NDArray[np.bool_]]:
+    """:func:`simulated` of several models side by side."""
     known = np.flatnonzero(np.isfinite(run.angle))
     angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
     size = max(round(horizon / run.period), _FEWEST_ROWS)
@@ -102,10 +112,11 @@ def simulated(run: Run, p: Floats, zero: float, horizon: float) -> tuple[Floats,
     starts = np.zeros(len(run), bool)
     starts[first[:-1]] = True
     along = Inputs.at(run.time, _LONGEST_STEP, first, command=run.command, motion=angle[:, None])
-    start = along.settled(angle[first[:-1]], run.pressure[first[:-1]], p)
+    settled = [along.settled(angle[first[:-1]], run.pressure[first[:-1]], p) for p in vectors]
     # What droops or lags goes on over a restart.
-    found = along.driven(start, p, keeps=first[:-1] > begin)[0][:, 2:4].copy()
-    found[:begin], found[end:] = run.pressure[:begin], run.pressure[end:]
+    found = [states[:, 2:4].copy() for states, _ in along.driven_each(settled, vectors, keeps=first[:-1] > begin)]
+    for shown in found:
+        shown[:begin], shown[end:] = run.pressure[:begin], run.pressure[end:]
     return found, starts
 
 
@@ -131,30 +142,37 @@ def errors(rig: Rig, runs: Sequence[Run]) -> tuple[float, float]:
 
 def residual_of(
     rig: Rig, runs: Sequence[Run], zero: float, horizon: float, unknown: Sequence[Unknown] = (), raw: bool = False
-) -> Callable[..., Floats]:
-    """The residuals of all runs for values of the unknowns, in their units.
+) -> Residual:
+    """The residuals of all runs, in their units, or in Pa where they are ``raw``.
 
     `zero`: reading of the encoder at ψ = 0 [rad]. `horizon`: of the simulations [s].
     """
 
-    def residual(values: Mapping[str, float]) -> Floats:
-        errors = errors_of(rig, runs, zero, horizon, unknown, values)
-        return np.concatenate([np.zeros(0), *((1.0 if raw else _weight(run)) * left for run, left in errors)])
+    def residual(each: Sequence[Values]) -> list[Floats]:
+        every = errors_of(rig, runs, zero, horizon, unknown, each)
+        return [
+            np.concatenate([np.zeros(0), *((1.0 if raw else _weight(run)) * left for run, left in errors)])
+            for errors in every
+        ]
 
     return residual
 
 
 def errors_of(
-    rig: Rig, runs: Sequence[Run], zero: float, horizon: float, unknown: Sequence[Unknown], values: Mapping[str, float]
-) -> Iterator[tuple[Run, Floats]]:
-    """What a model leaves of each run: the errors of pressure 1, then of pressure 2 [Pa]; without the starts."""
-    vector = rig.parameters("locked")
+    rig: Rig, runs: Sequence[Run], zero: float, horizon: float, unknown: Sequence[Unknown], each: Sequence[Values]
+) -> list[list[tuple[Run, Floats]]]:
+    """What a model leaves of the runs, for each of several values: the errors of pressure 1, then of pressure 2 [Pa].
+
+    The starts of the simulations are left out.
+    """
+    vector, out = rig.parameters("locked"), [[] for _ in each]  # type: ignore[var-annotated]
     for name in dict.fromkeys(run.name for run in runs):
-        p = par.changed(vector, parameters(unknown, values, name) if unknown else values)
-        for run in runs:
-            if run.name == name:
-                shown, starts = simulated(run, p, zero, horizon)
-                yield run, (run.pressure - shown)[~starts].T.ravel()
+        vectors = [par.changed(vector, parameters(unknown, one, name) if unknown else one) for one in each]
+        for run in (run for run in runs if run.name == name):
+            shown, starts = simulated_each(run, vectors, zero, horizon)
+            for one, pressures in zip(out, shown, strict=True):
+                one.append((run, (run.pressure - pressures)[~starts].T.ravel()))
+    return out
 
 
 def _weight(run: Run) -> float:
@@ -201,7 +219,7 @@ def fit_air(
     averaged = max(given[0].period / rig.sample_period, 1.0)
     left = residual_of(rig, given, zero, HORIZONS[-1], [*free, *extra], raw=True)
     return refined(
-        found, extra, lambda values: {"pressure": left(values)},
+        found, extra, lambda each: [{"pressure": one} for one in left(each)],
         {"pressure": rig.sensors.error("pressure") / math.sqrt(averaged)}, _LAST_EVALUATIONS, jobs,
     )  # fmt: skip
 
@@ -226,6 +244,6 @@ def with_air_errors(
     """
     one, *others = (residual_of(this, usable(parts), 0.0, HORIZONS[-1], fit.unknowns)
                     for this, parts in ((rig, runs), *elsewhere))  # fmt: skip
-    left = errors_of(rig, usable(runs), 0.0, HORIZONS[-1], fit.unknowns, fit.values)
+    (left,) = errors_of(rig, usable(runs), 0.0, HORIZONS[-1], fit.unknowns, [fit.values])
     noise = rig.sensors.error("pressure")
     return with_errors(fit, one, jobs, others, Rows.of((run.name, len(e), _weight(run) * noise) for run, e in left))

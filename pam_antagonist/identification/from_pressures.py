@@ -296,9 +296,8 @@ def _joint_step(rig: Rig, runs: Sequence[Run], joint: Fit) -> Step:
     """The step of joint and muscles, for the report."""
     start = {item.name: item.start for item in joint.unknowns}
     sizes = [
-        {kind: _rms(left) for kind, left in joint_stage.joined(
-            joint_stage.errors_of(rig, runs, joint.unknowns, values)).items()}
-        for values in (start, joint.values)
+        {kind: _rms(left) for kind, left in joint_stage.joined(errors).items()}
+        for errors in joint_stage.errors_of(rig, runs, joint.unknowns, [start, joint.values])
     ]  # fmt: skip
     note = "" if joint.unknowns else "skipped: no parameter of it is free, or shows"
     source = "measured pressures, which drive the joint"
@@ -307,10 +306,9 @@ def _joint_step(rig: Rig, runs: Sequence[Run], joint: Fit) -> Step:
 
 def _air_step(rig: Rig, runs: Sequence[Run], air: Fit) -> Step:
     """The step of the air, for the report."""
-    sizes = []
-    for values in ({item.name: item.start for item in air.unknowns}, air.values):
-        left = air_stage.residual_of(rig, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns, raw=True)
-        sizes.append({"pressure": _rms(left(values))})
+    start = {item.name: item.start for item in air.unknowns}
+    left = air_stage.residual_of(rig, air_stage.usable(runs), 0.0, air_stage.HORIZONS[-1], air.unknowns, raw=True)
+    sizes = [{"pressure": _rms(one)} for one in left([start, air.values])]
     return Step("chambers and valves" if rig.drive == "valve" else "chambers and regulators",
                 "commands and motion, over a second", _moves(rig, air), sizes[0], sizes[1])  # fmt: skip
 
@@ -356,8 +354,8 @@ def _of_two_rigs(
         if alone is None or not later:
             return ()
         left = air_stage.residual_of(rig, later, 0.0, air_stage.HORIZONS[-1], unknown, raw=True)
-        common += float(np.sum(left(air.values) ** 2))
-        apart += float(np.sum(left(alone.values) ** 2))
+        both = left([air.values, alone.values])
+        common, apart = common + float(np.sum(both[0] ** 2)), apart + float(np.sum(both[1] ** 2))
         values[given[2]] = alone.parameters
     areas = [next(iter(item.adds)) for item in air.unknowns if item.recording]
     spans = {path: [one[path] for one in values.values()] for path in areas}

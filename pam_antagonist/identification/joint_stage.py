@@ -10,7 +10,7 @@ one begins where the torques are in balance along the measured motion: this need
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,9 @@ from pam_antagonist.inference.free_parameters import LINEAR_FORCE
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.unknowns import (
     Fit,
+    Residual,
     Unknown,
+    Values,
     deviations,
     fitted,
     parameters,
@@ -237,17 +239,29 @@ def simulated(
     `zero`: reading at ψ = 0 [rad]. `delay`: by how much the reading is late [s]. `horizon`: time after which the
     simulation starts anew from the measurement [s]. `longest`: step of the integration [s].
     """
+    return simulated_each(run, [p], [(zero, delay)], horizon, longest)[0]
+
+
+def simulated_each(
+    run: Run, vectors: Sequence[Floats], encoders: Sequence[tuple[float, float]], horizon: float = math.inf,
+    longest: float = _LONGEST_STEP,
+) -> list[Floats]:  # fmt: skip
+    """:func:`simulated` of several models side by side. `encoders`: zero and delay of each."""
     known = np.isfinite(run.angle)
-    angle = np.interp(run.time, run.time[known], run.angle[known]) - zero
+    angle = np.interp(run.time, run.time[known], run.angle[known])
     size = max(round(horizon / run.period), 3) if math.isfinite(horizon) else len(run)
     first = np.append(np.arange(0, max(len(run) - size // 2, 1), size), len(run))
     begin = first[:-1]
     # What the reading shows with a delay has moved on meanwhile.
     speed = np.where(np.abs(run.velocity[begin]) < _MOVING, 0.0, run.velocity[begin])
     along = Inputs.at(run.time, longest, first, pressure=run.pressure)
-    start = along.settled(angle[begin] + delay * speed, run.pressure[begin], p, speed)
-    out = along.driven(start, p)[0][:, 0]
-    return out + zero if delay == 0.0 else np.interp(run.time - delay, run.time, out) + zero
+    starts = [along.settled(angle[begin] - zero + delay * speed, run.pressure[begin], p, speed)
+              for p, (zero, delay) in zip(vectors, encoders, strict=True)]  # fmt: skip
+    out = []
+    for (zero, delay), (states, _) in zip(encoders, along.driven_each(starts, vectors), strict=True):
+        turned = states[:, 0]
+        out.append(turned + zero if delay == 0.0 else np.interp(run.time - delay, run.time, turned) + zero)
+    return out
 
 
 def by_the_model(run: Run, p: Floats) -> Run:
@@ -279,28 +293,33 @@ def muscle_torque(run: Run, stop: float) -> Floats:
 
 
 def errors_of(
-    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], values: Mapping[str, float], horizon: float = math.inf,
+    rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], each: Sequence[Values], horizon: float = math.inf,
     longest: float = _LONGEST_STEP,
-) -> Iterator[tuple[str, Run, Floats]]:  # fmt: skip
-    """What a model leaves of each run: kind, run, and the known errors of the angle [rad] or the torque [N m].
+) -> list[list[tuple[str, Run, Floats]]]:  # fmt: skip
+    """What a model leaves of the runs, for each of several values: kind, run, and the known errors [rad or N m].
 
     `horizon`: of the simulations [s].
     """
-    zero, delay, vector = values.get(ZERO, 0.0), -values.get(DELAY, 0.0), rig.parameters()
-    stop = off_stop(rig)
+    vector, stop, out = rig.parameters(), off_stop(rig), [[] for _ in each]  # type: ignore[var-annotated]
+    encoders = [(values.get(ZERO, 0.0), -values.get(DELAY, 0.0)) for values in each]
     for name in dict.fromkeys(run.name for run in runs):
-        p = par.changed(vector, {**model_values(unknown, values, name), **NO_REGULATORS})
-        for run in runs:
-            if run.name != name:
-                continue
-            seen = np.isfinite(run.angle)
+        vectors = [par.changed(vector, {**model_values(unknown, values, name), **NO_REGULATORS}) for values in each]
+        models = list(zip(vectors, encoders, strict=True))
+        for run in (run for run in runs if run.name == name):
+            seen, found = np.isfinite(run.angle), []
             if run.moves and horizon == _ALONG:
-                yield "balance", run, _unbalanced(run, p, zero, delay, stop)
+                found.append(("balance", [_unbalanced(run, p, *encoder, stop) for p, encoder in models]))
             elif run.moves:
-                yield "angle", run, (run.angle - simulated(run, p, zero, delay, horizon, longest))[seen]
+                shown = simulated_each(run, vectors, encoders, horizon, longest)
+                found.append(("angle", [(run.angle - one)[seen] for one in shown]))
             known = np.isfinite(muscle_torque(run, stop)[seen])
             if known.any():
-                yield "torque", run, (run.torque[seen] - torques(run, p, zero, delay))[known]
+                of_torque = [(run.torque[seen] - torques(run, p, *encoder))[known] for p, encoder in models]
+                found.append(("torque", of_torque))
+            for kind, lefts in found:
+                for one, left in zip(out, lefts, strict=True):
+                    one.append((kind, run, left))
+    return out
 
 
 def joined(errors: Iterable[tuple[str, Run, Floats]]) -> dict[str, Floats]:
@@ -313,8 +332,8 @@ def joined(errors: Iterable[tuple[str, Run, Floats]]) -> dict[str, Floats]:
 
 def residual_of(
     rig: Rig, runs: Sequence[Run], unknown: Sequence[Unknown], horizon: float, finer: bool = False
-) -> Callable[..., Floats]:
-    """The residuals of all runs for values of the unknowns, in their units.
+) -> Residual:
+    """The residuals of all runs, in their units.
 
     `horizon`: of the simulations [s]. `finer`: whether pressures are ahead of straight lines between the rows, and the
     steps are half as long.
@@ -323,9 +342,11 @@ def residual_of(
     longest, share = (0.5 * _LONGEST_STEP, 2.0) if finer else (_LONGEST_STEP, 1.0)
     weight = _weights(rig, runs, share)
 
-    def residual(values: Mapping[str, float]) -> Floats:
-        errors = errors_of(rig, simulations, unknown, values, horizon, longest)
-        return np.concatenate([np.zeros(0), *(weight(kind, run) * left for kind, run, left in errors)])
+    def residual(each: Sequence[Values]) -> list[Floats]:
+        every = errors_of(rig, simulations, unknown, each, horizon, longest)
+        return [
+            np.concatenate([np.zeros(0), *(weight(kind, run) * left for kind, run, left in errors)]) for errors in every
+        ]
 
     return residual
 
@@ -356,14 +377,14 @@ def with_joint_errors(fit: Fit, rig: Rig, runs: Sequence[Run], jobs: int) -> Fit
     residual, zero = residual_of(rig, runs, fit.unknowns, math.inf), rig.sensors.error("angle")
     finer = residual_of(rig, runs, fit.unknowns, math.inf, finer=True)
 
-    def shifted(values: Mapping[str, float]) -> Floats:
-        return np.asarray(residual({**values, ZERO: values.get(ZERO, 0.0) + zero}))
+    def shifted(each: Sequence[Values]) -> Sequence[Floats]:
+        return residual([{**values, ZERO: values.get(ZERO, 0.0) + zero} for values in each])
 
     lost = fit.cost > _LOST * _cost_of_units(runs)
     weight = _weights(rig, runs)
     rows = Rows.of(
         (run.name, len(left), weight(kind, run) * rig.sensors.error(kind))
-        for kind, run, left in errors_of(rig, runs, fit.unknowns, fit.values)
+        for kind, run, left in errors_of(rig, runs, fit.unknowns, [fit.values])[0]
     )
     return replace(with_errors(fit, residual, jobs, [finer, shifted], rows), lost=lost)
 
@@ -425,8 +446,8 @@ def fit_joint(
     noise = {kind: max(rig.sensors.error(kind), _LEAST_NOISE) for kind in ("angle", "torque")}
     progress("joint and muscles, errors weighed by their size")
     return refined(
-        found, extra, lambda values: joined(errors_of(rig, runs, [*free, *extra], values)), noise, _LAST_EVALUATIONS,
-        jobs,
+        found, extra, lambda each: [joined(one) for one in errors_of(rig, runs, [*free, *extra], each)], noise,
+        _LAST_EVALUATIONS, jobs,
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
 from pam_antagonist.inference.fit_errors import with_errors
 from pam_antagonist.inference.free_parameters import Direction, moved, start_values, values_along
 from pam_antagonist.inference.trial import BLOCK_S
-from pam_antagonist.inference.unknowns import Fit, Unknown, refined
+from pam_antagonist.inference.unknowns import Fit, Unknown, Values, refined
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -208,13 +208,13 @@ def _fitted(
     def along(amounts: Mapping[str, float]) -> dict[str, float]:
         return values_along(known, directions, [amounts[item.name] for item in free])
 
-    def left(amounts: Mapping[str, float]) -> dict[str, Floats]:
-        return {"error": errors(rig.parameters(changes=along(amounts)))}
+    def left(each: Sequence[Values]) -> list[dict[str, Floats]]:
+        return [{"error": errors(rig.parameters(changes=along(amounts)))} for amounts in each]
 
     start = Fit(free, np.zeros(len(free)), np.eye(len(free)), np.inf)
     fit = refined(start, (), left, {"error": least}, _EVALUATIONS)
-    fit = with_errors(fit, lambda amounts: fit.scale["error"] * left(amounts)["error"])
-    rms = float(np.sqrt(np.mean(left(fit.values)["error"] ** 2)))
+    fit = with_errors(fit, lambda each: [fit.scale["error"] * one["error"] for one in left(each)])
+    rms = float(np.sqrt(np.mean(left([fit.values])[0]["error"] ** 2)))
     return along(fit.values), np.array(list(fit.stds.values())), rms
 
 

@@ -7,7 +7,7 @@ long the recordings are. And where one recording contradicts the others, the dif
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from pam_antagonist.inference.unknowns import NARROWED, Fit, Pulled, priors, robust, seen
+from pam_antagonist.inference.unknowns import NARROWED, Fit, Pulled, Residual, priors, robust, seen
 
 Floats = NDArray[np.float64]
 
@@ -45,9 +45,9 @@ class Rows:
 
 def with_errors(
     fit: Fit,
-    residual: Callable[[Mapping[str, float]], Floats],
+    residual: Residual,
     jobs: int = 1,
-    elsewhere: Sequence[Callable[[Mapping[str, float]], Floats]] = (),
+    elsewhere: Sequence[Residual] = (),
     rows: Rows | None = None,
 ) -> Fit:
     """A fit with honest standard errors; its values stay.
@@ -69,10 +69,11 @@ def with_errors(
     if len(fit.at_bounds) == len(fit.unknowns):
         return fit
     amounts = fit.amounts
-    base, free, slopes, within = seen(fit, robust(fit.unknowns, residual), jobs)
+    base, free, slopes, within = seen(fit, robust(fit.unknowns, residual, jobs))
     prior = priors(fit.unknowns)
     moves = [within @ (slopes.T @ base + prior[free] * amounts[free])]
-    moves += [within @ (slopes.T @ (robust(fit.unknowns, other)(amounts) - base)) for other in elsewhere]
+    there = (robust(fit.unknowns, other, jobs)([amounts])[0] for other in elsewhere)
+    moves += [within @ (slopes.T @ (left - base)) for left in there]
     found = within * prior[free] @ within + _jackknife(slopes, base, within) + sum(np.outer(one, one) for one in moves)
     pulled: tuple[Pulled, ...] = ()
     if rows is not None:

@@ -7,6 +7,7 @@ schema.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,8 +19,18 @@ from scipy.optimize import least_squares
 
 from pam_antagonist.estimation.metrics import correlation_length
 from pam_antagonist.inference.threads import side_by_side
+from pam_antagonist.model.lane_values import LANES
 
 Floats = NDArray[np.float64]
+Values = Mapping[str, float]
+"""Of the unknowns, by their names."""
+Residual = Callable[[Sequence[Values]], Sequence[Floats]]
+"""What values leave of the data, in standard deviations, for each of several (N,): they run side by side. Not finite
+where a simulation diverged."""
+Errors = Callable[[Sequence[Values]], Sequence[Mapping[str, Floats]]]
+"""The same in units of the data, by kind."""
+OfAmounts = Callable[[Sequence[Floats]], list[Floats]]
+"""The same for each of several amounts of the unknowns (F,)."""
 
 _WIDEST = 5.0
 """A fit moves a number by at most so many standard deviations of its prior; an unknown may have its own reach."""
@@ -223,24 +234,26 @@ def deviations(
 def refined(
     fit: Fit,
     extra: Sequence[Unknown],
-    errors: Callable[[Mapping[str, float]], Mapping[str, Floats]],
+    errors: Errors,
     least: Mapping[str, float],
     evaluations: int,
     jobs: int = 1,
 ) -> Fit:
     """A fit again, with errors weighed by their size, so that its standard errors are those of the values.
 
-    `extra`: further unknowns, that begin at the middle of their priors. `errors`: that values leave, of each kind (N,).
+    `extra`: further unknowns, that begin at the middle of their priors.
     """
     unknowns, amounts = [*fit.unknowns, *extra], np.concatenate([fit.amounts, np.zeros(len(extra))])
     scale: dict[str, float] = {}
     for _ in range(_ROUNDS):
-        left = errors({item.name: item.value(float(a)) for item, a in zip(unknowns, amounts, strict=True)})
+        (left,) = errors([{item.name: item.value(float(a)) for item, a in zip(unknowns, amounts, strict=True)}])
         scale = scale_of(left, least)
 
-        def residual(values: Mapping[str, float], scale: Mapping[str, float] = scale) -> Floats:
-            now = errors(values)
-            return np.concatenate([np.zeros(0), *(factor * now[kind] for kind, factor in scale.items())])
+        def residual(points: Sequence[Values], scale: Mapping[str, float] = scale) -> list[Floats]:
+            return [
+                np.concatenate([np.zeros(0), *(factor * now[kind] for kind, factor in scale.items())])
+                for now in errors(points)
+            ]
 
         fit = _with_wide_step(fitted(unknowns, residual, amounts, evaluations, jobs), residual, jobs)
         amounts = fit.amounts
@@ -249,29 +262,27 @@ def refined(
 
 def fitted(
     unknowns: Sequence[Unknown],
-    residual: Callable[[Mapping[str, float]], Floats],
+    residual: Residual,
     begin: Floats | None = None,
     evaluations: int = 20,
     jobs: int = 1,
 ) -> Fit:
     """Find the unknowns that explain the data best, with their priors, within their bounds.
 
-    `residual`: of the data (N,), in standard deviations, for values by name; not finite where a simulation diverged.
     `begin`: first amounts (F,); None: the priors' middles.
     """
     if not unknowns:
-        return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual({}) ** 2)))
+        return Fit((), np.zeros(0), np.zeros((0, 0)), 0.5 * float(np.sum(residual([{}])[0] ** 2)))
     low, high = _bounds(unknowns)
-    of_data, prior = robust(unknowns, residual), priors(unknowns)
+    of_data, prior = robust(unknowns, residual, jobs), priors(unknowns)
 
     def whole(amounts: Floats) -> Floats:
-        return np.concatenate([of_data(amounts), prior * amounts])
+        return np.concatenate([*of_data([amounts]), prior * amounts])
 
     def jacobian(amounts: Floats) -> Floats:
-        base = of_data(amounts)
         steps = np.where(amounts + _STEP <= high, _STEP, -_STEP)
-        columns = side_by_side(lambda there: of_data(there) - base, amounts + np.diag(steps), jobs)
-        return np.vstack([np.column_stack(columns) / steps, np.diag(prior)])
+        base, *moved = of_data([amounts, *(amounts + np.diag(steps))])
+        return np.vstack([(np.column_stack(moved) - base[:, None]) / steps, np.diag(prior)])
 
     first = np.zeros(len(unknowns)) if begin is None else begin
     inside = np.clip(first, low + 1e-6, high - 1e-6)
@@ -282,7 +293,7 @@ def fitted(
 
 def within_bounds(
     fit: Fit,
-    residual: Callable[[Mapping[str, float]], Floats],
+    residual: Residual,
     evaluations: int = 20,
     jobs: int = 1,
     stay: Collection[str] = (),
@@ -305,8 +316,8 @@ def within_bounds(
     start = {fit.unknowns[k].name: fit.unknowns[k].start for k in met}
     rest = np.array([k for k in range(len(fit.unknowns)) if k not in met], dtype=int)
 
-    def of_rest(values: Mapping[str, float]) -> Floats:
-        return residual({**values, **start})
+    def of_rest(points: Sequence[Values]) -> Sequence[Floats]:
+        return residual([{**values, **start} for values in points])
 
     first = fitted([fit.unknowns[k] for k in rest], of_rest, fit.amounts[rest], evaluations, jobs)
     again = within_bounds(first, of_rest, evaluations, jobs, stay)
@@ -316,7 +327,7 @@ def within_bounds(
     return replace(fit, amounts=amounts, covariance=covariance, cost=again.cost, kept=kept)
 
 
-def _with_wide_step(fit: Fit, residual: Callable[[Mapping[str, float]], Floats], jobs: int) -> Fit:
+def _with_wide_step(fit: Fit, residual: Residual, jobs: int) -> Fit:
     """A fit after a further step, by derivatives over the width of the uncertainty, if that lowers its cost.
 
     Where a joint sticks, small steps end before the priors have shared out what the data leave open, such as between a
@@ -324,40 +335,40 @@ def _with_wide_step(fit: Fit, residual: Callable[[Mapping[str, float]], Floats],
     """
     if len(fit.at_bounds) == len(fit.unknowns):
         return fit
-    of_data, (low, high) = robust(fit.unknowns, residual), _bounds(fit.unknowns)
-    base, free, slopes, within = seen(fit, of_data, jobs)
+    of_data, (low, high) = robust(fit.unknowns, residual, jobs), _bounds(fit.unknowns)
+    base, free, slopes, within = seen(fit, of_data)
     step = np.zeros(len(fit.amounts))
     prior = priors(fit.unknowns)
     step[free] = -within @ (slopes.T @ base + prior[free] * fit.amounts[free])
     for share in _SHARES:
         there = np.clip(fit.amounts + share * step, low, high)
-        cost = 0.5 * float(np.sum(of_data(there) ** 2) + there @ (prior * there))
+        cost = 0.5 * float(np.sum(of_data([there])[0] ** 2) + there @ (prior * there))
         if cost < fit.cost:
             return replace(fit, amounts=there, cost=cost)
     return fit
 
 
-def seen(fit: Fit, of_data: Callable[[Floats], Floats], jobs: int) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
+def seen(fit: Fit, of_data: OfAmounts) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
     """What the data say at a fit: residual (N,), free amounts (F,), derivatives by them (N, F), inverse curvature."""
-    bounds, base = _bounds(fit.unknowns), of_data(fit.amounts)
+    bounds, (base,) = _bounds(fit.unknowns), of_data([fit.amounts])
     free = np.flatnonzero([item.name not in fit.at_bounds for item in fit.unknowns])
     within = fit.covariance[np.ix_(free, free)]
     for least in (_WIDE_STEP, _STEP):
-        slopes = _slopes(of_data, fit.amounts, within, free, bounds, least, jobs)
+        slopes = _slopes(of_data, fit.amounts, within, free, bounds, least)
         within = np.asarray(np.linalg.inv(slopes.T @ slopes + np.diag(priors(fit.unknowns)[free])))
     return base, free, slopes, within
 
 
 def _slopes(
-    of_data: Callable[[Floats], Floats], amounts: Floats, within: Floats, free: NDArray[np.intp],
-    bounds: tuple[Floats, Floats], least: float, jobs: int,
+    of_data: OfAmounts, amounts: Floats, within: Floats, free: NDArray[np.intp], bounds: tuple[Floats, Floats],
+    least: float,
 ) -> Floats:  # fmt: skip
     """Derivatives of the residual by the free amounts (N, F), from differences over two standard deviations."""
     sizes, turned = np.linalg.eigh(within)
     ways = np.zeros((len(free), len(amounts)))
     ways[:, free] = (turned * np.clip(np.sqrt(sizes), least, 1.0)).T
     there = [amounts + _room(sign * way, amounts, bounds) * sign * way for way in ways for sign in (1.0, -1.0)]
-    left = side_by_side(of_data, there, jobs)
+    left = of_data(there)
     moved = np.array([forth - back for forth, back in zip(there[::2], there[1::2], strict=True)])[:, free]
     changes = np.column_stack([forth - back for forth, back in zip(left[::2], left[1::2], strict=True)])
     return np.asarray(np.linalg.solve(moved, changes.T).T)
@@ -379,14 +390,16 @@ def priors(unknowns: Sequence[Unknown]) -> Floats:
     return np.array([float(item.has_prior) for item in unknowns])
 
 
-def robust(
-    unknowns: Sequence[Unknown], residual: Callable[[Mapping[str, float]], Floats]
-) -> Callable[[Floats], Floats]:
+def robust(unknowns: Sequence[Unknown], residual: Residual, jobs: int) -> OfAmounts:
     """The residual of the data for amounts; large ones count less, also those of a simulation that diverged."""
 
-    def of_data(amounts: Floats) -> Floats:
-        values = {item.name: item.value(a) for item, a in zip(unknowns, amounts, strict=True)}
-        left = np.nan_to_num(residual(values), nan=_FAILED, posinf=_FAILED, neginf=-_FAILED)
-        return np.asarray(_ROBUST * np.arctan(left / _ROBUST))
+    def together(points: Sequence[Floats]) -> list[Floats]:
+        each = [{item.name: item.value(a) for item, a in zip(unknowns, point, strict=True)} for point in points]
+        left = (np.nan_to_num(one, nan=_FAILED, posinf=_FAILED, neginf=-_FAILED) for one in residual(each))
+        return [np.asarray(_ROBUST * np.arctan(one / _ROBUST)) for one in left]
+
+    def of_data(points: Sequence[Floats]) -> list[Floats]:
+        groups = [points[k : k + LANES] for k in range(0, len(points), LANES)]
+        return list(itertools.chain.from_iterable(side_by_side(together, groups, jobs)))
 
     return of_data

@@ -77,7 +77,7 @@ def test_a_stop_takes_its_share_of_the_torque_of_a_free_joint_only(rig, free, lo
         state = JointCondition(str(one.path), LOCKED_AT, "given")
         runs = runs_of(one, state, "one")
         counted = {
-            stop: sum(len(left) for kind, _, left in joint_stage.errors_of(each, runs, (), {}) if kind == "torque")
+            stop: sum(len(left) for kind, _, left in joint_stage.errors_of(each, runs, (), [{}])[0] if kind == "torque")
             for stop, each in (("far", rig.replaced(joint=rig.joint.replaced(stop=None))), ("near", near))
         }
         beyond = sum(int((np.abs(run.angle) >= joint_stage.off_stop(near)).sum()) for run in runs)

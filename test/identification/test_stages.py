@@ -58,7 +58,7 @@ def test_a_common_value_takes_what_all_recordings_have_in_common() -> None:
         return {"angle": np.concatenate(out)}
 
     begin = Fit((common,), np.array([0.0]), np.eye(1), 0.0)
-    found = refined(begin, own, errors, {"angle": 1e-3}, 8)
+    found = refined(begin, own, lambda each: [errors(values) for values in each], {"angle": 1e-3}, 8)
     shared = np.mean([found.values[item.name] for item in own])
     assert found.values["gain"] + shared == pytest.approx(0.03, abs=3e-3)
     assert abs(shared) < 0.1 * found.values["gain"]

@@ -5,16 +5,37 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pam_antagonist.inference.fit_errors import Rows, with_errors
-from pam_antagonist.inference.unknowns import Unknown, fitted, refined, within_bounds
+from pam_antagonist.inference import fit_errors, unknowns
+from pam_antagonist.inference.fit_errors import Rows
+from pam_antagonist.inference.unknowns import Fit, Unknown
 
 TIME = np.linspace(0.0, 3.0, 200)
 GAIN = Unknown("gain", ("a.gain", "b.gain"), 2.0, 0.5, positive=True)
 SHIFT = Unknown("shift", ("shift",), 0.0, 0.3, low=-0.2, high=0.2)
+
+
+def each(of: Callable[[Mapping[str, float]], Any]):
+    """What a fit takes: a function of several values at once."""
+    return lambda points: [of(values) for values in points]
+
+
+def fitted(items: Sequence[Unknown], of: Callable[[Mapping[str, float]], np.ndarray], *rest: Any, **more: Any) -> Fit:
+    return unknowns.fitted(items, each(of), *rest, **more)
+
+
+def with_errors(
+    fit: Fit, of: Callable[[Mapping[str, float]], np.ndarray], elsewhere: Sequence[Any] = (), **more: Any
+) -> Fit:
+    return fit_errors.with_errors(fit, each(of), elsewhere=[each(one) for one in elsewhere], **more)
+
+
+def within_bounds(fit: Fit, of: Callable[[Mapping[str, float]], np.ndarray]) -> Fit:
+    return unknowns.within_bounds(fit, each(of))
 
 
 def residual(true: tuple[float, float], noise: float = 0.0, unit: float = 0.01):
@@ -187,7 +208,7 @@ def test_values_that_are_all_at_bounds_stay_as_they_are() -> None:
     found = fitted([narrow], lambda values: np.full(5, 100.0 * (values["gain"] - 3.0)))
     errors = {"angle": np.ones(20)}
     assert with_errors(found, lambda values: np.ones(5)).reasons == {"gain": "met a bound"}
-    assert refined(found, [], lambda values: errors, {"angle": 1.0}, 2).unknowns == found.unknowns
+    assert unknowns.refined(found, [], each(lambda values: errors), {"angle": 1.0}, 2).unknowns == found.unknowns
 
 
 def test_what_the_other_recordings_hardly_tell_contradicts_none_of_them() -> None:

@@ -39,7 +39,7 @@ def inputs(unit: float = 1.0) -> np.ndarray:
 @pytest.fixture(autouse=True)
 def _whatever_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lanes are tried on every machine, also where they are no quicker."""
-    monkeypatch.setattr(lanes, "FEWEST", 2)
+    monkeypatch.setattr(drive, "FEWEST", 2)
 
 
 def assert_same(vectors: list[np.ndarray], given: np.ndarray) -> None:

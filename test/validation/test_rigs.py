@@ -63,7 +63,7 @@ def test_a_fit_that_begins_far_off_leaves_a_false_minimum_by_the_balance_of_torq
     errors = {
         name: math.degrees(np.sqrt(np.mean(left**2)))
         for name, values in (("alone", alone.values), ("both", both.values))
-        for _, _, left in joint_stage.errors_of(lab.typed, runs, both.unknowns, values)
+        for _, _, left in joint_stage.errors_of(lab.typed, runs, both.unknowns, [values])[0]
     }
     assert not both.lost
     assert errors["both"] < 0.15
