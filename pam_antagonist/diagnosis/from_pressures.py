@@ -73,6 +73,7 @@ _DISSIPATES = {"friction": {"coulomb": 0.0, "stribeck": 0.0}, "hysteresis": {"am
 _AS_GOOD = 1.1
 """The filter's error with an effect may be larger by this factor than without it."""
 _EVALUATIONS = 12
+_ANEW_S = air_stage.HORIZONS[-1]
 _SIZE_STD, _SHAPE_STD = 5.0, 1.5
 """Priors of an effect's parameters in the last fit: of sizes in their scales, of shapes on the logarithmic scale."""
 
@@ -181,34 +182,45 @@ class _Part(Experiment):
     def vector(self) -> Floats:
         return self.rig.parameters("free" if self.place == JOINT else "locked")
 
-    def vectors(self, point: Point) -> dict[str, Floats]:
-        """Parameter vector of each recording, by name."""
-        values, off = self.values(point), NO_REGULATORS if self.place == JOINT else {}
+    def vectors(self, points: Sequence[Point]) -> dict[str, list[Floats]]:
+        """Parameter vectors of several models for each recording, by its name."""
+        known, off = [self.values(point) for point in points], NO_REGULATORS if self.place == JOINT else {}
         return {
-            name: par.changed(
-                self.vector, {**joint_stage.model_values(self.start.unknowns, values, name), **point.effects, **off}
-            )
+            name: [
+                par.changed(
+                    self.vector, {**joint_stage.model_values(self.start.unknowns, values, name), **point.effects, **off}
+                )
+                for values, point in zip(known, points, strict=True)
+            ]
             for name in dict.fromkeys(run.name for run in self.runs)
         }  # fmt: skip
 
     @override
-    def simulated(self, point: Point, whole: bool = False) -> Floats:
-        vectors, values = self.vectors(point), self.values(point)
-        return _laid(self.place, [self.run_shown(run, vectors[run.name], values) for run in self.runs])
+    def simulated_each(self, points: Sequence[Point], whole: bool = False) -> list[Floats]:
+        vectors = self.vectors(points)
+        known = [self.values(point) for point in points]
+        encoders = [(one.get(joint_stage.ZERO, 0.0), -one.get(joint_stage.DELAY, 0.0)) for one in known]
+        shown = [self.run_shown(run, vectors[run.name], encoders) for run in self.runs]
+        return [_laid(self.place, of_each) for of_each in zip(*shown, strict=True)]
 
-    def run_shown(self, run: Run, p: Floats, values: Mapping[str, float]) -> Floats:
-        """What the sensors would show over a run (N, 4), NaN of what this part does not give."""
-        out = np.full((len(run), len(CHANNELS)), np.nan)
+    def run_shown(self, run: Run, vectors: Sequence[Floats], encoders: Sequence[tuple[float, float]]) -> list[Floats]:
+        """What the sensors would show over a run (N, 4) of each model, NaN of what this part does not give.
+
+        `encoders`: zero [rad] and delay [s] of each.
+        """
+        out = [np.full((len(run), len(CHANNELS)), np.nan) for _ in vectors]
         if self.place == AIR:
-            out[:, PRESSURE_1:] = air_stage.simulated(run, p, 0.0, air_stage.HORIZONS[-1])[0]
+            for one, pressures in zip(out, air_stage.simulated_each(run, vectors, 0.0, _ANEW_S)[0], strict=True):
+                one[:, PRESSURE_1:] = pressures
             return out
         if not np.isfinite(run.angle).any():
             return out
-        zero, delay = values.get(joint_stage.ZERO, 0.0), -values.get(joint_stage.DELAY, 0.0)
         if not run.locked:
-            out[:, ANGLE] = joint_stage.simulated(run, p, zero, delay)
+            for one, angle in zip(out, joint_stage.simulated_each(run, vectors, encoders), strict=True):
+                one[:, ANGLE] = angle
         if np.isfinite(run.torque).any():
-            out[np.isfinite(run.angle), TORQUE] = joint_stage.torques(run, p, zero, delay)
+            for one, p, encoder in zip(out, vectors, encoders, strict=True):
+                one[np.isfinite(run.angle), TORQUE] = joint_stage.torques(run, p, *encoder)
         return out
 
     @override

@@ -9,7 +9,7 @@ and half their difference, because an error of the encoder changes only the latt
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -222,14 +222,15 @@ class AngleDriven(Experiment):
             for form in effect.sealed.forms
         )
 
-    def driven(self, point: Point, whole: bool = False) -> tuple[Floats, Floats]:
-        """Pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that the measured motion needs."""
-        p, motion = self.parameters(point), self.motion
-        first = motion.angle[0]
-        pressures = [equilibrium.closed_pressure(i, first, p) for i in (0, 1)]
+    def driven(self, points: Sequence[Point], whole: bool = False) -> list[tuple[Floats, Floats]]:
+        """Of several models, the pressures (N, 2) [Pa] and the torque from outside (N,) [N m] that the motion needs."""
+        motion, vectors, starts = self.motion, [self.parameters(point) for point in points], []
         # A joint that moves at the start is assumed to have moved for long.
-        velocity = float(motion.velocity[0]) if abs(motion.velocity[0]) > SLIDING else 0.0
-        x0 = equilibrium.initial_state(first, pressures[0], pressures[1], np.zeros(3), p, velocity)
+        first, velocity = motion.angle[0], float(motion.velocity[0]) if abs(motion.velocity[0]) > SLIDING else 0.0
+        for p in vectors:
+            pressures = [equilibrium.closed_pressure(i, first, p) for i in (0, 1)]
+            x0 = equilibrium.initial_state(first, pressures[0], pressures[1], np.zeros(3), p, velocity)
+            starts.append(np.asarray(x0)[None])
         end = len(self.trial) if whole else self.fitted
         stride = self.trial.samples(_STEP_S)
         at = np.arange(0, end, stride)
@@ -237,14 +238,15 @@ class AngleDriven(Experiment):
         # The mean direction of a step: it is about 0 for a sticking joint that vibrates.
         course[:, 3] = np.add.reduceat(motion.direction[:end], at) / np.diff(np.append(at, end))
         along = replace(Inputs.even(len(at), stride * self.trial.dt, motion=course), longest=_STEP_S)
-        states, (_, needed) = along.driven(x0[None], p, NEEDED)
-        every = np.arange(end)
-        columns = [np.interp(every, at, column) for column in (*states[:, 2:4].T, needed)]
-        return np.column_stack(columns[:2]), np.asarray(columns[2])
+        every, out = np.arange(end), []
+        for states, (_, needed) in along.driven_each(starts, vectors, NEEDED):
+            columns = [np.interp(every, at, column) for column in (*states[:, 2:4].T, needed)]
+            out.append((np.column_stack(columns[:2]), columns[2]))
+        return out
 
     @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
-        pressure, needed = self.driven(point, whole=True)
+        ((pressure, needed),) = self.driven([point], whole=True)
         return np.column_stack([self.motion.angle, self.motion.velocity, pressure]), needed
 
     @override
@@ -257,7 +259,7 @@ class AngleDriven(Experiment):
         `point`: not used; the rig has the fitted parameters of both parts.
         """
         whole = replace(self, rig=rig, part=BALANCE)
-        pressure, needed = whole.driven(whole.origin, whole=True)
+        ((pressure, needed),) = whole.driven([whole.origin], whole=True)
         alone = np.full(len(self.trial), np.nan)
         if self.trial.has(TORQUE):
             alone = predict(self.trial, Run(rig.parameters("free")), start_of(self.trial))[:, ANGLE]
@@ -290,9 +292,11 @@ class AngleDriven(Experiment):
         return np.asarray(np.abs(self.motion.velocity) > SLIDING)
 
     @override
-    def simulated(self, point: Point, whole: bool = False) -> Floats:
-        pressure, needed = self.driven(point, whole)
-        return _parted(np.column_stack([self.motion.angle[: len(needed)], needed, pressure]))
+    def simulated_each(self, points: Sequence[Point], whole: bool = False) -> list[Floats]:
+        return [
+            _parted(np.column_stack([self.motion.angle[: len(needed)], needed, pressure]))
+            for pressure, needed in self.driven(points, whole)
+        ]
 
 
 def sweeps(trial: Trial, first: int, last: int) -> int:

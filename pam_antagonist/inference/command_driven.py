@@ -7,7 +7,7 @@ effects of a regulator are candidates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -119,11 +119,13 @@ class CommandDriven(Episodes):
         return np.interp(at, at[known], self.angle[known])
 
     @override
-    def simulated(self, point: Point) -> Floats:
-        p = par.changed(self.rig.parameters("locked", 0.0), self.values(point))
+    def simulated_each(self, points: Sequence[Point]) -> list[Floats]:
+        p = self.rig.parameters("locked", 0.0)
+        vectors = [par.changed(p, self.values(point)) for point in points]
         motion, longest, begin = self._motion, min(self.longest_step, _LONGEST_STEP), self.first[:-1]
         along = Inputs.at(self.time, longest, self.first, command=self.command, motion=motion[:, None])
-        return along.driven(along.settled(motion[begin], self.pressure[begin], p), p)[0][:, 2:4]
+        starts = [along.settled(motion[begin], self.pressure[begin], p) for p in vectors]
+        return [states[:, 2:4] for states, _ in along.driven_each(starts, vectors)]
 
     @override
     def as_if(self, model: Point) -> CommandDriven:

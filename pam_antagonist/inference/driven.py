@@ -6,8 +6,9 @@ Two kinds derive from it: an :class:`~pam_antagonist.inference.experiment.Experi
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.free_parameters import FreeDirection, start_values
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.threads import side_by_side
+from pam_antagonist.model.lane_values import LANES
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.schema import limits
 
@@ -40,6 +42,10 @@ class Driven(ABC):
     def residual(self, point: Point) -> Floats:
         """Measured minus simulated values (B, C) of the fitted part, 0 where nothing was measured."""
 
+    @abstractmethod
+    def residuals(self, points: Iterable[Point]) -> list[Floats]:
+        """:meth:`residual` of several models, which run side by side."""
+
     @property
     def start_std(self) -> Floats:
         """Standard deviations of the start values that are fitted with the parameters (S,)."""
@@ -51,7 +57,7 @@ class Driven(ABC):
 
     def differences(self, point: Point, residual: Floats, moved: Iterable[Point]) -> list[Floats]:
         """Changes of the residual (B, C) from a point to others nearby. `residual`: at this point (B, C)."""
-        return self.side_by_side(lambda there: self.residual(there) - residual, moved)
+        return [there - residual for there in self.residuals(moved)]
 
     @property
     def size(self) -> int:
@@ -97,6 +103,8 @@ class Driven(ABC):
             result[:, :, k] = difference / steps[k]
         return result
 
-    def side_by_side(self, work: Callable[[Point], Floats], points: Iterable[Point]) -> list[Floats]:
-        """Compute something for several points, on the threads that all fits share."""
-        return side_by_side(work, points, self.jobs)
+    def in_lanes(self, work: Callable[[Sequence[Point]], list[Floats]], points: Iterable[Point]) -> list[Floats]:
+        """Compute something for several points: as many at once as run in lanes, on the threads that all fits share."""
+        each = list(points)
+        groups = [each[k : k + LANES] for k in range(0, len(each), LANES)]
+        return list(itertools.chain.from_iterable(side_by_side(work, groups, self.jobs)))

@@ -172,8 +172,8 @@ class Episodes(Driven):
         """Compared measurements (N, C), NaN where missing."""
 
     @abstractmethod
-    def simulated(self, point: Point) -> Floats:
-        """Simulated readings of the sensors (N, C)."""
+    def simulated_each(self, points: Sequence[Point]) -> list[Floats]:
+        """Simulated readings of the sensors (N, C), of several models."""
 
     @abstractmethod
     def candidates(self, taken: Mapping[str, float]) -> Mapping[str, tuple[Candidate, ...]]:
@@ -224,11 +224,23 @@ class Episodes(Driven):
         """Values of all parameters of a model that differ from the rig file's, by dotted path."""
         return {**self.changes(model), **model.effects}
 
+    def simulated(self, point: Point) -> Floats:
+        """:meth:`simulated_each` of one model."""
+        return self.simulated_each([point])[0]
+
     @override
     def residual(self, point: Point) -> Floats:
-        far = self.runaway
-        left = np.nan_to_num(self.measured - self.simulated(point), nan=0.0, posinf=far, neginf=-far)
-        return np.asarray(np.clip(left, -far, far))
+        return self.residuals([point])[0]
+
+    @override
+    def residuals(self, points: Iterable[Point]) -> list[Floats]:
+        far, measured = self.runaway, self.measured
+
+        def left(group: Sequence[Point]) -> list[Floats]:
+            lefts = (measured - shown for shown in self.simulated_each(group))
+            return [np.clip(np.nan_to_num(one, nan=0.0, posinf=far, neginf=-far), -far, far) for one in lefts]
+
+        return self.in_lanes(left, points)
 
     def step_that_serves(self, model: Point) -> float:
         """The longest step [s], not above the present one, that is accurate enough for a model."""

@@ -9,7 +9,7 @@ from that. Many short episodes are :class:`~pam_antagonist.inference.episodes.Ep
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -76,8 +76,8 @@ class Experiment(Driven):
         """Standard deviation of a block mean by the sensors alone (C,)."""
 
     @abstractmethod
-    def simulated(self, point: Point, whole: bool = False) -> Floats:
-        """What the sensors would show, sample by sample.
+    def simulated_each(self, points: Sequence[Point], whole: bool = False) -> list[Floats]:
+        """What the sensors would show of several models, sample by sample.
 
         `whole`: over all of the recording, or over the part that may be fitted.
         """
@@ -189,6 +189,10 @@ class Experiment(Driven):
 
     # What follows from that.
 
+    def simulated(self, point: Point, whole: bool = False) -> Floats:
+        """:meth:`simulated_each` of one model."""
+        return self.simulated_each([point], whole)[0]
+
     @cached_property
     def prior(self) -> Floats:
         """Precision of the prior of each base coordinate (K + S,)."""
@@ -238,14 +242,21 @@ class Experiment(Driven):
 
         The whole is followed by what it leaves of recordings that are held out, see :meth:`residual_elsewhere`.
         """
-        own = self.residual_of(self.trial.blocks(self.simulated(point, whole)[:, list(self.channels)]))
         if not whole:
-            return self.fitted_rows(own)
+            return self.residuals([point])[0]
+        own = self.residual_of(self.trial.blocks(self.simulated(point, whole)[:, list(self.channels)]))
         return np.concatenate([own, *(self.residual_elsewhere(other, point) for other in self.judged)])
 
+    @override
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
-        """:meth:`residual` of several models."""
-        return self.side_by_side(self.residual, points)
+        def left(group: Sequence[Point]) -> list[Floats]:
+            return [self.left_by(shown) for shown in self.simulated_each(group)]
+
+        return self.in_lanes(left, points)
+
+    def left_by(self, shown: Floats) -> Floats:
+        """Residual (B, C) of the blocks that may be fitted. `shown`: what the sensors would show there (N, 4)."""
+        return self.fitted_rows(self.residual_of(self.trial.blocks(shown[:, list(self.channels)])))
 
     def near(self, there: Point, point: Point, residual: Floats) -> Floats:
         """Residual (B, C) of a model near one whose residual is known, as exact as derivatives need it.

@@ -30,7 +30,7 @@ from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.drive import IMBALANCE, TORQUE, Inputs
+from pam_antagonist.model.drive import IMBALANCE, TORQUE, Driven, Inputs
 
 Floats = NDArray[np.float64]
 
@@ -191,26 +191,31 @@ class MeasuredMotion(ValveDriven):
 
     @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
-        states, torque, _ = self._course(self.trial, point)
+        states, (torque, _) = self._courses(self.trial, [point])[0]
         return states, torque
 
     @override
-    def _shown(self, trial: Trial, point: Point) -> Floats:
-        states, torque, imbalance = self._course(trial, point)
-        return np.column_stack([imbalance, torque, dynamics.readings(states[:, 2:4], self.parameters(point))])
-
-    @override
     def _made_of_each(self, trial: Trial, points: Sequence[Point], made: Callable[[Floats], Floats]) -> list[Floats]:
-        return self.side_by_side(lambda point: made(self._shown(trial, point)), points)
+        def together(group: Sequence[Point]) -> list[Floats]:
+            found = zip(self._courses(trial, group), group, strict=True)
+            return [
+                made(np.column_stack([shown[1], shown[0], dynamics.readings(states[:, 2:4], self.parameters(point))]))
+                for (states, shown), point in found
+            ]
 
-    def _course(self, trial: Trial, point: Point) -> tuple[Floats, Floats, Floats]:
-        p = self.parameters(point)
-        x0 = initial_state(trial, p, self.first, self.start_shift(point))
+        return self.in_lanes(together, points)
+
+    def _courses(self, trial: Trial, points: Sequence[Point]) -> list[Driven]:
+        """Of several models: states (N, n), torques and imbalances (2, N)."""
+        vectors = [self.parameters(point) for point in points]
+        starts = [
+            initial_state(trial, p, self.first, self.start_shift(point))[None]
+            for p, point in zip(vectors, points, strict=True)
+        ]
         stride = round(trial.dt / self.trial.dt)
         motion = self.motion.columns[::stride][: len(trial)]
         along = Inputs.even(len(trial), trial.dt, trial.substeps, command=trial.given, motion=motion)
-        states, (torque, imbalance) = along.driven(x0[None], p, TORQUE | IMBALANCE)
-        return states, torque, imbalance
+        return along.driven_each(starts, vectors, TORQUE | IMBALANCE)
 
 
 def along_motion(experiment: Experiment) -> Experiment:

@@ -7,7 +7,7 @@ relative to the inertia, which is fixed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -172,11 +172,11 @@ class PressureDriven(Episodes):
         return 10.0
 
     @override
-    def simulated(self, point: Point) -> Floats:
-        p, (angle, speed) = self._vector(point), self._start.T
+    def simulated_each(self, points: Sequence[Point]) -> list[Floats]:
+        vectors, (angle, speed) = [self._vector(point) for point in points], self._start.T
         along = Inputs.at(self.time, self.longest_step, self.first, pressure=self.pressure, signals=self.signals)
-        start = along.settled(angle, self.pressure[self.first[:-1]], p, speed)
-        return along.driven(start, p)[0][:, :1]
+        starts = [along.settled(angle, self.pressure[self.first[:-1]], p, speed) for p in vectors]
+        return [states[:, :1] for states, _ in along.driven_each(starts, vectors)]
 
     @override
     def as_if(self, model: Point) -> PressureDriven:

@@ -151,9 +151,8 @@ class ValveDriven(Experiment):
         return k != len(self.directions) + ANGLE
 
     @override
-    def simulated(self, point: Point, whole: bool = False) -> Floats:
-        trial = self.trial if whole else self._part
-        return self._shown(trial, point)
+    def simulated_each(self, points: Sequence[Point], whole: bool = False) -> list[Floats]:
+        return self._made_of_each(self.trial if whole else self._part, points, np.copy)
 
     @override
     def states(self, point: Point) -> tuple[Floats, Floats]:
@@ -234,12 +233,7 @@ class ValveDriven(Experiment):
 
     @override
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
-        channels = list(self.channels)
-
-        def left(shown: Floats) -> Floats:
-            return self.fitted_rows(self.residual_of(self.trial.blocks(shown[:, channels])))
-
-        return self._made_of_each(self._part, list(points), left)
+        return self._made_of_each(self._part, list(points), self.left_by)
 
     def _coarsest(self, point: Point, residual: Floats) -> tuple[Trial, Floats]:
         """The part that is fitted in the longest steps in which the model goes its way at a point; its residual."""

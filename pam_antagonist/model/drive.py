@@ -253,7 +253,7 @@ class Inputs:
         vectors = [self.vector(p) for p in vectors]
         mask, rows = self._given | wanted, len(self.length)
         for group in lanes.groups([[p] for p in vectors]):
-            together = lanes.driver() if len(group) >= FEWEST and not wanted & ~TORQUE else None
+            together = lanes.driver() if len(group) >= FEWEST else None
             if together is None:
                 for k in group:
                     out[k] = self.driven(starts[k], vectors[k], wanted, keeps)

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model import composition, dynamics, integration, lane_form
-from pam_antagonist.model.drive import BY_COMMAND, BY_MOTION, BY_PRESSURE, TORQUE
+from pam_antagonist.model.drive import BY_COMMAND, BY_MOTION, BY_PRESSURE, IMBALANCE, NEEDED, TORQUE
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
 from pam_antagonist.model.lane_values import CHUNK, LANES, item, put
 from pam_antagonist.model.parameters import BASE_STATES, FRICTION_STEP, SIGNAL
 
-TEXT = composition.remembered("lanes", lambda: lane_form.lane_module((integration.rk4_step_within, dynamics.torque)))
+_ROOTS = (integration.rk4_step_within, dynamics.torque, dynamics.torque_needed, dynamics.imbalance)
+TEXT = composition.remembered("lanes", lambda: lane_form.lane_module(_ROOTS))
 """Source of the module with the lane form of the equations."""
 _form = composition.imported(TEXT, "lanes")
-rk4_step, _torque = _form.rk4_step_within, _form.torque
+rk4_step = _form.rk4_step_within
+_torque, _needed, _imbalance = _form.torque, _form.torque_needed, _form.imbalance
 _substeps_of = inlined(integration.substeps_of)
 
 
@@ -58,14 +60,15 @@ def _at_row(mask, x, pressure, motion, signals, k, p):
 
 
 @inlined
-def _flush(mask, recent, recent_torques, count, states, shown, done):
+def _flush(recent, recent_torques, count, states, shown, done):
     """The last rows, to each model."""
     for lane in range(LANES):
         for row in range(count):
             for i in range(recent.shape[1]):
                 states[lane, done + row, i] = recent[row, i, lane]
-            if mask & TORQUE:
-                shown[lane, 0, done + row] = recent_torques[row, lane]
+            if shown.shape[2] > 0:
+                shown[lane, 0, done + row] = recent_torques[row, 0, lane]
+                shown[lane, 1, done + row] = recent_torques[row, 1, lane]
 
 
 @in_place
@@ -74,7 +77,7 @@ def drive(mask, first, start, keeps, length, command, pressure, motion, signals,
 
     `start`: (E, n, LANES). `p`: parameter vectors (P, LANES). `states`: result (LANES, N, n). `shown`: result
     (LANES, 2, N) or (LANES, 2, 0) [N m]. `scratch`: (STAGES + 1, n, LANES) for a step, (n, LANES) for the state, zeros
-    for the input (2,) or (3,), (CHUNK, n, LANES) and (CHUNK, LANES) for the last rows.
+    for the input (2,) or (3,), (CHUNK, n, LANES) and (CHUNK, 2, LANES) for the last rows.
     """
     stages, x, u, recent, recent_torques = scratch
     n, done = start.shape[1], first[0]
@@ -90,9 +93,13 @@ def drive(mask, first, start, keeps, length, command, pressure, motion, signals,
             for i in range(n):
                 put(recent, (k - done, i), item(x, i))
             if mask & TORQUE:
-                put(recent_torques, k - done, _torque(x, p))
+                put(recent_torques, (k - done, 0), _torque(x, p))
+            if mask & NEEDED:
+                put(recent_torques, (k - done, 1), _needed(x, motion[k, 2], motion[k, 3], p))
+            if mask & IMBALANCE:
+                put(recent_torques, (k - done, 1), _imbalance(x, motion[k, 2], motion[k, 3], p))
             if k + 1 - done == CHUNK or k + 1 == first[-1]:
-                _flush(mask, recent, recent_torques, k + 1 - done, states, shown, done)
+                _flush(recent, recent_torques, k + 1 - done, states, shown, done)
                 done = k + 1
 
 

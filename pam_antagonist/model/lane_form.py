@@ -27,7 +27,7 @@ from typing_extensions import override
 
 from pam_antagonist.model import parameters as par
 
-_SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt", "place", "law")
+_SHARED_ARGUMENTS = ("i", "muscle", "valve", "dt", "place", "law", "direction", "acceleration")
 """Arguments that are the same in all lanes, whatever function has them."""
 _STRUCTURAL_ARGUMENTS = ("law",)
 """Arguments that are indices of parameters that are the same in all lanes."""

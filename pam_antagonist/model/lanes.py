@@ -83,7 +83,7 @@ def _side_by_side() -> Any:
 def scratch(n: int, inputs: int) -> tuple[np.ndarray, ...]:
     """Scratch of the driver: for a step, for the state, for the input, for states and torques of the last rows."""
     stages, recent = np.empty((integration.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES))
-    return stages, np.empty((n, LANES)), np.zeros(inputs), recent, np.empty((CHUNK, LANES))
+    return stages, np.empty((n, LANES)), np.zeros(inputs), recent, np.zeros((CHUNK, 2, LANES))
 
 
 def sigma_points_beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:

@@ -151,7 +151,7 @@ def test_the_driven_model_says_what_the_simulation_did(recorded, joint) -> None:
     recording = recorded(rig.effects)
     trial = driven_trial(recording, rig, "auto", 1 / 3)
     driven = AngleDriven(rig, trial, 12000, part=BALANCE)
-    pressure, needed = driven.driven(driven.origin, whole=True)
+    ((pressure, needed),) = driven.driven([driven.origin], whole=True)
     # Noise of 20 Pa in what was recorded, and what smoothing the angle leaves; the simulation's charge is a little off.
     error = (pressure - trial.measured[:, PRESSURE_1:])[500:-500]
     assert np.all(error.std(axis=0) < 40.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -60,10 +60,10 @@ class RegulatorDriven(Experiment):
         load = point.effects.get("effects.load_torque.constant", 0.0)
         return states, np.array([dynamics.torque(x, p) for x in states]) + load
 
-    def simulated(self, point: Point, whole: bool = False) -> np.ndarray:
-        states, torque = self.states(point)
-        end = len(states) if whole else self.fitted
-        return np.column_stack([states[:end, 0], torque[:end], states[:end, 2:]])
+    def simulated_each(self, points: Sequence[Point], whole: bool = False) -> list[np.ndarray]:
+        end = len(self.trial) if whole else self.fitted
+        every = (self.states(point) for point in points)
+        return [np.column_stack([states[:end, 0], torque[:end], states[:end, 2:]]) for states, torque in every]
 
     @property
     def runs_by_itself(self) -> bool:

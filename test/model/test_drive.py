@@ -100,7 +100,8 @@ def test_parts_begin_anew_and_what_effects_remember_goes_on_where_it_is_told(p, 
 @pytest.mark.parametrize("given", [("command",), ("pressure",), ("command", "motion"), ("pressure", "motion")])
 def test_many_models_side_by_side_have_the_bits_of_each_alone(p, moved, given) -> None:
     command, states, _ = moved
-    columns = {"command": command, "pressure": states[:, 2:4], "motion": states[:, :2]}
+    motion = np.column_stack([states[:, :2], np.gradient(states[:, 1], PERIOD), np.round(states[:, 1], 1)])
+    columns = {"command": command, "pressure": states[:, 2:4], "motion": motion}
     first = np.array([0, 700, 701, 3001, SAMPLES])
     along = Inputs(
         np.full(SAMPLES, PERIOD), first, longest=PERIOD / 2, signals=np.column_stack([np.sin(TIME)]),
@@ -110,9 +111,10 @@ def test_many_models_side_by_side_have_the_bits_of_each_alone(p, moved, given) -
     begin = first[:-1]
     starts = [along.settled(states[begin, 0] + 0.01 * k, states[begin, 2:4], q) for k, q in enumerate(vectors)]
     keeps = np.array([False, True, False, True])
-    for k, (found, shown) in enumerate(along.driven_each(starts, vectors, TORQUE, keeps)):
-        alone, torque = along.driven(starts[k], vectors[k], TORQUE, keeps)
-        assert np.array_equal(found, alone) and np.array_equal(shown, torque)
+    for wanted in (0, TORQUE, *([NEEDED, TORQUE | IMBALANCE] if "motion" in given else [])):
+        for k, (found, shown) in enumerate(along.driven_each(starts, vectors, wanted, keeps)):
+            alone, torques = along.driven(starts[k], vectors[k], wanted, keeps)
+            assert np.array_equal(found, alone) and np.array_equal(shown, torques)
     assert lanes.driver() is not None
 
 
