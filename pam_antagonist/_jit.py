@@ -31,7 +31,7 @@ EFFECTS_GROUP = "pam_antagonist.effects"
 
 _PACKAGE = Path(__file__).parent
 _FOLDERS = ("model", "estimation")
-_DESCRIPTIONS = ("Effect", "EffectParameter", "AddedState", "per_muscle", "state_per_muscle")
+_DESCRIPTIONS = ("Effect", "EffectParameter", "AddedState", "Place", "per_muscle", "state_per_muscle")
 """Classes and functions that describe effects. Their sentences (strings with spaces) do not change machine code."""
 _IMPORT = re.compile(r"^\s*(?:from|import) (pam_antagonist[\w.]*)(?: import (\([^)]*\)|[^\n(]*))?", re.MULTILINE)
 

@@ -24,6 +24,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, held_residual, refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.model.effects import parameter_path
+from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.rig.learned import Law, numbers_of, with_law
 
 Floats = NDArray[np.float64]
@@ -37,10 +38,6 @@ _ROUNDS = 2
 _MOST_ALTERNATIVES = 3
 _FIRST = ("angle", "velocity", "speed", "length", "length_rate", "time")
 """Of arguments that move together, those that are named first."""
-_UNITS = {
-    "flow": 1e-9, "exchange": 1e-9, "volume": 1e-3, "force": 0.1, "strength": 1e-3, "torque": 1e-3, "friction": 1e-3,
-}  # fmt: skip
-"""Steps of the values at which derivatives are taken, in the units of the places."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +264,7 @@ def _fitted(here: Sequence[_Recording], group: Group, number: int, before: Seque
     zero = group.law(nodes, np.zeros(len(nodes)))
     if replace(zero, values=tuple(np.ones(len(nodes)))).complaint():
         return None
-    unit = _UNITS[group.kind]
+    unit = TABLE[group.kind].step
     columns = [_columns(one, group, zero, unit, number) for one in here]
     if not any(item.any() for item in columns):
         return None

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.law_kernels import lagged, played, whitened
-from pam_antagonist.diagnosis.residual_equations import CHANNELS, PLACES, Equations
+from pam_antagonist.diagnosis.residual_equations import CHANNELS, Equations
+from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.rig.learned import Law
 
 Floats = NDArray[np.float64]
@@ -31,25 +32,6 @@ _SHORT = (0.03, 0.1, 0.3)
 _WIDTHS = (0.1, 0.3, 0.6)
 _NARROW = (0.01, 0.03, 0.1)
 """Widths of play as shares of the argument's range, and those of an encoder."""
-_ARGUMENTS = {
-    "flow": ("none", "pressure", "other_pressure", "pressure_difference", "pressure_sum", "length", "length_rate",
-             "valve_flow", "open_rate", "time"),
-    "valve": ("none", "pressure", "other_pressure", "pressure_difference", "open_rate", "length", "time"),
-    "passage": ("pressure", "length", "valve_flow", "open_rate", "time"),
-    "volume": ("pressure", "length"),
-    "force": ("none", "pressure", "other_pressure", "length", "length_rate", "velocity", "time"),
-    "strength": ("none", "pressure", "other_pressure", "length", "length_rate", "time"),
-    "sensor": ("pressure", "other_pressure", "pressure_difference"), "encoder": ("angle",),
-    "exchange": ("none", "pressure_difference", "pressure_sum", "angle", "velocity", "time"),
-    "supply": ("none", "pressure_1", "pressure_2", "pressure_sum", "time"),
-    "torque": ("none", "angle", "velocity", "pressure_1", "pressure_2", "pressure_difference", "pressure_sum", "time"),
-    "friction": ("none", "speed", "angle", "pressure_1", "pressure_2", "pressure_sum", "time"),
-}  # fmt: skip
-_WITH_MEMORY = {
-    "flow": ("pressure",), "valve": ("open_rate",), "force": ("pressure", "length"), "strength": ("pressure", "length"),
-    "exchange": ("pressure_difference",), "supply": ("draw",), "torque": ("angle", "pressure_difference"),
-    "sensor": ("pressure",), "encoder": ("angle",),
-}  # fmt: skip
 _OF_A_MUSCLE = ("pressure", "other_pressure", "length", "length_rate", "open_rate", "valve_flow")
 
 
@@ -158,7 +140,7 @@ def hats(values: Floats, nodes: Floats) -> Floats:
 def plain_groups(places: Sequence[str]) -> Iterator[Group]:
     """Laws without memory at some places."""
     for place in places:
-        for argument in _ARGUMENTS.get(Group(place).kind, ()):
+        for argument in TABLE[Group(place).kind].arguments:
             yield Group(place, argument)
 
 
@@ -166,7 +148,7 @@ def groups_with_memory(places: Sequence[str], span: Callable[[Group], float]) ->
     """Laws with memory at some places; ``span`` is the range of the argument of a law without memory."""
     for place in places:
         kind = Group(place).kind
-        for argument in _WITH_MEMORY.get(kind, ()):
+        for argument in TABLE[kind].with_memory:
             operators = {"draw": ("lag",), "sensor": ("high_pass",), "encoder": ()}
             for operator in operators.get(argument, operators.get(kind, ("lag", "high_pass"))):
                 for time in _SHORT if kind == "sensor" else _TIMES:
@@ -371,7 +353,7 @@ def _likelihood(one: Equations, place: str, level: float) -> float:
 
 def place_search(recordings: Sequence[Equations]) -> list[Place]:
     """All places by the likelihood of an unknown input there, the likeliest first."""
-    names = [name for name in PLACES if any(name in one.places for one in recordings)]
+    names = list(dict.fromkeys(name for one in recordings for name in one.places))
     nothing = sum(_likelihood(one, "", 0.0) for one in recordings)
     found = []
     for name in names:

@@ -22,6 +22,7 @@ from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import TORQUE, Inputs
 from pam_antagonist.model.effects import parameter_path
+from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.model.parameters import LONGEST_STEP
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, numbers_of
@@ -35,12 +36,6 @@ _ANEW_S = 1.0
 """[s] The joint's motion starts anew so often: a joint that sticks goes elsewhere after the least error."""
 _LONGEST = 2.0 * LONGEST_STEP
 _PARTS = ("air", "torque", "angle")
-_SHOWN_IN: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("flow", "leak", "valve", "passage", "volume", "supply", "exchange"), ("air",)),
-    **dict.fromkeys(("force", "strength"), ("torque", "angle")),
-    **dict.fromkeys(("torque", "friction"), ("angle",)),
-}
-"""Parts of the model in which a law at a place shows; one of sensors in all."""
 _STEP = 0.05
 _TOGETHER = 30.0
 """Blocks that a systematic error of the model makes worth one."""
@@ -262,7 +257,7 @@ class Simulation:
             if law is not None:
                 for k, move in enumerate(_STEP * np.eye(extra)):
                     moved = _moved(law, move * (unit if k < len(values) else 1.0))
-                    columns.append((self.errors(r, moved, own, _SHOWN_IN.get(law.place, _PARTS)) - error) / _STEP)
+                    columns.append((self.errors(r, moved, own, TABLE[law.place].shown_in) - error) / _STEP)
             jacobian = np.clip(_known(np.array(columns) * weight), -1e6, 1e6).reshape(len(columns), -1)
             where = np.r_[at : at + sizes[r], base:total]
             matrix[np.ix_(where, where)] += jacobian @ jacobian.T

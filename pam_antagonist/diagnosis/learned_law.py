@@ -7,7 +7,7 @@ is then diagnosed like any other. Held-out data decide between both diagnoses, b
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
@@ -38,14 +39,6 @@ _SHORTEST_S, _SHORTEST_PART_S = 10.0, 1.0
 """[s] Least length of a recording in which a law is looked for, and of a stretch without holes."""
 _SLOWEST_S = 25e-3
 """[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
-_AIR = {"mass_loss", "open_rate", "open_rate_shift", "voltage_shift", "spool_voltage"}
-_HOOKS: Mapping[str, set[str]] = {
-    **dict.fromkeys(("flow", "leak", "valve", "passage"), _AIR),
-    **dict.fromkeys(("force", "strength"), {"contraction_force", "muscle_force"}),
-    "exchange": {"mass_loss"}, "supply": {"supply_change"}, "sensor": {"sensor_reading"},
-    "torque": {"joint_torque"}, "friction": {"coulomb_torque"},
-}  # fmt: skip
-"""Where effects of the catalogue act as a law at a place does: a flow by pressure and a valve by pressure are one."""
 
 
 def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
@@ -246,7 +239,7 @@ def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
         item.effect: item.muscles[law.muscle - 1] if item.muscles and isinstance(law.muscle, int) else item.score
         for item in ranking if item.round == 1 and item.effect in CATALOGUE
     }  # fmt: skip
-    acts = [name for name in scores if _HOOKS.get(law.place, set()) & set(CATALOGUE[name].hooks)]
+    acts = [name for name in scores if set(TABLE[law.place].alike) & set(CATALOGUE[name].hooks)]
     return tuple(sorted((n for n in acts if scores[n] >= thresholds.LEAST_SCORE), key=lambda name: -scores[name]))
 
 

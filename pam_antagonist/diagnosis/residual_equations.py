@@ -19,16 +19,12 @@ from pam_antagonist.diagnosis.law_kernels import air_columns, motions, observed,
 from pam_antagonist.model import dynamics, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
+from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 
 CHANNELS = ("pressure 1", "pressure 2", "torque", "motion")
-PLACES = (
-    *(f"{kind}_{i}" for kind in ("flow", "valve", "passage", "strength", "sensor", "line") for i in (1, 2, "both")),
-    *(f"{kind}_{i}" for kind in ("volume", "force") for i in (1, 2)),
-    "supply", "exchange", "encoder", "meter", "torque", "friction",
-)  # fmt: skip
 _BLOCK_S = 0.010
 _OLD_S = 0.020
 _OBSERVER_S = 0.15
@@ -266,8 +262,8 @@ def _places(
         scaled = pressure_force[:, i]
         place(f"strength_{n}", torque=lever[:, i] * scaled, motion=shaft * scaled, pulled=True)
         place(f"sensor_{n}", shown_as=own(one), torque=-by_pressure[:, i], pulled=True)
-    for kind in ("flow", "valve", "passage", "strength", "sensor", "line"):
-        if f"{kind}_1" in out:
+    for kind, place_of in TABLE.items():
+        if "both" in place_of.sides and f"{kind}_1" in out:
             (g1, h1), (g2, h2) = out[f"{kind}_1"], out[f"{kind}_2"]
             out[f"{kind}_both"] = (g1 + g2, h1 + h2)
     if valve:

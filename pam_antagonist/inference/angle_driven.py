@@ -26,6 +26,7 @@ from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model.drive import NEEDED, Inputs
 from pam_antagonist.model.effects import CATALOGUE
+from pam_antagonist.model.effects.places import by_derivatives
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -33,8 +34,7 @@ Floats = NDArray[np.float64]
 AIR, BALANCE = "air", "balance"
 """Parts of a driven joint. The catalogue has for each effect which part shows it."""
 
-JOINT_PLACES = ("force_1", "force_2", "strength_1", "strength_2", "strength_both", "torque", "friction")
-AIR_PLACES = ("flow_1", "flow_2", "flow_both", "exchange", "volume_1", "volume_2")
+JOINT_PLACES, AIR_PLACES = by_derivatives("angle"), by_derivatives("air")
 """Where laws may stand in joint and muscles, and in their chambers."""
 _CORNER_HZ = 3.0
 _STEP_S = 4e-3

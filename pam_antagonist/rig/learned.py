@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.model.effects import learned, parameter_path
+from pam_antagonist.model.effects import learned, parameter_path, places
 from pam_antagonist.strict_yaml import unknown
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ LAWS = tuple(f"law{number}" for number in range(1, learned.LAWS + 1))
 _KEYS = ("place", "muscle", "argument", "operator", "time", "width", "nodes", "values")
 OPERATORS = ("none", "lag", "high_pass", "play", "stop")
 OWN = ("pressure", "other_pressure", "length", "length_rate")
-_PASSED = {**dict.fromkeys(("flow", "leak", "passage"), ("open_rate", "valve_flow")), "valve": ("open_rate",)}
-_ONLY: Mapping[str, tuple[str, ...]] = {"sensor": ("pressure",), "volume": ("pressure", "length")}
-"""All that a law at these places may depend on, and without an operator."""
 EVERYWHERE = (
     "none", "pressure_1", "pressure_2", "pressure_difference", "pressure_sum", "angle", "velocity", "speed", "time"
 )  # fmt: skip
@@ -35,14 +32,6 @@ _MOST_DIRECTIONS = 3
 """Most directions in which the filter carries the uncertainty of a law: each costs two sigma points."""
 _PRIOR = 0.3
 """Prior standard deviation of a value without a given one, as a share of the law's largest value."""
-_WHERE = {
-    "flow": "the flow into {m}", "leak": "a leak of {m}", "valve": "the opening of {v}", "sensor": "the sensor of {m}",
-    "force": "the force of {m}", "strength": "the strength of {m}", "torque": "the torque on the joint",
-    "friction": "the joint's friction", "damping": "the joint's viscous friction", "supply": "the supply",
-    "exchange": "the flow from muscle 1 to muscle 2", "passage": "the passage between {v} and its muscle",
-    "encoder": "the encoder", "line": "the line of {m}", "volume": "the volume of {m}", "meter": "the torque meter",
-}  # fmt: skip
-"""Places in words, those too at which no rig has a law."""
 _SHOWN = {"Pa": ("kPa", 1e-3), "rad": ("°", math.degrees(1.0)), "rad/s": ("°/s", math.degrees(1.0)), "m": ("mm", 1e3)}
 _ON = {
     "none": "nothing that was measured", "pressure_difference": "P1 - P2", "pressure_sum": "P1 + P2",
@@ -81,7 +70,7 @@ class Law:
     @property
     def unit(self) -> str:
         """Unit of the values."""
-        return learned.PLACES.get(self.place, "rad")
+        return places.TABLE[self.place].unit
 
     @property
     def argument_unit(self) -> str:
@@ -96,7 +85,7 @@ class Law:
     def where(self) -> str:
         """Its place in words."""
         which = "both muscles" if self.muscle == "both" else f"muscle {self.muscle}"
-        return _WHERE[self.place].format(m=which, v=which.replace("muscle", "valve"))
+        return places.TABLE[self.place].words.format(m=which, v=which.replace("muscle", "valve"))
 
     @property
     def on(self) -> str:
@@ -156,16 +145,22 @@ class Law:
 
     def _arguments(self, signals: Sequence[str]) -> list[str]:
         """What a law at this place may depend on."""
-        if self.place in _ONLY:
-            return list(_ONLY[self.place])
-        own = ["draw"] if self.place in learned.OF_JOINT else [*OWN, *_PASSED.get(self.place, ())]
+        place = places.TABLE[self.place]
+        if place.only:
+            return list(place.only)
+        own = [*OWN, *place.also] if place.sides else ["draw"]
         return [*EVERYWHERE, *own, *(name for name in signals if name not in learned.ARGUMENTS)]
+
+    @property
+    def _is_bound(self) -> bool:
+        """Whether its place allows few arguments, and no operator."""
+        return bool(places.TABLE[self.place].only)
 
     def _wrong_operator(self) -> str:
         if self.operator not in OPERATORS:
             return f"operator: {unknown(str(self.operator), OPERATORS)}; expected one of {', '.join(OPERATORS)}"
-        if self.operator != "none" and (self.place in _ONLY or self.argument in ("none", "time")):
-            what = f"the place {self.place}" if self.place in _ONLY else f"the argument {self.argument}"
+        if self.operator != "none" and (self._is_bound or self.argument in ("none", "time")):
+            what = f"the place {self.place}" if self._is_bound else f"the argument {self.argument}"
             return f"operator: {self.operator}, expected none with {what}"
         if self.argument == "draw" and self.operator != "lag":
             return f"operator: {self.operator}, expected lag with the argument draw"

@@ -53,6 +53,9 @@ def environment(folder: Path, part: str) -> dict[str, str]:
         "MYPY_CACHE_DIR": str(STATE / "mypy"),
         "ROS_LOG_DIR": str(folder / "log"),
         "RUFF_NO_CACHE": "true",
+        "DASK_TEMPORARY_DIRECTORY": str(folder / "dask"),
+        # pip asks rustc for its version, which may lay out a folder of its own in the home.
+        "RUSTUP_HOME": os.environ.get("RUSTUP_HOME", str(Path.home() / ".rustup")),
         # Nodes of tests run beside other work: in the real-time scheduler they would starve it.
         "PAM_ANTAGONIST_PRIORITY": "0",
     }

@@ -15,6 +15,7 @@ from states import random_states
 
 from pam_antagonist.model import drive, dynamics, equilibrium
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.effects import CATALOGUE, places
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, value_path, with_law
 
@@ -316,3 +317,19 @@ def test_a_sensor_s_reading_and_its_inverse(rig: Rig) -> None:
         reading = dynamics.reading(0, pressure, p)
         assert reading == pytest.approx(pressure + theta(law, reading), rel=1e-12)
         assert dynamics.pressure_behind(1, reading, p) == pytest.approx(pressure, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", [name for name, place in places.TABLE.items() if place.hooks])
+def test_a_rig_can_hold_every_law_that_is_looked_for_at_a_place(signalled: Rig, name: str) -> None:
+    """The row of a place is all that the search, the rig file and the equations know of it: they have to agree."""
+    place = places.TABLE[name]
+    muscles = place.sides or (None,)
+    laws = [
+        Law(name, (0.0,) if argument == "none" else (-1.0, 1.0), (1e-3,) if argument == "none" else (0.0, 1e-3),
+            muscle if muscle in (None, "both") else int(muscle), argument)
+        for muscle in muscles for argument in place.arguments
+    ]  # fmt: skip
+    assert all(hook in CATALOGUE["learned"].hooks for hook in place.hooks)
+    for law in laws:
+        assert law.is_of_readings or law.complaint() == "", law
+    assert all(argument in place.arguments or argument == "draw" for argument in place.with_memory)

@@ -66,16 +66,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.model.effects import places
 from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint, played
 
 LAWS, NODES = 12, 15
 """The most laws of a rig, and the most nodes of a law."""
-PLACES = {
-    "flow": "kg/s", "leak": "m2", "exchange": "kg/s", "force": "N", "strength": "-", "valve": "-", "sensor": "Pa",
-    "torque": "N m", "damping": "N m s/rad", "friction": "N m", "supply": "-", "passage": "-", "volume": "-",
-}  # fmt: skip
+PLACES = {name: place.unit for name, place in places.TABLE.items() if place.hooks}
 """Places of a law, with the unit of its values. Their codes are 1, 2 and so on, as those of the other tables."""
-OF_JOINT = ("torque", "damping", "friction", "exchange", "supply")
+OF_JOINT = tuple(name for name in PLACES if not places.TABLE[name].sides)
 """Places that do not belong to a muscle."""
 ARGUMENTS = {
     "none": "-", "pressure_1": "Pa", "pressure_2": "Pa", "pressure_difference": "Pa", "pressure_sum": "Pa",
@@ -371,11 +369,10 @@ def _states(number: int) -> Iterator[AddedState]:
 
 
 IN_HOOKS = {
-    "mass_loss": ("flow", "leak", "exchange", "passage"), "swelling": ("volume",),
-    "open_rate": ("valve",), "supply_change": ("supply",),
-    "contraction_force": ("force", "strength"), "joint_torque": ("torque", "damping"), "coulomb_torque": ("friction",),
-    "sensor_reading": ("sensor",), "sensor_inverse": ("sensor",),
-}  # fmt: skip
+    hook: tuple(name for name in PLACES if hook in places.TABLE[name].hooks)
+    for place in places.TABLE.values()
+    for hook in place.hooks
+}
 """Places that act in each hook; in all others of the effect's functions, laws with states do."""
 EFFECT = Effect(
     name="learned",
