@@ -17,6 +17,7 @@ from pam_antagonist.diagnosis.pipeline import in_words, left
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.splits import Firmness
+from pam_antagonist.diagnosis.verdicts import EFFECT, UNEXPLAINED
 from pam_antagonist.diagnosis.warnings import like_a_curve
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
@@ -99,9 +100,9 @@ class ClosedLoop(Diagnosis):
                 f"to {typed_command('identify')} with the others, and run {typed_command('close_loop')} with the rig "
                 f"file that it writes. Until then, {use or keep}."
             )
-        elif self.verdict == "effect":
+        elif self.verdict == EFFECT:
             out.append(f"Next: repair the joint and record again{f', or {use}' if use else f'; until then, {keep}'}.")
-        elif self.verdict == "unexplained":
+        elif self.verdict == UNEXPLAINED:
             out.append(
                 "Next: read in section What is left when the remaining residual appears and on what it depends. Until "
                 f"its cause is known, {use or keep}."
@@ -321,8 +322,8 @@ class ClosedTrials(FoundFromPressures):
                  "held_out_evidence": item.held_out_evidence}
                 for place, item in self.tried
             ],
-            "unexplained": self.unexplained,
-            "left": [item for one in self.judged if one.verdict == "unexplained" for item in left(one)],
+            UNEXPLAINED: self.unexplained,
+            "left": [item for one in self.judged if one.verdict == UNEXPLAINED for item in left(one)],
             "next_rig": self.next_rig,
             "rig": base.start.name,
             "recordings_sha256": self.hashes,

@@ -21,9 +21,10 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis.ambiguity import not_told_apart
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
-from pam_antagonist.diagnosis.pipeline import overall, verdicts
+from pam_antagonist.diagnosis.pipeline import verdicts
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared, Settings, Timings
-from pam_antagonist.diagnosis.result import FoundEffect, Judged, Verdict
+from pam_antagonist.diagnosis.result import FoundEffect, Judged
+from pam_antagonist.diagnosis.verdicts import UNEXPLAINED, Verdict, overall
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.from_pressures import (
@@ -267,7 +268,7 @@ class FoundFromPressures(Shown):
     @property
     def verdict(self) -> Verdict:
         """``effect``, ``none`` or ``unexplained``."""
-        return overall(self.judged)
+        return overall(one.verdict for one in self.judged)
 
     @property
     def placed(self) -> tuple[tuple[Place, FoundEffect], ...]:
@@ -288,7 +289,7 @@ class FoundFromPressures(Shown):
     @property
     def unexplained(self) -> tuple[Place, ...]:
         """Parts of the model that err, and nothing says by what."""
-        return tuple(place_of(one) for one in self.judged if one.verdict == "unexplained")
+        return tuple(place_of(one) for one in self.judged if one.verdict == UNEXPLAINED)
 
     @property
     def proposed(self) -> FromPressures | None:

@@ -30,8 +30,9 @@ from pam_antagonist.diagnosis import (
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
 from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared
-from pam_antagonist.diagnosis.result import Judged, Verdict
+from pam_antagonist.diagnosis.result import Judged
 from pam_antagonist.diagnosis.search import CatalogueEffect, Score, score_all, search
+from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED, Verdict
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, refit, relinearised
 from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
@@ -123,12 +124,12 @@ class Case:
     @cached_property
     def so_far(self) -> Verdict:
         """The verdict by effects that act throughout alone."""
-        return "effect" if explains(self.ranking.base, self.ranking.model) else self.without_effects
+        return EFFECT if explains(self.ranking.base, self.ranking.model) else self.without_effects
 
     @property
     def without_effects(self) -> Verdict:
         """The verdict if no effect is found."""
-        return "unexplained" if self.ranking.base.has_significant_excess or self.stretches else "none"
+        return UNEXPLAINED if self.ranking.base.has_significant_excess or self.stretches else NONE
 
     @cached_property
     def _points(self) -> list[tuple[Experiment, Point]]:
@@ -159,7 +160,7 @@ class Case:
         """Warnings about the model without effects."""
         base = self.ranking.base
         return (
-            *warnings.above_noise(() if self.so_far == "effect" else self.stretches),
+            *warnings.above_noise(() if self.so_far == EFFECT else self.stretches),
             *warnings.implausible(base),
             *agreement.base_contradictions(base, self.group.held_out if self.prepared.holds_out_recordings else ()),
         )
@@ -178,7 +179,7 @@ class Case:
         held = tuple(along_motion(other) for other in self.group.held_out)
         moving = replace(self, group=replace(self.group, held_out=held), ranking=found)
         judged = _by_effects(moving, (warnings.along_motion(found.base, found.model), *self.notes))
-        return judged if judged.verdict == "effect" else None
+        return judged if judged.verdict == EFFECT else None
 
     def judged(self, verdict: Verdict, share: float | None, notes: Sequence[str] = ()) -> Judged:
         """A verdict without effects."""
@@ -240,11 +241,11 @@ def _leader(case: Case) -> Judged | None:
         return None
     notes = (*_changes(case), *case.notes)
     judged = _by_effects(replace(case, ranking=replace(case.ranking, model=first.model)), notes)
-    return judged if judged.verdict == "effect" else None
+    return judged if judged.verdict == EFFECT else None
 
 
 def _unexplained(case: Case) -> Judged:
-    return case.judged("unexplained", case.ranking.share, _changes(case))
+    return case.judged(UNEXPLAINED, case.ranking.share, _changes(case))
 
 
 class Rule(NamedTuple):
@@ -258,13 +259,13 @@ class Rule(NamedTuple):
 RULES = (
     Rule(None, _begins_or_ends, "what begins late bends the choice of what acts throughout, so it is asked first"),
     Rule("none", _nothing, "no stretch of any recording is above noise, fitted or held out"),
-    Rule("effect", _disturbance_beside, "what effects leave may come and go; the evidence for it has to be strong"),
-    Rule("effect", _effects, "those that are needed beside each other and that most splits support"),
-    Rule("unexplained", _friction_explains, "a law that predicts held-out data comes before a torque of any course"),
-    Rule("unexplained", _disturbance, "a torque that comes and goes explains all, alone or beside effects"),
-    Rule("unexplained", lambda case: case.along_motion, "as good as nothing else explains, where the joint sticks"),
-    Rule("unexplained", _leader, "one effect in another form than its law has no rival that imitates as much"),
-    Rule("unexplained", _unexplained, "nothing of the catalogue explains enough"),
+    Rule(EFFECT, _disturbance_beside, "what effects leave may come and go; the evidence for it has to be strong"),
+    Rule(EFFECT, _effects, "those that are needed beside each other and that most splits support"),
+    Rule(UNEXPLAINED, _friction_explains, "a law that predicts held-out data comes before a torque of any course"),
+    Rule(UNEXPLAINED, _disturbance, "a torque that comes and goes explains all, alone or beside effects"),
+    Rule(UNEXPLAINED, lambda case: case.along_motion, "as good as nothing else explains, where the joint sticks"),
+    Rule(UNEXPLAINED, _leader, "one effect in another form than its law has no rival that imitates as much"),
+    Rule(UNEXPLAINED, _unexplained, "nothing of the catalogue explains enough"),
 )
 """The rules in order: the first one that holds decides."""
 
@@ -276,7 +277,7 @@ def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work) -> Jud
     judged = next(one for one in asked if one is not None)
     found = calibrations.found(ranking, judged.model)
     notes = (*calibrations.differences(found, ranking), *warnings.at_bounds(judged.model))
-    left = case.left if judged.verdict == "unexplained" else ()
+    left = case.left if judged.verdict == UNEXPLAINED else ()
     return replace(judged, calibrations=found, left=left, warnings=(*judged.warnings, *notes))
 
 
@@ -296,9 +297,7 @@ def _by_disturbance(
         return None
     model, found = explained
     notes = (*case.notes, *found.contradictions)
-    return Judged(
-        case.group, case.ranking.base, case.ranking, "effect", share, model, found.effects, found.values, notes
-    )
+    return Judged(case.group, case.ranking.base, case.ranking, EFFECT, share, model, found.effects, found.values, notes)
 
 
 def _by_effects(case: Case, base_notes: Sequence[str]) -> Judged:
@@ -326,7 +325,7 @@ def _by_effects(case: Case, base_notes: Sequence[str]) -> Judged:
     effects = onset.dated(found.effects, model)
     changes = (onset.NOTE,) if any(one.onset_s is not None or one.end_s is not None for one in effects) else ()
     return Judged(
-        group, base, ranking, "effect", share, model, effects, found.values,
+        group, base, ranking, EFFECT, share, model, effects, found.values,
         (*notes, *base_notes, *contradictions, *changes), firm,
     )  # fmt: skip
 

@@ -22,6 +22,7 @@ from pam_antagonist.diagnosis.law_simulation import Subject
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
+from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
 from pam_antagonist.inference.measured_motion import MeasuredMotion
@@ -166,7 +167,7 @@ def _refuse_few_sweeps(found: Diagnosis) -> None:
 
 def _saying(found: Diagnosis, why: str) -> Diagnosis:
     """A diagnosis that also says why it has no further law, where it explains nothing."""
-    return replace(found, sentence=f"{found.sentence} {why}".strip()) if found.verdict == "unexplained" else found
+    return replace(found, sentence=f"{found.sentence} {why}".strip()) if found.verdict == UNEXPLAINED else found
 
 
 def leaves_excess(found: Diagnosis) -> bool:
@@ -177,7 +178,7 @@ def leaves_excess(found: Diagnosis) -> bool:
     """
     events = any(one.onset_s is not None or one.end_s is not None for one in found.effects)
     events = events or (len(found.effects) > 1 and any(one.name == DISTURBANCE for one in found.effects))
-    if found.verdict == "none" or events:
+    if found.verdict == NONE or events:
         return False
     if _is_a_torque_alone(found):
         return True
@@ -297,11 +298,11 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     shown = [one.trial.name for one in driven_law.acting(learned.law, model).experiments]
     here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
     with_law = zip(after.parts, here, strict=True)
-    parts = [replace(part, verdict="effect", share_explained=share) if acts else part for part, acts in with_law]
+    parts = [replace(part, verdict=EFFECT, share_explained=share) if acts else part for part, acts in with_law]
     in_part = share_of_all(*driven_law.all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if in_part else ()
     return replace(
-        after, verdict="effect", sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
+        after, verdict=EFFECT, sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
         effects=(*named, *earlier, effect, *after.effects), by_recording=entries,
         share=share, parts=tuple(parts),
         ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,

@@ -29,10 +29,10 @@ from pam_antagonist.diagnosis.result import (
     HeldOutComparison,
     Judged,
     PartVerdict,
-    Verdict,
 )
 from pam_antagonist.diagnosis.search import about, hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
+from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED, overall
 from pam_antagonist.identification.filter_stage import Given, with_unknown_force, with_unknown_torque
 from pam_antagonist.identification.parts import is_free
 from pam_antagonist.identification.sealed_tuning import EVALUATIONS, tuned
@@ -104,7 +104,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     jobs, progress = settings.jobs, settings.progress
     ended = [_with_held_out_end(j) for j in judged]
     compared = tuple(c for end, j in zip(ended, judged, strict=True) for c in held_out.compare(*end, j.values))
-    rivals = tuple(rival for j in judged if j.verdict == "effect" for rival in ambiguity.ambiguities(j.base, j.model))
+    rivals = tuple(rival for j in judged if j.verdict == EFFECT for rival in ambiguity.ambiguities(j.base, j.model))
     effects = _effects(prepared, judged, rivals)
     ambiguous = ambiguity.not_told_apart(judged, rivals)
     calibrated = tuple(
@@ -135,7 +135,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     # The models without effects, of recordings in which all effects act throughout.
     throughout = [replace(j.base, experiments=tuple(replace(e, spans={}) for e in j.model.experiments)) for j in judged]
     found = Diagnosis(
-        verdict=overall(judged),
+        verdict=overall(j.verdict for j in judged),
         sentence="",
         effects=effects,
         calibrations=calibrated,
@@ -181,10 +181,10 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
 
 def left(judged: Judged) -> list[RemainingResidual]:
     """What a verdict leaves; where nothing explains it, at least the largest residual."""
-    if judged.verdict == "none":
+    if judged.verdict == NONE:
         return []
     known = {(item.recording, item.channel) for item in judged.left}
-    found = describe_remaining(judged.model, judged.verdict == "unexplained" and not known)
+    found = describe_remaining(judged.model, judged.verdict == UNEXPLAINED and not known)
     return [*judged.left, *(item for item in found if (item.recording, item.channel) not in known)]
 
 
@@ -205,12 +205,6 @@ def _all(models: Iterable[Model]) -> Model:
     """The models of all groups as one."""
     columns = zip(*((model.experiments, model.fits, model.effects) for model in models), strict=True)
     return Model(*(tuple(itertools.chain(*each)) for each in columns))
-
-
-def overall(judged: Sequence[Judged]) -> Verdict:
-    """The verdict on all groups together."""
-    verdicts = {j.verdict for j in judged}
-    return "effect" if "effect" in verdicts else "unexplained" if "unexplained" in verdicts else "none"
 
 
 def _effects(prepared: Prepared, judged: Sequence[Judged], rivals: Sequence[Ambiguity]) -> tuple[FoundEffect, ...]:

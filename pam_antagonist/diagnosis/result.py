@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,13 @@ from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import ResidualRow
 from pam_antagonist.diagnosis.splits import Firmness
+from pam_antagonist.diagnosis.verdicts import Verdict
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law
 from pam_antagonist.shown import Shown
 
-Verdict = Literal["effect", "none", "unexplained"]
 MODELS = ("as_configured", "recalibrated", "extended")
 _STAMPED = ("late", "early")
 _WORDS = {

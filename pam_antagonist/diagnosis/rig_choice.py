@@ -19,6 +19,7 @@ from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
 from pam_antagonist.diagnosis.result import MODELS, Diagnosis, HeldOutComparison, RecordingEntry
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
+from pam_antagonist.diagnosis.verdicts import UNEXPLAINED
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
@@ -139,7 +140,7 @@ def _parts_of_one_rig(groups: Sequence[tuple[Group, Model, Mapping[str, float]]]
 
 def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> RigChoice:
     """Decide which rig files are written, and which one is proposed."""
-    errors, explained = found.of_one_rig, found.verdict != "unexplained"
+    errors, explained = found.of_one_rig, found.verdict != UNEXPLAINED
     given = errors["as_configured"]
     extended = RigFile("rig_extended.yaml", found.rig_extended, None, given, errors["extended"])
     recalibrated = RigFile("rig_recalibrated.yaml", found.rig_recalibrated, None, given, errors["recalibrated"])

@@ -14,6 +14,7 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
 from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
+from pam_antagonist.diagnosis.verdicts import TITLES, Verdict
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.replays.result import CHANNELS, TORQUE, Channel
 from pam_antagonist.report import close_loop_findings as said
@@ -41,7 +42,6 @@ from pam_antagonist.shown import MISSING, number, percent
 _KICKER = "Closing the loop with measured data"
 _FEW_WORDS = 300
 """Longest list of what the recordings cannot show [characters] that is among the findings where nothing was found."""
-_TITLES = {"effect": "An effect was found", "none": "Nothing is missing", "unexplained": "Unexplained"}
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
 _CERTAIN = 0.05
 _SHOWN = 10
@@ -130,10 +130,10 @@ def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
     return frame_of(rows, ("effect", "muscle", "parameter", "value", "std", "unit", "delta_bic"))
 
 
-def title_of(verdict: str, effects: Sequence[str]) -> str:
+def title_of(verdict: Verdict, effects: Sequence[str]) -> str:
     """The title of a page: the verdict, or what was found."""
     found = ", ".join(dict.fromkeys(name.replace("_", " ") for name in effects))
-    return f"Found: {found}" if found else _TITLES[verdict]
+    return f"Found: {found}" if found else TITLES[verdict]
 
 
 # ------------------------------------------------------------------ tables and tiles

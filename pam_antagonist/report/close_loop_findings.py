@@ -10,6 +10,7 @@ import numpy as np
 from pam_antagonist.diagnosis import remaining, thresholds
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, HeldOutComparison, SizeProfile
+from pam_antagonist.diagnosis.verdicts import UNEXPLAINED
 from pam_antagonist.inference.point import Span
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.report.document import Block, Finding, Findings, Table, good, note, sentence, warn, words
@@ -69,7 +70,7 @@ def findings(result: ClosedLoop) -> tuple[Finding, ...]:
     out += [
         warn(f"The residual of the {part.name} is above noise, and no effect explains it.")
         for part in result.parts
-        if result.effects and part.verdict == "unexplained"
+        if result.effects and part.verdict == UNEXPLAINED
     ]
     if result.base_friction_removed and any(part.name == "torque" for part in result.parts):
         out.append(note(
