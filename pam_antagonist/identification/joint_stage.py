@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.inference.fit_errors import Rows, with_errors
-from pam_antagonist.inference.free_parameters import LINEAR_FORCE
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.unknowns import (
     Fit,
@@ -36,6 +35,7 @@ from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import TORQUE, Inputs
 from pam_antagonist.model.equilibrium import initial_state, rest_angle
+from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -144,7 +144,7 @@ def _line(slope: Unknown, intercept: Unknown, middle: float, keeps_sign: bool) -
 def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
     """The numbers of joint and muscles that no data sheet tells, with their priors.
 
-    `rig`: as configured, with forces of the form ``braided``.
+    `rig`: as configured, with forces of a data sheet.
     """
     out = []
     for i in (1, 2):
@@ -453,7 +453,7 @@ def fit_joint(
 
 def force_gains(rig: Rig) -> dict[str, float]:
     """The parameters to which the forces of both muscles are in proportion, by dotted path, with their values."""
-    names = LINEAR_FORCE if rig.model.force == "linear" else ("c1",)
+    names = FORMS[rig.model.force].gains
     return {path: rig.value(path) for i in (1, 2) for name in names for path in [f"muscle_{i}.force.{name}"]}
 
 
@@ -462,9 +462,11 @@ def _ways(rig: Rig) -> dict[str, dict[str, float]]:
     out = {}
     middle = 0.5 * (rig.supply.pressure + rig.atmosphere.pressure)
     forces = dynamics.forces(*_at_rest(rig, middle))
-    gain, offset = (("c1",), "c3") if rig.model.force == "braided" else (LINEAR_FORCE, "w2")
+    form = FORMS[rig.model.force]
     for i, force in enumerate(forces, 1):
         path = f"muscle_{i}.force."
-        out[f"force of muscle {i}, gain"] = {path + name: rig.value(path + name) for name in gain}
-        out[f"force of muscle {i}, offset"] = {path + offset: float(force)}
+        out[f"force of muscle {i}, gain"] = {
+            path + name: rig.value(path + name) for name in form.gains if rig.value(path + name)
+        }
+        out[f"force of muscle {i}, offset"] = {path + form.offset: float(force)}
     return out

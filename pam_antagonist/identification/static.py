@@ -17,13 +17,11 @@ from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Undetermined
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import muscle
+from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.program import versions
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import RANGE_WITHOUT_STOP, unphysical
 
-_OFFSET = {"linear": "w2", "hildebrandt": "c4", "sarosi": "c6", "polynomial": "c1", "braided": "c3"}
-"""The coefficient of each form that is a force offset, which is uncertain in a rig by default; the rubber's is one at
-all contractions but the least."""
 _FEW_LENGTHS, _FEW_PRESSURES = 4, 4
 _FAINT = 1e-3
 """[N] An error below which no form is worth changing."""
@@ -147,7 +145,8 @@ def work_out(
         if rig is not None:
             rest = rig.geometry.length
             form = form or rig.model.force
-            nominal = rig.value(f"muscle_{muscles[0]}.force.c6") if rig.model.force == "braided" else 0.0
+            length_of = FORMS[rig.model.force].nominal
+            nominal = rig.value(f"muscle_{muscles[0]}.force.{length_of}") if length_of else 0.0
         forms = compare_forms(force_map, rest, nominal=nominal)
         form = form or _least_error(forms)
         force = _chosen(force_map, forms, form)
@@ -246,7 +245,7 @@ def _doubts_about_force(fit: StaticFit, rig: Rig) -> list[str]:
     # Means over a length: the sensor's noise is no error of the map.
     means = [float(np.mean(item.errors)) for item in fit.left_out if item.measured]
     missed = rms([mean for mean in means if math.isfinite(mean)])
-    offset = f".force.{_OFFSET[rig.model.force]}"
+    offset = f".force.{FORMS[rig.model.force].offset}"
     carried, name = min(((std, name) for name, std in rig.uncertainty.items() if name.endswith(offset)),
                         default=(math.inf, ""))  # fmt: skip
     if missed <= 2.0 * carried:
@@ -293,7 +292,7 @@ def _with_fits(rig: Rig, muscles: Sequence[int], volume: StaticFit | None, force
         _check_other_muscle(rig, muscles, form)
         changes["model"] = rig.model.replaced(force=form)
         # Uncertain offsets have another name in another form.
-        before, after = f".force.{_OFFSET[rig.model.force]}", f".force.{_OFFSET[form]}"
+        before, after = f".force.{FORMS[rig.model.force].offset}", f".force.{FORMS[form].offset}"
         changes["uncertainty"] = {
             name.replace(before, after): std for name, std in rig.uncertainty.items()
             if ".force." not in name or name.endswith(before)

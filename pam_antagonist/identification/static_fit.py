@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -15,20 +15,16 @@ from pam_antagonist.identification.static_table import StaticTable
 from pam_antagonist.identification.tobit import Floats, Undetermined, larger, solve
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
+from pam_antagonist.model.force_forms import FORMS
 
 VOLUME = "volume"
 """The form of volumes: the parabola of equation (3)."""
-UNITS = {
+UNITS: dict[str, Mapping[str, str]] = {
     VOLUME: {"d1": "m", "d2": "m²", "d3": "m³"},
-    "linear": {"v1": "m", "v2": "m²", "w1": "N/m", "w2": "N"},
-    "hildebrandt": dict.fromkeys(("c1", "c2", "c3", "c4", "c5", "c6", "c7"), "N"),
-    "sarosi": {"c1": "N", "c2": "N", "c3": "-", "c4": "N", "c5": "N", "c6": "N"},
-    "polynomial": dict.fromkeys(("c1", "c2", "c3", "c4", "c5", "c6"), "N"),
-    "braided": {"c1": "N", "c2": "-", "c3": "N", "c4": "-", "c5": "-", "c6": "m", "c7": "N"},
+    **{name: form.units for name, form in FORMS.items()},
 }
 """Form -> unit of each coefficient, by its name under ``muscle_i.volume`` or ``muscle_i.force`` in a rig file."""
-_FEWEST_LENGTHS = {VOLUME: 3, "braided": 3}
-"""At two lengths a force has two slopes and two offsets: fewer numbers than ``braided``."""
+_FEWEST_LENGTHS = {VOLUME: 3, **{name: form.fewest_lengths for name, form in FORMS.items()}}
 _EXPONENT = 2
 """Index of the coefficient of ``sarosi`` in which the force is not linear."""
 _FLATTEST, _STEEPEST, _TRIED = 0.02, 20.0, 16
@@ -67,8 +63,9 @@ class Form(NamedTuple):
     def slopes(self, coefficients: Floats, length: Floats, pressure: Floats | float = 0.0) -> Floats:
         """∂value/∂coefficient (N, K)."""
         columns = []
-        for k, unit in enumerate(np.eye(len(coefficients))):
-            if self.name == "braided" or (self.name == "sarosi" and k == _EXPONENT):
+        bent = () if self.name == VOLUME else FORMS[self.name].bent
+        for k, (name, unit) in enumerate(zip(UNITS[self.name], np.eye(len(coefficients)), strict=True)):
+            if name in bent:
                 step = 1e-4 * max(abs(coefficients[k]), 1.0)
                 up, down = (self.value(coefficients + way * unit, length, pressure) for way in (step, -step))
                 columns.append((up - down) / (2.0 * step))
@@ -202,7 +199,7 @@ def fit(table: StaticTable, name: str, rest_length: float = 0.2, nominal: float 
     counts. `nominal`: length of the muscle without pressure and load [m], from which that of ``braided`` counts; 0: the
     longest of the table. Inside the table it changes nothing, beyond its longest length much.
     """
-    if name == "braided":
+    if name != VOLUME and FORMS[name].nominal:
         rest_length = nominal or float(table.length.max())
     form, bend = Form(name, rest_length, table.atmosphere), _BEND * float(table.value.max())
     whole = _fitted(table, form, bend)

@@ -20,6 +20,7 @@ from pam_antagonist.inference.expected import expected_sizes
 from pam_antagonist.inference.unknowns import Unknown
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, Form, parameter_path
+from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive
 from pam_antagonist.rig.schema import limits
@@ -42,7 +43,6 @@ _FLOW = (
     "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure",
 )  # fmt: skip
 _MOTION = ("joint.inertia", "joint.viscous_friction")
-LINEAR_FORCE = ("v1", "v2", "w1", "w2")
 """Coefficients of the paper's force map F = v(l) P + w(l)."""
 _FRICTION = {
     "kikuuwe": ("friction.shaft", "friction.muscle"),
@@ -102,7 +102,12 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
 
 
 def _by_default(rig: Rig) -> set[str]:
-    names = {f"muscle_{i}.force.{c}" for i in (1, 2) for c in _coefficients(rig) if rig.value(f"muscle_{i}.force.{c}")}
+    names = {
+        f"muscle_{i}.force.{c}"
+        for i in (1, 2)
+        for c in FORMS[rig.model.force].moves
+        if rig.value(f"muscle_{i}.force.{c}")
+    }
     names |= set(_FRICTION[rig.model.friction])
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
     sizes = [name for name, item in EFFECT_PARAMETERS.items() if item.is_size and not item.fixed]
@@ -113,15 +118,6 @@ def _by_default(rig: Rig) -> set[str]:
         names |= {"effects.regulator_lag.damping"}
         present -= {name for name in present if name.startswith("effects.regulator_") and name[-1] not in "12"}
     return {name for name in names if rig.value(name)} | present | set(expected_sizes(rig))
-
-
-def _coefficients(rig: Rig) -> tuple[str, ...]:
-    """Coefficients of the force map that recordings can determine."""
-    if rig.model.force == "linear":
-        return LINEAR_FORCE
-    return (
-        ("c1", "c2", "c3") if rig.model.force == "braided" else tuple(f"c{k}" for k in range(1, par.COEFFICIENTS + 1))
-    )
 
 
 def _prior(name: str, start: float) -> float:
@@ -217,7 +213,7 @@ def _single(rig: Rig, path: str, free_only: bool = False) -> FreeDirection:
 
 def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
     if rig.model.force != "linear":
-        return [_single(rig, f"{path}{name}") for name in _coefficients(rig)]
+        return [_single(rig, f"{path}{name}") for name in FORMS[rig.model.force].moves]
     middle = rig.geometry.length
     directions = []
     for slope, intercept in (("v1", "v2"), ("w1", "w2")):

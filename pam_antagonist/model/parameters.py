@@ -17,13 +17,14 @@ from numpy.polynomial.chebyshev import chebpts1
 
 from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, learned, parameter_path
 from pam_antagonist.model.effects.base import SIGNALS
+from pam_antagonist.model.force_forms import FORMS
 
 TERMS = 16
 """Coefficients of the polynomial of the subsonic flow (:func:`series`)."""
 MAX_KNOTS = 24
 """The most points that a valve curve may have."""
 
-FORCE_FORMS = ("linear", "hildebrandt", "sarosi", "polynomial", "braided")
+FORCE_FORMS = tuple(FORMS)
 """Forms of the static force map (``muscle.force``)."""
 FRICTION_LAWS = ("kikuuwe", "simple", "tondu", "none")
 """Laws of friction (``joint.friction_torque``)."""

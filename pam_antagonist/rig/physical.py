@@ -11,6 +11,7 @@ from pam_antagonist.model import dynamics, equilibrium, flow, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.base import SIGNALS
+from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.rig import learned
 from pam_antagonist.rig.schema import Rig, limits
 from pam_antagonist.strict_yaml import unknown
@@ -111,9 +112,9 @@ def _bad_muscles(rig: Rig) -> Iterator[str]:
     bound = angle_range(rig)
     for i, name in enumerate(("muscle_1", "muscle_2")):
         force = getattr(rig, name).force
-        for key in ("c1", "c2", "c3", "c4", "c6", "c7") if rig.model.force == "braided" else ():
+        for key in FORMS[rig.model.force].positive:
             if not (value := getattr(force, key)) > 0.0:
-                yield f"{name}.force.{key}: {value:g}, expected above 0 with model.force: braided"
+                yield f"{name}.force.{key}: {value:g}, expected above 0 with model.force: {rig.model.force}"
         for angle in (-bound, 0.0, bound):
             travel, _, _ = muscle.leverage(angle, p)
             length = muscle.length(i, travel, p)
