@@ -81,7 +81,7 @@ class Strict(BaseModel):
         return self.dict(**how) if _OLD else self.model_dump(**how)
 
 
-class Line(Strict):
+class JsonLine(Strict):
     """A line of JSON; keys of later versions are left out."""
 
     if _OLD:

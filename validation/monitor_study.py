@@ -35,7 +35,7 @@ from pam_antagonist.cli import common
 from pam_antagonist.cli.monitor import search as searched
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor
-from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding, alike
+from pam_antagonist.diagnosis.monitor_blocks import WINDOW, MonitorFinding, alike
 from pam_antagonist.errors import BadInput
 from pam_antagonist.report.document import Table
 from pam_antagonist.rig import Encoder, Rig, load_rig
@@ -80,7 +80,7 @@ class Watched:
         self.joint.run(1)  # compiles
         self.seconds, self.searches, self._kept = [0.0, 0.0], searches, deque[Samples](maxlen=WINDOW)
 
-    def second(self) -> list[list[Finding]]:
+    def second(self) -> list[list[MonitorFinding]]:
         """What each monitor finds after the next second."""
         samples = self.joint.run(1)
         self._kept.append(samples)
@@ -183,7 +183,7 @@ def _is(fault: Fault, item: Any) -> bool:
     return (item.name, item.muscle) == (fault.name, fault.muscle)
 
 
-def _named(fault: Fault, findings: list[Finding]) -> bool:
+def _named(fault: Fault, findings: list[MonitorFinding]) -> bool:
     label = f"{fault.name} {fault.muscle}" if fault.muscle else fault.name
     return _is(fault, findings[0].watched) or label in alike(findings)
 

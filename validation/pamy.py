@@ -30,7 +30,7 @@ from pam_antagonist.cli.common import JOBS
 from pam_antagonist.diagnosis.episodes import Row, diagnose
 from pam_antagonist.identification.regulators import of_commands, pressures_of
 from pam_antagonist.inference.bootstrap import Interval, rmse
-from pam_antagonist.inference.held_episodes import Held, held_out, last
+from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out, last
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import available
 from pam_antagonist.recording.csv_import import read_csv
@@ -38,7 +38,7 @@ from pam_antagonist.recording.csv_map import load_map
 from pam_antagonist.recording.recording import Recording
 from pam_antagonist.report import episodes as report
 from pam_antagonist.report import html
-from pam_antagonist.report.document import Block, Finding, Findings, Section, Text, note, number, percent
+from pam_antagonist.report.document import Block, Findings, Section, Statement, Text, note, number, percent
 from pam_antagonist.report.history import HistoryResult
 from pam_antagonist.report.identify_episodes import interval, regulators_sentences, regulators_table
 from pam_antagonist.rig import load_rig
@@ -122,7 +122,7 @@ def _progress(text: str) -> None:
     print(f"pamy: {text}", file=sys.stderr, flush=True)
 
 
-def _left(found: Iterable[Finding]) -> Findings:
+def _left(found: Iterable[Statement]) -> Findings:
     """What was found; what was tried and left is in ``report.html``, numbers that change are in the table."""
     others = re.compile("is not needed|is left as configured|^These numbers change")
     return Findings(tuple(item for item in found if not others.search(item.text)))
@@ -142,7 +142,7 @@ def _trees(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
     return Sensed([np.asarray(fitted.predict(late(one, LAGS_S))) for one in held], None, 0)
 
 
-def without_physics(joint: PressureDriven, held: Held, window: float) -> tuple[Row, ...]:
+def without_physics(joint: PressureDriven, held: EpisodeSplit, window: float) -> tuple[Row, ...]:
     """Errors of models of the angle without physics, fitted and judged on the episodes on which the joint's model is.
 
     `window`: share of the fitted episodes, the last, for a model of later episodes. The network gets all of them only.

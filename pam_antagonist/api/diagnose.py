@@ -11,7 +11,7 @@ from pam_antagonist.blas import one_blas_thread
 from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
-from pam_antagonist.diagnosis.hypotheses import Checkpoint
+from pam_antagonist.diagnosis.hypotheses import ResumeFolder
 from pam_antagonist.diagnosis.learned_law import with_laws
 from pam_antagonist.diagnosis.preparation import Settings, silent
 from pam_antagonist.errors import BadInput
@@ -154,7 +154,7 @@ def diagnose(
     progress: Callable[[str], None] | None = None,
     profiles: bool = True,
     estimator: bool = True,
-    store: Checkpoint | None = None,
+    store: ResumeFolder | None = None,
     also: Sequence[str] = (),
 ) -> Result:
     """Find the physical effect that a rig's model lacks, as ``close_loop`` does.
@@ -213,7 +213,7 @@ def diagnose(
         recording.in_one_piece()
     run = partial(
         _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed,
-        progress=progress or silent, profiles=profiles, estimator=estimator, store=store or Checkpoint(),
+        progress=progress or silent, profiles=profiles, estimator=estimator, store=store or ResumeFolder(),
     )  # fmt: skip
     diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or silent)
     return widened(

@@ -23,7 +23,7 @@ from pam_antagonist.report import identify_episodes
 from pam_antagonist.report.history import FORCE, HistoryResult, Limit, values_of
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig, load_rig
-from pam_antagonist.rig.logbook import Entry, Span, append, book_of, identity, measured, read
+from pam_antagonist.rig.logbook import Entry, RecordingSpan, append, book_of, identity, measured, read
 
 __all__ = ["HistoryResult", "Limit", "history", "log"]
 
@@ -108,7 +108,9 @@ def log(
 
 def entry(command: str, recordings: Sequence[Recording], rig: Rig, result: object, made: Rig | None = None) -> Entry:
     """What a command found, as an entry. `made`: the rig that came out of it."""
-    spans = tuple(Span.of(bag_name(one.path), began_ns(one), one.duration_s, recording_hash(one)) for one in recordings)
+    spans = tuple(
+        RecordingSpan.of(bag_name(one.path), began_ns(one), one.duration_s, recording_hash(one)) for one in recordings
+    )
     return Entry(
         at=datetime.datetime.now(datetime.timezone.utc).replace(microsecond=0), command=command, rig=identity(rig),
         recordings=spans, made="" if made is None else identity(made), **_content(result),

@@ -271,7 +271,7 @@ def _unit_findings(quantity: str, what: str, unit: str, typed: str, why: str = "
 
 
 @dataclass(frozen=True)
-class Direction:
+class SignAndSize:
     """Sign and size of a measured channel relative to the model."""
 
     channel: str  # ``angle`` or ``torque``
@@ -280,7 +280,7 @@ class Direction:
     correlation: float = 1.0
 
 
-def directions_of(recording: Recording, model: Prediction, joint: str) -> list[Direction]:
+def directions_of(recording: Recording, model: Prediction, joint: str) -> list[SignAndSize]:
     """Sign and size of angle and torque relative to the model, where they correlate with it."""
     out = []
     if joint == "free" and recording.angle is not None and range_of(model.angle) > STILL_ANGLE:
@@ -291,7 +291,7 @@ def directions_of(recording: Recording, model: Prediction, joint: str) -> list[D
     for channel, values, expected in out:
         rho = correlation(values, expected)
         if abs(rho) >= GOES_WITH:
-            found.append(Direction(channel, 1 if rho > 0.0 else -1, ratio_to(values, expected), abs(rho)))
+            found.append(SignAndSize(channel, 1 if rho > 0.0 else -1, ratio_to(values, expected), abs(rho)))
     return found
 
 
@@ -306,7 +306,7 @@ _WORDS = {
 
 
 def which_is_exchanged(
-    arranged: Arrangement, directions: Sequence[Direction], now: Corrections, typed: Corrections
+    arranged: Arrangement, directions: Sequence[SignAndSize], now: Corrections, typed: Corrections
 ) -> tuple[list[Finding], Corrections]:
     """The corrections with which pressures, angle and torque agree with the model, with the fewest options to type.
 
@@ -361,7 +361,9 @@ def _changes(names: Sequence[str], given: dict[str, bool]) -> Finding:
     return Finding("wrong", "", options, leave_out)
 
 
-def unit_of(direction: Direction, now: Corrections, typed: Corrections, tolerance: float) -> tuple[list[Finding], str]:
+def unit_of(
+    direction: SignAndSize, now: Corrections, typed: Corrections, tolerance: float
+) -> tuple[list[Finding], str]:
     """Findings about the unit of angle or torque, and the unit.
 
     `now`: corrections so far; a unit in them that is not the given one was found by the values alone.

@@ -45,7 +45,7 @@ from pam_antagonist.program import INTERRUPTED, typed
 from pam_antagonist.recording import corrections
 
 if TYPE_CHECKING:
-    from pam_antagonist.diagnosis.hypotheses import Checkpoint
+    from pam_antagonist.diagnosis.hypotheses import ResumeFolder
     from pam_antagonist.recording import Recording
     from pam_antagonist.rig import Rig
 
@@ -114,7 +114,7 @@ def _in_one_go(
 def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> int:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
     from pam_antagonist.api.given import calibration
-    from pam_antagonist.diagnosis.hypotheses import Checkpoint
+    from pam_antagonist.diagnosis.hypotheses import ResumeFolder
     from pam_antagonist.recording import bag_hash, bag_name
 
     kept = arguments.out.parent / f"{arguments.out.name}.part"
@@ -122,7 +122,7 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
     hashes = [bag_hash(recording.path) for recording in recordings]
     holdout = [bag_name(recording.path) for recording in recordings[len(arguments.bags) :]] or share
-    store = Checkpoint(kept.absolute())
+    store = ResumeFolder(kept.absolute())
     store.claim({
         # What finished candidates depend on.
         "recordings": hashes,
@@ -166,7 +166,7 @@ def _note_down(arguments: argparse.Namespace, recordings: Sequence[Recording], r
 
 def _diagnosed(
     arguments: argparse.Namespace, rig: Rig, recordings: Sequence[Recording], share: float,
-    store: Checkpoint | None = None,
+    store: ResumeFolder | None = None,
 ) -> Any:  # fmt: skip
     from pam_antagonist.api.diagnose import diagnose
 

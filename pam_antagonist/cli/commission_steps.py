@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pam_antagonist.cli.driving import SIMULATED, Driven, Owner, drive, how_to_watch, limits_of, stay_apart
+from pam_antagonist.cli.driving import SIMULATED, DrivenExperiment, Owner, drive, how_to_watch, limits_of, stay_apart
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.design import Plan, designed
@@ -159,7 +159,7 @@ class Commission:
                     "(simulated joint only)"
                 ) from None
 
-    def _driven(self, name: str, plan: Plan, program: Program | None = None) -> Driven:
+    def _driven(self, name: str, plan: Plan, program: Program | None = None) -> DrivenExperiment:
         """Drive the joint and record it, into a new folder."""
         number = next(k for k in count(1) if not (self._out / f"{name}_{k}").exists())
         folder = self._out / f"{name}_{number}"

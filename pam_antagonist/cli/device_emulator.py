@@ -61,7 +61,7 @@ def parser() -> common.Parser:
 def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.hardware.calibration import Converter, load_calibration
     from pam_antagonist.hardware.emulator import Emulator, Port, VoltageLog
-    from pam_antagonist.hardware.firmware import Firmware, Settings
+    from pam_antagonist.hardware.firmware import DeviceSettings, Firmware
     from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan, parse_fault
     from pam_antagonist.hardware.protocol import Feature
     from pam_antagonist.nodes.spin import hurry
@@ -92,11 +92,11 @@ def _main(arguments: argparse.Namespace) -> int:
     features |= Feature(0) if calibration.encoder is None else Feature.ENCODER
     features |= Feature(0) if calibration.torque is None else Feature.TORQUE
     features |= Feature.VOLTS if calibration.unit == "V" else Feature(0)
-    settings = Settings(
+    settings = DeviceSettings(
         name="emulator", features=features, period_us=round(rig.sample_period * 1e6), voltage_min=low, voltage_max=high,
         safe_voltage=power_on,
     )  # fmt: skip
-    stopping = _Stop()
+    stopping = _Stopped()
     with ExitStack() as stack:
         log = None if arguments.log is None else stack.enter_context(_log(arguments.log))
         orders = None
@@ -122,7 +122,7 @@ def _main(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-class _Stop:
+class _Stopped:
     """Set by a signal, or when the process that this one is to end with is gone."""
 
     def __init__(self) -> None:

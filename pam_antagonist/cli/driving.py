@@ -82,7 +82,7 @@ class Owner:
         return [*ros_arguments(given, {}), *files]
 
 
-class Driven(NamedTuple):
+class DrivenExperiment(NamedTuple):
     """What came of an experiment."""
 
     bag: Path
@@ -139,7 +139,7 @@ def how_to_watch() -> str:
     return f"to watch it in the browser: ROS_DOMAIN_ID={os.environ.get('ROS_DOMAIN_ID', '0')} {typed('watch')}"
 
 
-def drive(owner: Owner, plan: Plan, out: Path, rig: Rig, program: Program | None = None) -> Driven:
+def drive(owner: Owner, plan: Plan, out: Path, rig: Rig, program: Program | None = None) -> DrivenExperiment:
     """Drive the joint and record it into ``out/bag``, with ``out/plan.json`` as a note where there is one.
 
     `program` drives it in place of the plan's voltages; the plan then says where the joint rests, and its limits.
@@ -157,7 +157,7 @@ def drive(owner: Owner, plan: Plan, out: Path, rig: Rig, program: Program | None
         begun_ns, ended = _through_nodes(owner, plan, program, rig.drive, out)
     if (out / "plan.json").exists():
         write_notes(out / "bag", {PLAN_NOTE: (out / "plan.json").read_text(encoding="utf-8")})
-    return Driven(out / "bag", begun_ns, ended)
+    return DrivenExperiment(out / "bag", begun_ns, ended)
 
 
 def _through_nodes(owner: Owner, plan: Plan, program: Program, drive: str, out: Path) -> tuple[int, str]:

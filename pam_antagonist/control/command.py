@@ -95,7 +95,7 @@ class VoltageLimits:
         return (float(voltage[0]), float(voltage[1]))
 
 
-class Law:
+class ControlLaw:
     """Base class of the control laws: the last voltages, safe voltages, and bumpless starts.
 
     The safe voltages (2,) [V] are commanded without a usable reference or estimate, and at the start. After an

@@ -55,7 +55,7 @@ _LEAST_STIFFNESS = 1e-3
 """[N m/rad] Lower bound that prevents a division by zero."""
 
 
-class Limits(NamedTuple):
+class JointLimits(NamedTuple):
     """Limits of a joint; infinite: no limit."""
 
     lowest_pressure: float  # of either muscle, absolute [Pa]
@@ -156,7 +156,7 @@ class Governor:
     samples at which one did.
     """
 
-    def __init__(self, p: np.ndarray, box: Box, limits: Limits, level: float = 0.999, push: float = 0.3) -> None:
+    def __init__(self, p: np.ndarray, box: Box, limits: JointLimits, level: float = 0.999, push: float = 0.3) -> None:
         if not 0.5 <= level < 1.0:
             raise BadInput(f"governor's level {level!r}: expected a probability from 0.5 to below 1")
         if not (math.isfinite(push) and push >= 0.0):

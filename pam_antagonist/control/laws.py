@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pam_antagonist.control.command import PI_MODES, Command, Law, Mode
+from pam_antagonist.control.command import PI_MODES, Command, ControlLaw, Mode
 from pam_antagonist.control.governor import Governor
 from pam_antagonist.control.model_law import ModelController, Seen, wanted_pressures
 from pam_antagonist.control.pi import PiController
@@ -143,7 +143,7 @@ class Laws:
         first = pi or model
         if first is None:
             raise BadInput("no law of control: expected the PI, the law through the model, or both")
-        self.active: Law = first
+        self.active: ControlLaw = first
         self.name = "model" if pi is None else "pi"
         self.choose(name, None)
 

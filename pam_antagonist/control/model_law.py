@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist._jit import in_place, inlined
-from pam_antagonist.control.command import Command, Law, Mode, Status, VoltageLimits
+from pam_antagonist.control.command import Command, ControlLaw, Mode, Status, VoltageLimits
 from pam_antagonist.control.stiffness import Box, set_pressures
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import composition, dynamics, equilibrium, flow, muscle
@@ -189,8 +189,8 @@ def _step(of_torque, value, stiffness, seen, integral, gains, period, box, leads
     return u_1, u_2, first, second, softest, stiffest, missing, integral
 
 
-class ModelController(Law):
-    """Angle or torque with stiffness, one command for each estimate. See :class:`Law` for what it is made with.
+class ModelController(ControlLaw):
+    """Angle or torque with stiffness, one command for each estimate. See :class:`ControlLaw` for what it is made with.
 
     `reached`: wanted pressures of the last sample; None: nothing yet.
     """

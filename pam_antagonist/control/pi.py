@@ -25,7 +25,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pam_antagonist.control.command import PI_MODES, Command, Law, Mode, Status, VoltageLimits
+from pam_antagonist.control.command import PI_MODES, Command, ControlLaw, Mode, Status, VoltageLimits
 from pam_antagonist.errors import BadInput
 
 
@@ -47,7 +47,7 @@ FAST_GAINS: Mapping[Mode, Gains] = {Mode.ANGLE: Gains(70.0, 70.0), Mode.TORQUE: 
 the time. Chosen in simulation, seed 0, from twenty pairs; not tried on a real joint."""
 
 
-class PiController(Law):
+class PiController(ControlLaw):
     """PI control of an antagonistic pair: one command for each estimate."""
 
     def __init__(

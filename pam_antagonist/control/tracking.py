@@ -46,7 +46,7 @@ SETTLED = 0.05
 
 
 @dataclass(frozen=True)
-class Step:
+class ReferenceStep:
     """One constant stretch of the reference."""
 
     start_s: float  # from the first sample [s]
@@ -60,7 +60,7 @@ class Step:
 class Tracking:
     """How a reference was followed, in rad or N m."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[ReferenceStep, ...]
     rmse: float  # root mean square of reference - measured over all samples
     largest: float
     worst_steady_error: float  # largest steady error of all steps; NaN if no step was long enough
@@ -136,7 +136,7 @@ def tracking(stamp_ns: Stamps, reference: Floats, measured: Floats) -> Tracking:
     )
 
 
-def _step(time: Floats, reference: float, before: float, error: Floats) -> Step:
+def _step(time: Floats, reference: float, before: float, error: Floats) -> ReferenceStep:
     start, length = float(time[0]), float(time[-1] - time[0])
     steady = float("nan")
     if length >= SHORTEST_STEP:
@@ -145,7 +145,7 @@ def _step(time: Floats, reference: float, before: float, error: Floats) -> Step:
     outside = np.flatnonzero(~(error <= SETTLED * abs(reference - before)))
     settled = outside[-1] + 1 if len(outside) else 0
     settling = float(time[settled]) - start if settled < len(time) else float("nan")
-    return Step(start, length, reference, steady, settling)
+    return ReferenceStep(start, length, reference, steady, settling)
 
 
 _leverage, _length, _length_rate, _volume = muscle.leverage, muscle.length, muscle.length_rate, muscle.volume

@@ -25,7 +25,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import norm
 
 from pam_antagonist.design import information, optimal
-from pam_antagonist.design.information import Course, Departure, Information, predicted_std, unknowns
+from pam_antagonist.design.information import Departure, Information, SimulatedPiece, predicted_std, unknowns
 from pam_antagonist.design.optimal import FORBIDDEN, STEP, Limits, Plan, held
 from pam_antagonist.diagnosis.thresholds import STRONG
 from pam_antagonist.errors import BadInput
@@ -61,7 +61,7 @@ _SENSORS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class ExpectedOutcome:
     """The expected outcome of an experiment."""
 
     plan: Plan
@@ -79,7 +79,7 @@ def without(rig: Rig, effect: str) -> Rig:
     return rig.replaced(effects={name: dict(values) for name, values in rig.effects.items() if name != effect})
 
 
-class Question:
+class Distinction:
     """Whether one effect can be distinguished from another, updated as an experiment grows from the begin of a plan.
 
     `channels` are those that are measured, indices of ``CHANNELS`` or of the gauges; `step` of the integration [s].
@@ -114,7 +114,7 @@ class Question:
         """d² of what was added so far."""
         return self._distance(self._matrix)
 
-    def course(self, voltage: Floats) -> Course:
+    def course(self, voltage: Floats) -> SimulatedPiece:
         """The simulated experiment under voltages (N, 2) [V]."""
         return self._work.along(self._states, voltage)
 
@@ -124,15 +124,15 @@ class Question:
         course = self.course(held(np.array([(high, low), (low, high), (high, high), (low, low)]), 4.0, step))
         return bool(np.isfinite(course.slopes).all() and np.isfinite(course.shown).all())
 
-    def std(self, course: Course) -> Floats:
+    def std(self, course: SimulatedPiece) -> Floats:
         """Standard deviations of a prediction (N, 4)."""
         return predicted_std(course, self._spread)
 
-    def with_course(self, course: Course, rows: int) -> float:
+    def with_course(self, course: SimulatedPiece, rows: int) -> float:
         """d² with the first rows of a course in addition."""
         return self._distance(self._matrix + self._work.matrix(replace(course, slopes=course.slopes[:rows])))
 
-    def take(self, course: Course) -> None:
+    def take(self, course: SimulatedPiece) -> None:
         """Add a course, and continue from its end."""
         self._matrix = self._matrix + self._work.matrix(course)
         self._states = course.ends
@@ -160,7 +160,7 @@ def imitation(rig: Rig, effect: str, rival: str) -> Rig:
     rest = np.array(steady_voltage(plain, pressure))
     best: tuple[float, Rig] | None = None
     for step in _STEPS:
-        voltage = excitation.profile("steps", _TYPICAL_S, step, 1, excitation.Span(rest=rest[0]))
+        voltage = excitation.profile("steps", _TYPICAL_S, step, 1, excitation.DriveVoltages(rest=rest[0]))
         work, there = Information(plain, (*base, *departures), step=step), Information(rig, (), step=step)
         course = work.along(work.start((pressure, pressure), rest), voltage)
         shown = there.along(there.start((pressure, pressure), rest), voltage).shown - course.shown
@@ -204,7 +204,7 @@ def told_apart(
     seed: int = 0,
     channels: Sequence[int] = tuple(range(len(CHANNELS))),
     progress: Callable[[float], None] | None = None,
-) -> Verdict:
+) -> ExpectedOutcome:
     """The experiment that best distinguishes an effect from its rivals, no longer than needed.
 
     `seconds` is its longest time [s], :data:`SHORTEST` at least; `channels` are those that are measured.
@@ -241,21 +241,21 @@ def told_apart(
 
     plan = optimal.grown(start, merit, take, blocks(), step, seed, progress)
     chances = {rival: _surest(pair) for rival, pair in by_rival.items()}
-    return Verdict(plan, min(chances.values()), chances)
+    return ExpectedOutcome(plan, min(chances.values()), chances)
 
 
-def _surest(questions: Sequence[Question]) -> float:
+def _surest(questions: Sequence[Distinction]) -> float:
     """Chance that the evidence decides, whichever effect is present."""
     return min(chance(question.distance) for question in questions)
 
 
 def _questions(
     rig: Rig, effect: str, rivals: Sequence[str], start: Plan, channels: Sequence[int]
-) -> tuple[dict[str, list[Question]], float]:
+) -> tuple[dict[str, list[Distinction]], float]:
     """For each rival both questions (effect or rival present), and the integration step [s]."""
     pairs = {rival: ((rig, effect, rival), (imitation(rig, effect, rival), rival, effect)) for rival in rivals}
     for step in _STEPS:
-        questions = {rival: [Question(*one, start, channels, step) for one in pair] for rival, pair in pairs.items()}
+        questions = {rival: [Distinction(*one, start, channels, step) for one in pair] for rival, pair in pairs.items()}
         if all(question.stable(start.limits.voltage, step) for pair in questions.values() for question in pair):
             break
     return questions, step
@@ -271,7 +271,7 @@ def promised(rig: Rig, effect: str, rivals: Sequence[str], plan: Plan, channels:
 
 
 def instead_of(
-    rig: Rig, effect: str, rivals: Sequence[str], verdict: Verdict, channels: Sequence[int]
+    rig: Rig, effect: str, rivals: Sequence[str], verdict: ExpectedOutcome, channels: Sequence[int]
 ) -> tuple[str, ...]:
     """Further sensors, or the other condition of the joint, that would decide; each is tried by a design."""
     plan, out = verdict.plan, []

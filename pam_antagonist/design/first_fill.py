@@ -50,7 +50,7 @@ _MISSING_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class Fault:
+class WiringFault:
     """Something that is not wired, or does not work, as the rig file says."""
 
     name: str
@@ -80,11 +80,11 @@ _SENTENCES = {
 }
 
 
-def _fault(name: str, i: int | None = None, **values: object) -> Fault:
+def _fault(name: str, i: int | None = None, **values: object) -> WiringFault:
     """The fault of a name. `i`: of a muscle, 0 or 1, with its valve and its sensor."""
     which = "" if i is None else f"_{i + 1}"
     sentence = _SENTENCES[name].format(number=0 if i is None else i + 1, **values)
-    return Fault(f"{name.split(maxsplit=1)[0]}{which}", sentence)
+    return WiringFault(f"{name.split(maxsplit=1)[0]}{which}", sentence)
 
 
 def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
@@ -112,7 +112,7 @@ def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
     return Plan(np.concatenate(rows), rig.sample_period, "free", 0.0, limits, low, (first, second))
 
 
-def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None = None) -> list[Fault]:
+def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None = None) -> list[WiringFault]:
     """Faults that a recording of the experiment shows; empty if there are none.
 
     `pressure`: measured (N, 2) [Pa], one row a sample period from the start of the experiment. `angle`: measured (N,)
@@ -172,12 +172,12 @@ def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
     return np.array([there[1] - there[0], there[3] - there[2]])
 
 
-def dead_sensors(pressure: Floats) -> list[Fault]:
+def dead_sensors(pressure: Floats) -> list[WiringFault]:
     """Faults of sensors whose pressures (N, 2) [Pa] are missing, impossible or constant; empty if there are none."""
     return [fault for i in (0, 1) for fault in _dead(i, pressure[:, i])]
 
 
-def _dead(i: int, values: Floats) -> list[Fault]:
+def _dead(i: int, values: Floats) -> list[WiringFault]:
     missing = float(np.mean(~np.isfinite(values)))
     if missing > _MISSING_SHARE:
         return [_fault("dead_sensor", i, seen=f"shows nothing in {missing:.0%} of the samples")]
@@ -189,7 +189,7 @@ def _dead(i: int, values: Floats) -> list[Fault]:
     return []
 
 
-def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[Fault]:
+def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[WiringFault]:
     """Faults that the recording of :class:`FirstAir` shows, of a guessed rig file; empty if there are none."""
     if found := dead_sensors(recording.pressure):
         return found
@@ -210,7 +210,7 @@ def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> lis
 
 def _of_valves(
     follows: NDArray[np.bool_], gauge: Floats, usual: Floats, level: Floats, turned: tuple[Floats, Floats] | None
-) -> list[Fault]:
+) -> list[WiringFault]:
     """Faults that show in which sensor (columns) follows which valve (rows).
 
     `gauge`: pressures before (2,) [Pa], and what is usual; `level`: absolute ones (2,) [kPa]. `turned`: how far the
@@ -230,14 +230,14 @@ def _of_valves(
     return found
 
 
-def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[Fault]:
+def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[WiringFault]:
     """Sensors with a wrong zero, judged once both muscles are vented and at rest."""
     vented, before = _means(pressure, rig.sample_period, np.array([ends[-1], ends[-1] - 0.5]))
     off, still = vented - rig.atmosphere.pressure, np.abs(vented - before) < _STILL
     return [_fault("zero", i, off=off[i] / 1e3) for i in (0, 1) if still[i] and abs(off[i]) > _ZERO]
 
 
-def _lost(full: Floats) -> list[Fault]:
+def _lost(full: Floats) -> list[WiringFault]:
     weaker = int(np.argmin(full))
     if np.all(full < _WEAK):
         return [_fault("weak_supply", share=np.max(full))]
@@ -255,7 +255,7 @@ def _sign(turned: tuple[Floats, Floats]) -> float:
     return float(np.sign(np.sum(seen * model)))
 
 
-def _encoder(turned: tuple[Floats, Floats] | None) -> list[Fault]:
+def _encoder(turned: tuple[Floats, Floats] | None) -> list[WiringFault]:
     if turned is None:
         return []
     if _shows(turned):

@@ -54,7 +54,7 @@ def unknowns(rig: Rig) -> tuple[Direction, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SimulatedPiece:
     """A piece of a simulated experiment."""
 
     states: Floats  # of the model (N, n)
@@ -107,7 +107,7 @@ class Information:
             out.append(np.asarray(equilibrium.initial_state(angle, *pressure, voltage, p)))
         return tuple(out)
 
-    def along(self, starts: Sequence[Floats], voltage: Floats) -> Course:
+    def along(self, starts: Sequence[Floats], voltage: Floats) -> SimulatedPiece:
         """Simulate a piece of an experiment.
 
         `starts`: states (n,) at its beginning, of the model and of each neighbour. `voltage`: (N, 2) [V], a row a step.
@@ -121,7 +121,7 @@ class Information:
             for (states, torque), p in zip(runs, self.vectors, strict=True)
         ]
         rates = [states[1:, 1] for states, _ in runs]
-        return Course(
+        return SimulatedPiece(
             runs[0][0][1:], shown[0], self._slopes(shown), self._slopes(rates), tuple(states[-1] for states, _ in runs)
         )
 
@@ -143,7 +143,7 @@ class Information:
             return np.stack([(one - other) / (2.0 * share) for one, other, share in pairs], axis=-1)
         return np.stack([(one - values[0]) / share for one, share in zip(values[1:], shares, strict=True)], axis=-1)
 
-    def matrix(self, course: Course, count: int | None = None) -> Floats:
+    def matrix(self, course: SimulatedPiece, count: int | None = None) -> Floats:
         """Information of a piece about the first directions (count, count), in units of their standard deviations."""
         size = max(1, round(BLOCK_S / self.dt))
         blocks = len(course.slopes) // size
@@ -157,7 +157,7 @@ def _share(direction: Direction) -> float:
     return direction.share if isinstance(direction, Departure) else _SHARE
 
 
-def predicted_std(course: Course, spread: Floats) -> Floats:
+def predicted_std(course: SimulatedPiece, spread: Floats) -> Floats:
     """Standard deviations of angle, rate and pressures along a course (N, 4) by the uncertain directions.
 
     `spread`: independent ways (K, U) in which the directions' amounts may be off by one standard deviation.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
-from pam_antagonist.design.information import Course, Information, predicted_std, unknowns
+from pam_antagonist.design.information import Information, SimulatedPiece, predicted_std, unknowns
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import Direction, free_parameters
 from pam_antagonist.rig import Rig
@@ -324,7 +324,7 @@ def designed(
     tail = held(rest[None], TAIL, STEP)
     states, known = work.start((start.pressure, start.pressure), rest), np.eye(count)
 
-    def excess(course: Course) -> float:
+    def excess(course: SimulatedPiece) -> float:
         return limits.excess(course.states, predicted_std(course, spread))
 
     def merit(rows: Floats) -> float:

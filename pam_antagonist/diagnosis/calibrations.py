@@ -30,7 +30,7 @@ from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, prior_cost, refit, relinearised
-from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.likelihood import LinearProblem
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.standard_errors import settled, well_known
 from pam_antagonist.inference.starts import best_of_starts
@@ -70,7 +70,7 @@ _CLOCK = (
 """Likewise how to measure any of the clocks."""
 
 
-class Calibration(Hypothesis):
+class CalibrationHypothesis(Hypothesis):
     """A zero or scale of a sensor, or stamps that are late. Each is one number, in every recording."""
 
     is_effect = False
@@ -229,7 +229,7 @@ def _moved(point: Point, candidate: Candidate, value: float) -> Point:
 def _cost(experiment: Experiment, start: Fitted, point: Point, residual: NDArray[np.float64]) -> float:
     """What is left to first order once the base parameters have moved to their best: twice a negative log posterior."""
     theta, scale = point.theta, start.scale
-    step = Equations.of(residual, start.base, start.effect).solved(scale, experiment.prior, theta, rounds=4)
+    step = LinearProblem.of(residual, start.base, start.effect).solved(scale, experiment.prior, theta, rounds=4)
     return float(scale.misfits_of(step.squares, len(residual)).sum()) + prior_cost(experiment, theta + step.theta)
 
 
@@ -284,7 +284,7 @@ def _first_order(experiment: Experiment, fitted: Fitted, candidate: Candidate) -
     theta, scale = fitted.point.theta, fitted.scale
     column = effect_jacobian(experiment, fitted.point, fitted.residual, candidate.free)
     effect = np.concatenate([fitted.effect, column], axis=2)
-    step = Equations.of(fitted.residual, fitted.base, effect).solved(scale, experiment.prior, theta, rounds=2)
+    step = LinearProblem.of(fitted.residual, fitted.base, effect).solved(scale, experiment.prior, theta, rounds=2)
     left = scale.misfits_of(step.squares, len(fitted.residual))
     gain = float(np.sum(scale.misfits(fitted.residual) - left))
     gain += prior_cost(experiment, theta) - prior_cost(experiment, theta + step.theta)

@@ -20,7 +20,7 @@ from pam_antagonist.diagnosis.models import in_threads
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, effect_jacobian, refit
-from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.likelihood import LinearProblem
 from pam_antagonist.inference.point import Point, Span
 from pam_antagonist.inference.trial import Mask, Split
 
@@ -119,7 +119,7 @@ def _above_largest(experiment: Experiment, mean: Floats, unit: Floats) -> Floats
     return np.asarray(np.maximum(mean / largest**2, 1.0))
 
 
-class Change(NamedTuple):
+class Excursion(NamedTuple):
     """A part of a recording in which a model leaves more than noise."""
 
     span: Span
@@ -131,7 +131,7 @@ def is_noise(experiment: Experiment, residual: Floats) -> bool:
     return clearest(experiment, residual) is None
 
 
-def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
+def first_change(experiment: Experiment, fitted: Fitted) -> Excursion | None:
     """Where a recording is above noise; None if a fit to all data leaves only noise, or if no part is at its noise.
 
     `fitted`: its model, whose base and effects are fitted again to parts of it.
@@ -164,7 +164,7 @@ def first_change(experiment: Experiment, fitted: Fitted) -> Change | None:
         return None
     # What a chamber lost comes back in seconds: next to the part, a little is left of what was in it.
     left = experiment.times_noise(experiment.residual(point, whole=True)[rest])
-    return Change(span, point) if np.max(left) < thresholds.AT_NOISE else None
+    return Excursion(span, point) if np.max(left) < thresholds.AT_NOISE else None
 
 
 def above_noise(residual: Floats, noise: Floats) -> tuple[int, int]:
@@ -233,7 +233,7 @@ def _undisturbed(experiment: Experiment, fitted: Fitted, residual: Floats) -> tu
         above = ~rest
         for _ in range(_GROWTHS):
             linear = residual[rest], base[rest], effect[rest]
-            step = Equations.of(*linear).solved(
+            step = LinearProblem.of(*linear).solved(
                 scale, experiment.prior, fitted.point.theta, rounds=1, first=experiment.noise**2
             )
             before, above = above, _above(experiment, residual + base @ step.theta + effect @ step.effect)

@@ -17,7 +17,7 @@ from typing_extensions import override
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.diagnosis import findings, thresholds
-from pam_antagonist.diagnosis.findings import Findings
+from pam_antagonist.diagnosis.findings import ModelEffects
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
 from pam_antagonist.diagnosis.models import (
     Model,
@@ -331,7 +331,7 @@ class DisturbanceTorque(CatalogueEffect):
         return tried.standing >= thresholds.DISTURBANCE_BESIDE
 
 
-_Explanation = tuple[Model, Findings]
+_Explanation = tuple[Model, ModelEffects]
 """A model of all recordings with a disturbance, with effects beside it where there are any, and what a report says."""
 
 
@@ -381,7 +381,7 @@ def _beside_effects(found: Disturbed, effects: Model) -> _Explanation:
 def _explanation(found: Disturbed, base: Model, model: Model, recorded: Model) -> _Explanation:
     """A disturbance, and the effects of a model beside it that are needed, in the recordings as they were made."""
     assert found.found is not None
-    beside = Findings((), {}, [])
+    beside = ModelEffects((), {}, [])
     if model.effects:
         model = findings.backward_elimination(base, model)
         beside, _ = findings.found(base, model)
@@ -390,7 +390,7 @@ def _explanation(found: Disturbed, base: Model, model: Model, recorded: Model) -
         replace(fitted, point=Point(fitted.point.theta, {**fitted.point.effects, _NOISE: noise})) if noise else fitted
         for fitted, noise in zip(model.fits, found.noises, strict=True)
     )
-    return Model(recorded.experiments, fits, (*model.effects, DISTURBANCE)), Findings(
+    return Model(recorded.experiments, fits, (*model.effects, DISTURBANCE)), ModelEffects(
         tuple(sorted((*beside.effects, found.found), key=lambda effect: -effect.delta_bic)),
         {**beside.values, _NOISE: found.found.parameters["noise"].value},
         [*beside.contradictions, _NOTE],

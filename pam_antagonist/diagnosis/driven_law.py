@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import law_regression, thresholds
-from pam_antagonist.diagnosis.law_regression import FOLDS, SMOOTH, Group, Place, hats, nodes_of, roughness
+from pam_antagonist.diagnosis.law_regression import FOLDS, SMOOTH, LawForm, LikelyPlace, hats, nodes_of, roughness
 from pam_antagonist.diagnosis.law_search import LawSearch
 from pam_antagonist.diagnosis.law_simulation import Simulated
 from pam_antagonist.diagnosis.models import Model, further_share, likelier, share_of_all, without
@@ -59,7 +59,7 @@ class _Recording:
         """Number of the stretch that a block belongs to (B,)."""
         return np.arange(len(self.fitted.residual)) * FOLDS // len(self.fitted.residual)
 
-    def argument_of(self, group: Group, muscle: int) -> Floats:
+    def argument_of(self, group: LawForm, muscle: int) -> Floats:
         """What a law depends on at a muscle (B,), with its memory."""
         number = 3 - muscle if group.argument == "other_pressure" else muscle
         name = group.argument.replace("other_", "")
@@ -72,7 +72,7 @@ class _Recording:
 class _Tried:
     """A law, linear about the model as it is."""
 
-    group: Group
+    group: LawForm
     law: Law
     gain: float  # evidence on stretches that it was not fitted to, twice the log likelihood ratio
     covariance: Floats  # of its values (N, N)
@@ -93,7 +93,7 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
     for one in tried:
         places.setdefault(one.group.place, one.gain)
     found = LawSearch(
-        tuple(Place(*item) for item in places.items()), _simulated(None, np.zeros((0, 0))), None, (),
+        tuple(LikelyPlace(*item) for item in places.items()), _simulated(None, np.zeros((0, 0))), None, (),
         tried[0].gain if tried else 0.0, 0.0, thresholds.STRONG,
     )  # fmt: skip
     if not tried or tried[0].gain < thresholds.STRONG:
@@ -201,7 +201,7 @@ def _errors_over_noise(model: Model) -> dict[str, float]:
 
 def acting(law: Law, model: Model) -> Model:
     """The part in which a law acts, as laws are judged; all of a model that runs by itself."""
-    here = [one for one in parts(model) if any(Group(at).kind == law.place for at in one.experiments[0].law_places)]
+    here = [one for one in parts(model) if any(LawForm(at).kind == law.place for at in one.experiments[0].law_places)]
     return here[0] if here else model
 
 
@@ -241,7 +241,7 @@ def _tried(here: Sequence[_Recording], number: int) -> list[_Tried]:
     groups = [replace(one.group, number=law_regression.FINE) for one in finer if one.group.argument != "none"]
     places = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
 
-    def span(group: Group) -> float:
+    def span(group: LawForm) -> float:
         return float(max(np.ptp(one.argument_of(group, muscle)) for one in here for _, muscle in group.sides))
 
     groups += law_regression.groups_with_memory(places, span)
@@ -252,7 +252,7 @@ def _without(here: Sequence[_Recording]) -> list[Floats]:
     return _solved(here, [np.zeros((*one.fitted.residual.shape, 0)) for one in here])[2]
 
 
-def _fitted(here: Sequence[_Recording], group: Group, number: int, before: Sequence[Floats]) -> _Tried | None:
+def _fitted(here: Sequence[_Recording], group: LawForm, number: int, before: Sequence[Floats]) -> _Tried | None:
     """A law's values, base parameters fitted beside them; None if its argument does not move or it shows nowhere.
 
     `before`: what each recording's stretches leave without a law (B, C).
@@ -276,7 +276,7 @@ def _fitted(here: Sequence[_Recording], group: Group, number: int, before: Seque
     return _Tried(group, law, gain, covariance * unit**2)
 
 
-def _columns(one: _Recording, group: Group, zero: Law, unit: float, number: int) -> Floats:
+def _columns(one: _Recording, group: LawForm, zero: Law, unit: float, number: int) -> Floats:
     """Derivatives of the residual by a law's values, in units (B, C, N)."""
     count = len(zero.nodes)
 

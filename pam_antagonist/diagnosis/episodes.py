@@ -23,7 +23,7 @@ from pam_antagonist.diagnosis.thresholds import MARGIN
 from pam_antagonist.inference.bootstrap import CHANCE, Interval, ratio, rmse
 from pam_antagonist.inference.episode_search import Tried, search, with_effect
 from pam_antagonist.inference.episodes import EpisodeModel, Squares
-from pam_antagonist.inference.held_episodes import Held, held_out, last, thinned
+from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out, last, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven
 
 Floats = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Drift:
     errors: tuple[tuple[float, float], ...]
 
 
-class Linear:
+class LinearEpisodes:
     """Episodes to first order around a model."""
 
     def __init__(self, joint: PressureDriven, model: EpisodeModel) -> None:
@@ -85,7 +85,7 @@ def solved(gram: Floats, pull: Floats) -> Floats:
     return np.asarray(-np.linalg.solve(gram + _RIDGE * np.diag(np.diag(gram)) + 1e-12 * np.eye(len(gram)), pull))
 
 
-def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift:
+def course(joint: PressureDriven, held: EpisodeSplit, everything: EpisodeModel) -> Drift:
     """The model's parameters and errors over the recording, each part fitted by itself.
 
     `held`: which episodes are held out; the interleaved ones are not used.
@@ -97,7 +97,7 @@ def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift
         here = joint.take(thinned(part, _FITTED))
         found = everything
         for _ in range(_LINE_ROUNDS):
-            found = Linear(here, found).fitted(np.ones(len(here)))
+            found = LinearEpisodes(here, found).fitted(np.ones(len(here)))
         best.append(here.shown(found))
         spread.append(here.draws(found, number))
         pair = (np.degrees(here.squares(here.residual(m)).rmse) for m in (everything, found))
@@ -112,7 +112,7 @@ def course(joint: PressureDriven, held: Held, everything: EpisodeModel) -> Drift
     return Drift(values, changes, tuple(errors))
 
 
-def forecasts(pool: Linear) -> tuple[float, ...]:
+def forecasts(pool: LinearEpisodes) -> tuple[float, ...]:
     """Errors [deg] of all windows on the episodes that follow them: the last three eighths, one after the other.
 
     `pool`: episodes that may be fitted.
@@ -137,7 +137,7 @@ class Lines:
     episode the parameters stay, since nothing says that the drift goes on.
     """
 
-    def __init__(self, joint: PressureDriven, pool: Indices, model: EpisodeModel, linear: Linear) -> None:
+    def __init__(self, joint: PressureDriven, pool: Indices, model: EpisodeModel, linear: LinearEpisodes) -> None:
         """`pool`: episodes that are fitted. `linear`: they to first order."""
         self._joint, self._model, self._last = joint, model, float(pool[-1])
         count = len(linear.pulls)
@@ -150,7 +150,7 @@ class Lines:
         self.points = _POINTS[int(np.argmin(left))]
         self._at = np.tile(joint.coordinates(model), (self.points, 1))
         for _ in range(_LINE_ROUNDS):
-            parts = [Linear(one, here) for one, here in self._groups(pool)]
+            parts = [LinearEpisodes(one, here) for one, here in self._groups(pool)]
             grams, pulls = np.concatenate([one.grams for one in parts]), np.concatenate([one.pulls for one in parts])
             self._at = self._at + _along(self._hats(pool, self.points), grams, pulls)
 
@@ -273,7 +273,7 @@ def diagnose(
     pool = joint.take(thinned(held.pool, _USED))
     progress("from how many episodes a model for later ones is fitted")
     whole = pool.fit(model, _ROUNDS)
-    linear = Linear(pool, whole)
+    linear = LinearEpisodes(pool, whole)
     expected = forecasts(linear)
     window = WINDOWS[int(np.argmin(expected))]
     judged = {}
@@ -315,7 +315,7 @@ def covered(fitted: PressureDriven, unseen: PressureDriven, model: EpisodeModel)
     The interval's variance is that of the numbers, carried to the angle by their derivatives, plus that of what the
     model leaves of each fitted episode, fitted without it, at the same time since the start.
     """
-    linear = Linear(fitted, model)
+    linear = LinearEpisodes(fitted, model)
     whole = linear.grams.sum(axis=0)
     inverse = np.linalg.pinv(whole, hermitian=True)
     covariance = inverse @ (linear.pulls.T @ linear.pulls) @ inverse
@@ -343,7 +343,7 @@ def _since_start(joint: PressureDriven) -> Floats:
     return np.asarray(joint.time - np.repeat(joint.time[joint.first[:-1]], np.diff(joint.first)))
 
 
-def _configured(joint: PressureDriven, unseen: PressureDriven, held: Held) -> Row:
+def _configured(joint: PressureDriven, unseen: PressureDriven, held: EpisodeSplit) -> Row:
     between = joint.take(held.interleaved)
     model = joint.as_configured
     return Row(
@@ -361,14 +361,14 @@ class _Judged(NamedTuple):
 
 
 def _judged(
-    joint: PressureDriven, unseen: PressureDriven, held: Held, name: str, whole: EpisodeModel, window: float
+    joint: PressureDriven, unseen: PressureDriven, held: EpisodeSplit, name: str, whole: EpisodeModel, window: float
 ) -> _Judged:
     """`whole`: the model fitted to all episodes that may be fitted."""
     later = rmse(*unseen.squares(unseen.residual(whole)))
     forecast_error, recent = later, whole
     if window < 1.0:
         near = joint.take(thinned(last(held.pool, window), _USED))
-        recent = near.fit(Linear(near, whole).fitted(np.ones(len(near))), _ROUNDS // 2)
+        recent = near.fit(LinearEpisodes(near, whole).fitted(np.ones(len(near))), _ROUNDS // 2)
         forecast_error = rmse(*unseen.squares(unseen.residual(recent)))
     between = joint.take(held.interleaved)
     squares = between.squares(between.residual(whole))

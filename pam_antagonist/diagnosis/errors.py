@@ -30,7 +30,7 @@ class Noise(NamedTuple):
     pressure: float = 0.0  # of both sensors, root mean square [Pa]
 
 
-class Change(NamedTuple):
+class ErrorChange(NamedTuple):
     """One error with a rig file and with another one."""
 
     what: str
@@ -170,21 +170,21 @@ class RigErrors:
         after, before = (shown.error_in_words(value, one.unit, 3) for value in (one.after, one.before))
         return f"{one.what} error {after} instead of {before}"
 
-    def changes(self, now: RigErrors) -> list[Change]:
+    def changes(self, now: RigErrors) -> list[ErrorChange]:
         """Each error with this file and with another one, the filter's first."""
         out = [] if self.ukf is None or now.ukf is None else _changes(_FILTER, self.ukf, now.ukf)
         out += _changes("the model's", self.model, now.model)
         before, after = (float(np.sqrt(np.mean(np.square(one.rmse_pa)))) / 1e3 for one in (self.model, now.model))
         if math.isnan(before + after):  # no pressure was measured
             return out
-        return [*out, Change("the model's pressure", " kPa", before, after, self.model.noise.pressure / 1e3)]
+        return [*out, ErrorChange("the model's pressure", " kPa", before, after, self.model.noise.pressure / 1e3)]
 
 
-def _changes(whose: str, before: Errors, after: Errors) -> list[Change]:
+def _changes(whose: str, before: Errors, after: Errors) -> list[ErrorChange]:
     """The errors of angle and torque before and after, where they were measured."""
     named = ("angle", "°", before.angle, after.angle), ("torque", " N m", before.torque, after.torque)
     return [
-        Change(f"{whose} {what}", unit, old.rmse, new.rmse, getattr(before.noise, what))
+        ErrorChange(f"{whose} {what}", unit, old.rmse, new.rmse, getattr(before.noise, what))
         for what, unit, old, new in named if old and new
     ]  # fmt: skip
 

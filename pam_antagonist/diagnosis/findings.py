@@ -23,7 +23,7 @@ _Numbers = dict[FreeEffectParameter, _Seen]
 _Part = tuple[int | None, _Numbers]
 
 
-class Findings(NamedTuple):
+class ModelEffects(NamedTuple):
     """The effects of a model."""
 
     effects: tuple[FoundEffect, ...]
@@ -74,7 +74,7 @@ def backward_elimination(base: Model, model: Model) -> Model:
     return model.map(leaner, base.fits)
 
 
-def found(base: Model, model: Model) -> tuple[Findings, dict[str, Model]]:
+def found(base: Model, model: Model) -> tuple[ModelEffects, dict[str, Model]]:
     """The effects of a model, and the model without each; see :func:`found_effects`."""
     several = len(model.effects) > 1
     smaller = {name: without(model, f"effects.{name}.") if several else base for name in model.effects}
@@ -83,7 +83,7 @@ def found(base: Model, model: Model) -> tuple[Findings, dict[str, Model]]:
     return found_effects(model, gains, shares), smaller
 
 
-def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str, float]) -> Findings:
+def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str, float]) -> ModelEffects:
     """The effects of a model."""
     names = [experiment.trial.name for experiment in model.experiments]
     values: dict[str, float] = {}
@@ -127,7 +127,7 @@ def found_effects(model: Model, gains: Mapping[str, float], shares: Mapping[str,
             contradictions += _differences(effect, numbers, names)
             there = tuple(names[r] for r in sorted(recordings))
             effects.append(FoundEffect(effect, muscle, parameters, gains[effect], shares[effect], there))
-    return Findings(tuple(effects), values, contradictions)
+    return ModelEffects(tuple(effects), values, contradictions)
 
 
 def _sizes_and_shapes(model: Model, effect: str) -> tuple[dict[int | None, _Numbers], _Numbers]:

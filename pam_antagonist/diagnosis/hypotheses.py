@@ -39,7 +39,7 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Checkpoint:
+class ResumeFolder:
     """A folder with one small file for each refitted candidate; without a folder, nothing is kept."""
 
     folder: Path | None = None
@@ -118,7 +118,7 @@ class Work(NamedTuple):
     """Where a search says what it does, and where it keeps finished candidates."""
 
     progress: Callable[[str], None] = lambda text: None
-    checkpoint: Checkpoint = Checkpoint()
+    checkpoint: ResumeFolder = ResumeFolder()
 
 
 @dataclass(frozen=True, eq=False)

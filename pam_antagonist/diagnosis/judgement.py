@@ -290,7 +290,7 @@ def _changes(case: Case) -> list[str]:
 
 
 def _by_disturbance(
-    case: Case, explained: tuple[Model, findings.Findings] | None, share: float | None
+    case: Case, explained: tuple[Model, findings.ModelEffects] | None, share: float | None
 ) -> Judged | None:
     """The verdict by a disturbance torque, with effects beside it where there are any."""
     if explained is None:
@@ -332,7 +332,7 @@ def _by_effects(case: Case, base_notes: Sequence[str]) -> Judged:
 
 def _firm(
     base: Model, model: Model, work: Work
-) -> tuple[Model, findings.Findings, dict[str, splits.Firmness], list[str]]:
+) -> tuple[Model, findings.ModelEffects, dict[str, splits.Firmness], list[str]]:
     """The effects that most splits support: their model, what they are, what the splits say, and what was dropped."""
     notes: list[str] = []
     while True:
@@ -345,6 +345,6 @@ def _firm(
         notes.append(warnings.not_firm(weakest, firm[weakest]))
         model = without[weakest]
         if not model.effects:
-            return base, findings.Findings((), {}, []), {}, notes
+            return base, findings.ModelEffects((), {}, []), {}, notes
     effects = tuple(replace(effect, splits=firm[effect.name]) for effect in found.effects)
     return model, found._replace(effects=effects), firm, notes

@@ -36,7 +36,7 @@ _OF_A_MUSCLE = ("pressure", "other_pressure", "length", "length_rate", "open_rat
 
 
 @dataclass(frozen=True)
-class Group:
+class LawForm:
     """A table that may be a law: at a place, of an argument, with an operator and its time [s] or width."""
 
     place: str
@@ -137,27 +137,27 @@ def hats(values: Floats, nodes: Floats) -> Floats:
     return np.array([np.interp(values, nodes, one) for one in np.eye(len(nodes))])
 
 
-def plain_groups(places: Sequence[str]) -> Iterator[Group]:
+def plain_groups(places: Sequence[str]) -> Iterator[LawForm]:
     """Laws without memory at some places."""
     for place in places:
-        for argument in TABLE[Group(place).kind].arguments:
-            yield Group(place, argument)
+        for argument in TABLE[LawForm(place).kind].arguments:
+            yield LawForm(place, argument)
 
 
-def groups_with_memory(places: Sequence[str], span: Callable[[Group], float]) -> Iterator[Group]:
+def groups_with_memory(places: Sequence[str], span: Callable[[LawForm], float]) -> Iterator[LawForm]:
     """Laws with memory at some places; ``span`` is the range of the argument of a law without memory."""
     for place in places:
-        kind = Group(place).kind
+        kind = LawForm(place).kind
         for argument in TABLE[kind].with_memory:
             operators = {"draw": ("lag",), "sensor": ("high_pass",), "encoder": ()}
             for operator in operators.get(argument, operators.get(kind, ("lag", "high_pass"))):
                 for time in _SHORT if kind == "sensor" else _TIMES:
-                    yield Group(place, argument, operator, time)
+                    yield LawForm(place, argument, operator, time)
             for share in () if argument == "draw" else _NARROW if kind == "encoder" else _WIDTHS:
-                width = share * span(Group(place, argument))
+                width = share * span(LawForm(place, argument))
                 if width > 0.0:
-                    yield Group(place, argument, "play", width)
-                    yield Group(place, argument, "stop", width)
+                    yield LawForm(place, argument, "play", width)
+                    yield LawForm(place, argument, "stop", width)
 
 
 WALKS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
@@ -211,7 +211,7 @@ class Whitened:
 class Grams:
     """Products of whitened columns of all recordings, for a law's columns beside the data's."""
 
-    group: Group | None
+    group: LawForm | None
     products: list[Floats]  # by recording: (C, L, F, n, n); data first, base directions, then the values of the law
     logs: Floats  # (R, C, L, F)
     nodes: Floats  # of the table (N,)
@@ -252,7 +252,7 @@ def roughness(count: int) -> Floats:
     return np.asarray(second.T @ second)
 
 
-def grams(recordings: Sequence[Whitened], group: Group | None) -> Grams | None:
+def grams(recordings: Sequence[Whitened], group: LawForm | None) -> Grams | None:
     """Products of the columns of a law, or of none, beside data and base; None if the argument does not move."""
     equations = [item.one for item in recordings]
     nodes, unit = np.zeros(0), 1.0
@@ -288,7 +288,7 @@ def grams(recordings: Sequence[Whitened], group: Group | None) -> Grams | None:
 class Regression:
     """A law fitted to residual equations."""
 
-    group: Group | None  # what it is; None for no law
+    group: LawForm | None  # what it is; None for no law
     law: Law | None  # with its values in SI units
     base: tuple[Floats, ...]  # amounts of the base directions of each recording, in standard deviations
     level: bool  # whether no channel has a walk
@@ -329,7 +329,7 @@ LEVELS = 10.0 ** np.arange(-3.0, 2.1, 1.0)
 _SHOWN_BY = np.array([0, 1, -1, -1])
 
 
-class Place(NamedTuple):
+class LikelyPlace(NamedTuple):
     """A place with an unknown input, and the gain of its likelihood over that without an input [nats]."""
 
     name: str
@@ -351,7 +351,7 @@ def _likelihood(one: Equations, place: str, level: float) -> float:
     return float(-0.5 * (data @ data - shared @ np.linalg.solve(gram, shared) + logs.sum() + volume))
 
 
-def place_search(recordings: Sequence[Equations]) -> list[Place]:
+def place_search(recordings: Sequence[Equations]) -> list[LikelyPlace]:
     """All places by the likelihood of an unknown input there, the likeliest first."""
     names = list(dict.fromkeys(name for one in recordings for name in one.places))
     nothing = sum(_likelihood(one, "", 0.0) for one in recordings)
@@ -362,5 +362,5 @@ def place_search(recordings: Sequence[Equations]) -> list[Place]:
             top = max(best, key=lambda level: best[level], default=1.0)
             for level in np.ravel(factors) * top:
                 best[level] = sum(_likelihood(one, name, level) for one in recordings)
-        found.append(Place(name, max(best.values()) - nothing))
+        found.append(LikelyPlace(name, max(best.values()) - nothing))
     return sorted(found, key=lambda place: -place.gain)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import law_regression
-from pam_antagonist.diagnosis.law_regression import Group, Place, Regression, Whitened, grams, regression
+from pam_antagonist.diagnosis.law_regression import LawForm, LikelyPlace, Regression, Whitened, grams, regression
 from pam_antagonist.diagnosis.law_simulation import Simulated, Simulation, Subject, misread, smoothed
 from pam_antagonist.diagnosis.residual_equations import Equations, equations
 from pam_antagonist.recording import Recording
@@ -37,7 +37,7 @@ _TIE = 0.03
 class LawSearch:
     """What was found."""
 
-    places: tuple[Place, ...]  # by the likelihood of an unknown input there, the likeliest first
+    places: tuple[LikelyPlace, ...]  # by the likelihood of an unknown input there, the likeliest first
     without: Simulated  # the base model, recalibrated
     found: Simulated | None  # the law; None if none is taken
     alternatives: tuple[Simulated, ...]  # laws that simulate as well
@@ -106,7 +106,7 @@ def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], 
 _Ranked = Sequence[tuple[float, Regression]]
 
 
-def _regressions(each: Sequence[Equations], places: Sequence[Place]) -> _Ranked:
+def _regressions(each: Sequence[Equations], places: Sequence[LikelyPlace]) -> _Ranked:
     """Laws by their gain on held-out blocks, each with and without a random walk beside it."""
     recordings = [Whitened(one) for one in each]
     products = grams(recordings, None)
@@ -114,13 +114,13 @@ def _regressions(each: Sequence[Equations], places: Sequence[Place]) -> _Ranked:
     without = {level: regression(products, level) for level in (False, True)}
     found: list[tuple[float, Regression]] = []
 
-    def tried(group: Group) -> None:
+    def tried(group: LawForm) -> None:
         made = grams(recordings, group)
         for level, nothing in without.items() if made is not None else ():
             one = regression(made, level)  # type: ignore[arg-type]
             found.append((one.gain(nothing), one))
 
-    def by_gain() -> list[Group]:
+    def by_gain() -> list[LawForm]:
         found.sort(key=lambda item: -item[0])
         return [one.group for _, one in found if one.group is not None]
 
@@ -140,7 +140,7 @@ def _regressions(each: Sequence[Equations], places: Sequence[Place]) -> _Ranked:
 
 def _simulated(simulation: Simulation, ranked: _Ranked, begin: Sequence[Floats]) -> list[Simulated]:
     """The best laws, simulated and fitted there, in rounds of fewer and fewer; what is left decides."""
-    starts: dict[Group, Simulated] = {}
+    starts: dict[LawForm, Simulated] = {}
     for group in _chosen(ranked):
         for one in (one for _, one in ranked if one.group == group and one.law is not None):
             near = [a + b for a, b in zip(begin, one.base, strict=True)]
@@ -163,11 +163,11 @@ def _best_of_places(tried: Sequence[Simulated]) -> list[Simulated]:
     return sorted((one for own in by_place.values() for one in own[: _ARGUMENTS + 1]), key=lambda one: one.left)
 
 
-def _chosen(ranked: _Ranked) -> list[Group]:
+def _chosen(ranked: _Ranked) -> list[LawForm]:
     """Laws to simulate: of the places with the best ones, with and without a walk, those by the best arguments."""
-    chosen: dict[Group, None] = {}
+    chosen: dict[LawForm, None] = {}
     for level in (False, True):
-        by_place: dict[str, dict[tuple[str, bool], Group]] = {}
+        by_place: dict[str, dict[tuple[str, bool], LawForm]] = {}
         for gain, one in ranked:
             law, group = one.law, one.group
             if gain < LEAST_GAIN or one.level is not level or law is None or group is None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import calibrations, driven_law, thresholds
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
-from pam_antagonist.diagnosis.law_regression import Group
+from pam_antagonist.diagnosis.law_regression import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, law_search
 from pam_antagonist.diagnosis.law_simulation import Subject
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
@@ -230,7 +230,7 @@ def place_in_words(found: LawSearch, reason: str = "") -> str:
     place = found.places[0] if found.places else None
     if place is None or place.gain < found.least_gain:
         return ""
-    group = Group(place.name)
+    group = LawForm(place.name)
     return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}{reason}."
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis.monitor_blocks import Blocks, Finding, alike
+from pam_antagonist.diagnosis.monitor_blocks import Blocks, MonitorFinding, alike
 from pam_antagonist.diagnosis.monitor_responses import READINGS, hypotheses, make_responses, respond
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.memory import GAP
@@ -74,7 +74,7 @@ class Monitor:
         self._filter.reset()
         self._filter.process_noise[:] = self._noise
         self.blocks = Blocks(self.watched, len(self._work.sets))
-        self.findings: list[Finding] = []
+        self.findings: list[MonitorFinding] = []
         self._stamps, self._rows = np.zeros(0, dtype=np.int64), np.zeros((0, 5))
         self._innovations: list[tuple[float, float]] = []
         self._products = np.zeros((2, 2))
@@ -222,7 +222,7 @@ _STRONGER = 2.0
 class Conclusion:
     """What is said of a joint."""
 
-    finding: Finding
+    finding: MonitorFinding
     size: float
     std: float
     ambiguous_with: tuple[str, ...] = ()
@@ -276,7 +276,7 @@ class Alarms:
         self._rest, self._in_vain = _REST[0], 0.0
         self._none_until = self._few_until = -math.inf
 
-    def due(self, findings: Sequence[Finding], newest_ns: int, now: float) -> bool:
+    def due(self, findings: Sequence[MonitorFinding], newest_ns: int, now: float) -> bool:
         """Whether a search begins.
 
         `newest_ns`: stamp of the newest sample.
@@ -287,7 +287,9 @@ class Alarms:
             return False
         return newest_ns - findings[0].onset_ns >= _SINCE * 1e9
 
-    def concluded(self, suspect: Sequence[Finding], found: Mapping[str, Any] | None, now: float) -> Conclusion | None:
+    def concluded(
+        self, suspect: Sequence[MonitorFinding], found: Mapping[str, Any] | None, now: float
+    ) -> Conclusion | None:
         """What is said after a search; None where it found nothing.
 
         `suspect`: the hypotheses when it began. `found`: parts of report.json; None: it could not be searched for.
@@ -307,7 +309,7 @@ class Alarms:
         return said
 
 
-def _named(suspect: Sequence[Finding], found: Mapping[str, Any]) -> Conclusion | None:
+def _named(suspect: Sequence[MonitorFinding], found: Mapping[str, Any]) -> Conclusion | None:
     for effect in found["effects"] or ():
         of_it = [one for one in suspect if one.watched.name == effect["name"]]
         same = [one for one in of_it if effect["muscle"] in (None, one.watched.muscle)] or of_it
@@ -325,12 +327,12 @@ def _named(suspect: Sequence[Finding], found: Mapping[str, Any]) -> Conclusion |
     return None
 
 
-def _is_likely(finding: Finding, suspect: Sequence[Finding]) -> bool:
+def _is_likely(finding: MonitorFinding, suspect: Sequence[MonitorFinding]) -> bool:
     """Whether a finding is the hypothesis with the most evidence, or cannot be told from it."""
     item, likely = finding.watched, [suspect[0].watched.name, *alike(suspect)]
     return item.name in likely or f"{item.name} {item.muscle}" in likely
 
 
-def _suspected(suspect: Sequence[Finding], doubt: str) -> Conclusion:
+def _suspected(suspect: Sequence[MonitorFinding], doubt: str) -> Conclusion:
     first = suspect[0]
     return Conclusion(first, first.size, first.std, tuple(alike(suspect)), doubt)

@@ -54,7 +54,7 @@ _ALIKE = 0.9
 
 
 @dataclass(frozen=True)
-class Finding:
+class MonitorFinding:
     """What a monitor says of a hypothesis at its best onset."""
 
     watched: Watched
@@ -66,7 +66,7 @@ class Finding:
     std: float
 
 
-def alike(findings: Sequence[Finding]) -> list[str]:
+def alike(findings: Sequence[MonitorFinding]) -> list[str]:
     """Names that cannot be told from that of the first finding."""
     first = findings[0]
     near = [one for one in findings if one.full > _ALIKE * first.full]
@@ -115,7 +115,7 @@ class Blocks:
         self._scores[k], self._information[k], self._begins[k] = score, information, begin_ns
         self.count += 1
 
-    def accept(self, finding: Finding) -> None:
+    def accept(self, finding: MonitorFinding) -> None:
         """Take a hypothesis for known from now on, with a size of any value; the window begins anew."""
         k = next(k for k, item in enumerate(self.watched) if item == finding.watched)
         if k not in self._known:
@@ -137,7 +137,7 @@ class Blocks:
         standard = np.clip(left / np.sqrt(np.maximum(np.diagonal(info), 1e-300)), -_LARGEST, _LARGEST)
         self._standard = np.concatenate([self._standard, standard[None]])[-_HISTORY:]
 
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[MonitorFinding]:
         """Every hypothesis at its best onset, the one with most evidence first."""
         if not self.count:
             return []
@@ -155,7 +155,7 @@ class Blocks:
             if evidence > _SMALL:
                 evidence = self._limited(window, b, k, float(size[b, k]))
             found.append(
-                Finding(
+                MonitorFinding(
                     item, evidence, float(full[b, k]), int(begins[b]),
                     0.5 * (float(near[-1] - near[0]) * 1e-9 + 1.0), item.step * float(size[b, k]),
                     item.step * float(np.sqrt(inflation[b, k] / information[b, k])),

@@ -35,7 +35,7 @@ READINGS = 3
 _step, _behind, _reading = integration.rk4_step_within, dynamics.pressure_behind, dynamics.reading
 
 
-class Responses(NamedTuple):
+class HypothesisResponses(NamedTuple):
     """Hypotheses beside a filter of n states, H of them, and what they have gathered in a block."""
 
     sets: np.ndarray  # parameters of each hypothesis (H, SIZE)
@@ -196,7 +196,7 @@ def uncertain(rig: Rig) -> list[dict[str, float]]:
     ]
 
 
-def make_responses(rig: Rig, p: np.ndarray, watched: list[Watched], longest: float) -> Responses:
+def make_responses(rig: Rig, p: np.ndarray, watched: list[Watched], longest: float) -> HypothesisResponses:
     """Responses of the hypotheses, then of what is uncertain. `p`: parameters; `longest`: step of the model [s]."""
     sets = [_with_size(p, item, longest) for item in watched]
     sets += [
@@ -212,7 +212,7 @@ def make_responses(rig: Rig, p: np.ndarray, watched: list[Watched], longest: flo
             if name in _CHAMBERS and name not in own:
                 air[k, par.BASE_STATES + i] = PRESSURE_1 + int(name[-1]) - 1
     zero = np.array([item.step if not item.paths else 0.0 for item in watched])
-    return Responses(
+    return HypothesisResponses(
         np.array(sets), air, common, np.append(zero, np.zeros(count - len(watched))), np.zeros((count, most)),
         np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, READINGS)), np.zeros((count, READINGS)),
         np.zeros(count), np.zeros((count, count)), np.zeros(n), np.zeros((integration.STAGES + 1, most)),

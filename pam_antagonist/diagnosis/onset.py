@@ -23,7 +23,7 @@ from pam_antagonist.diagnosis.search import CatalogueEffect, search
 from pam_antagonist.diagnosis.splits import in_turn
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, Linear, Near, cost_of, refit, relinearised
+from pam_antagonist.inference.gauss_newton import Fitted, Linearised, Near, cost_of, refit, relinearised
 from pam_antagonist.inference.point import THROUGHOUT, Point, Span
 from pam_antagonist.inference.starts import MAY_BE_NOISE
 
@@ -194,7 +194,7 @@ def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
     if not _shows(experiment, fitted):
         return _Refined(experiment, fitted)
     pace = fitted.scale.blocks_per_error
-    linear = Linear.of(replace(experiment, split=None), fitted)
+    linear = Linearised.of(replace(experiment, split=None), fitted)
     span, stds, best = experiment.span, [0.0, 0.0], linear.on(np.ones(len(linear.residual), dtype=bool))
     for k, edge in enumerate(span.limits):
         if np.isfinite(edge):
@@ -207,7 +207,7 @@ def _refined(experiment: Experiment, fitted: Fitted) -> _Refined:
     return _Refined(moved, relinearised(moved, again))
 
 
-def _edge(linear: Linear, span: Span, k: int, best: Near) -> tuple[Span, Near, float]:
+def _edge(linear: Linearised, span: Span, k: int, best: Near) -> tuple[Span, Near, float]:
     """The most likely place of one edge of a span, the model there, and its standard deviation [s].
 
     `linear`: the model of all of the recording, with derivatives that serve for other edges as well. `k`: 0 for its

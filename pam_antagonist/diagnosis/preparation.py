@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pam_antagonist.diagnosis import thresholds
-from pam_antagonist.diagnosis.hypotheses import Checkpoint
+from pam_antagonist.diagnosis.hypotheses import ResumeFolder
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
 from pam_antagonist.identification.sealed import (
@@ -62,7 +62,7 @@ class Settings:
     progress: Callable[[str], None] = silent  # is called with what is being done
     profiles: bool = True  # whether to work out profile likelihoods
     estimator: bool = True  # whether to run the estimator before and after
-    store: Checkpoint = Checkpoint()  # keeps finished candidates; default: nowhere
+    store: ResumeFolder = ResumeFolder()  # keeps finished candidates; default: nowhere
 
     def about(self, group: Group) -> Callable[[str], None]:
         """What is being done to a group, with its name where there are several."""

@@ -104,7 +104,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class Form:
+class SumOfTerms:
     """A sum of few terms that approximates a residual."""
 
     terms: tuple[tuple[str, float], ...]
@@ -132,7 +132,7 @@ class RemainingResidual:
     depends_on: dict[str, float]  # share of its variance that goes with each kind of dependence alone
     bands: dict[str, float]
     period: float  # about which its power lies [s]
-    form: Form
+    form: SumOfTerms
     values: Floats  # the residual (N,) that is described
     around: Surroundings
     begin_s: float = 0.0  # where it is above noise [s]
@@ -334,7 +334,7 @@ def period(residual: Floats, step: float) -> float:
     return 1.0 / mean if mean > 0.0 else float("inf")
 
 
-def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundings] | None = None) -> Form:
+def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundings] | None = None) -> SumOfTerms:
     """Few terms that explain a residual: forward, each kept only while the Bayesian criterion falls.
 
     `residual`: (N,). `later`: residual (M,) and surroundings of what was held out, for judging.
@@ -374,7 +374,7 @@ def form(residual: Floats, around: Surroundings, later: tuple[Floats, Surroundin
         )
         held = 1.0 - float(np.sum((later[0] - predicted) ** 2)) / max(float(np.sum(later[0] ** 2)), 1e-300)
     pairs = tuple(zip(chosen, coefficients[1:].tolist(), strict=True))
-    return Form(pairs, 1.0 - float(left @ left) / total, held)
+    return SumOfTerms(pairs, 1.0 - float(left @ left) / total, held)
 
 
 def means(residual: Floats, over: Floats, which: Sequence[bool] | NDArray[np.bool_] | None = None) -> Floats:

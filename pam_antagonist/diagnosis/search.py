@@ -15,14 +15,14 @@ import numpy as np
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import calibrations, thresholds
-from pam_antagonist.diagnosis.calibrations import Calibration
-from pam_antagonist.diagnosis.hypotheses import Checkpoint, Hypothesis, Kept, Ranking, TriedCandidate, Work, key_of
+from pam_antagonist.diagnosis.calibrations import CalibrationHypothesis
+from pam_antagonist.diagnosis.hypotheses import Hypothesis, Kept, Ranking, ResumeFolder, TriedCandidate, Work, key_of
 from pam_antagonist.diagnosis.models import Model, as_configured, evidence, in_threads, price, shared
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, prior_cost, refit, relinearised
-from pam_antagonist.inference.likelihood import Equations, Step
+from pam_antagonist.inference.likelihood import LinearProblem, Solution
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import STARTS, best_of_starts
 from pam_antagonist.model.effects import CATALOGUE, experiment_between
@@ -144,7 +144,7 @@ def _scored(model: Model) -> dict[str, _Scored]:
 
 
 def _fits(
-    model: Model, begun: Mapping[tuple[str, int], tuple[Score, Fitted]], checkpoint: Checkpoint
+    model: Model, begun: Mapping[tuple[str, int], tuple[Score, Fitted]], checkpoint: ResumeFolder
 ) -> dict[tuple[str, int], Fitted]:
     """Candidates (effect, recording), fitted from the start of a score test; the best from other starts as well."""
     keys = {(name, r): key_of(model.experiments[r], (*model.effects, name)) for name, r in begun}
@@ -214,11 +214,11 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     moved = (_with(here.point, size, shape) for size, shape in steps.values())
     columns = np.stack(experiment.differences(here.point, here.residual, moved), axis=2)
     # The sums over the blocks are made once, and each candidate takes those that it needs.
-    everything = Equations.of(here.residual, here.base, np.concatenate([here.effect, columns], axis=2))
+    everything = LinearProblem.of(here.residual, here.base, np.concatenate([here.effect, columns], axis=2))
     place = {key: known + k for k, key in enumerate(steps)}
     del columns
 
-    def cost(step: Step) -> float:
+    def cost(step: Solution) -> float:
         misfits = scale.misfits_of(step.squares, len(here.residual))
         return float(misfits.sum()) + prior_cost(experiment, here.point.theta + step.theta)
 
@@ -273,7 +273,7 @@ GROUP = "pam_antagonist.hypotheses"
 
 def hypotheses() -> tuple[Hypothesis, ...]:
     """What is looked for in recordings as they were made; of equals the first one is taken."""
-    return (*EFFECTS, Calibration(), *(point.load()() for point in entry_points(group=GROUP)))
+    return (*EFFECTS, CalibrationHypothesis(), *(point.load()() for point in entry_points(group=GROUP)))
 
 
 def about(name: str) -> Hypothesis:

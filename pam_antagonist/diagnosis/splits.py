@@ -18,7 +18,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.models import Model, in_threads, likelier, recalibrated
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, Linear
+from pam_antagonist.inference.gauss_newton import Fitted, Linearised
 from pam_antagonist.inference.trial import Split
 from pam_antagonist.strict_json import picked
 
@@ -120,8 +120,8 @@ def firmness(model: Model, without: Mapping[str, Model]) -> dict[str, Firmness]:
     shown = [("", r) for r in sorted(set().union(*differ.values()))]
     shown += [(name, r) for name, recordings in differ.items() for r in recordings]
 
-    def linear(name: str, r: int) -> Linear:
-        return Linear.of(_whole(fits[name].experiments[r]), fits[name].fits[r])
+    def linear(name: str, r: int) -> Linearised:
+        return Linearised.of(_whole(fits[name].experiments[r]), fits[name].fits[r])
 
     def held(name: str, r: int, k: int) -> Floats:
         return starts[name, r].on(splits[r][k].fitted).residual[splits[r][k].held]

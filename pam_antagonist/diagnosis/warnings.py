@@ -17,7 +17,7 @@ from pam_antagonist.inference.expected import guesses_curves
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted
-from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.likelihood import LinearProblem
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.inference.point import Point, Span
 from pam_antagonist.inference.trial import ANGLE, TORQUE
@@ -297,7 +297,7 @@ def _shown(names: Iterable[str], experiment: Experiment, fitted: Fitted) -> set[
     out = set()
     for name, change in zip(there, experiment.differences(fitted.point, fitted.residual, points), strict=True):
         # As a fit would see it if all else were noise.
-        step = Equations.of(change, fitted.base, none).solved(
+        step = LinearProblem.of(change, fitted.base, none).solved(
             scale, experiment.prior, np.zeros(experiment.size), rounds=1, first=scale.noise**2,
             length=np.full(len(scale.noise), counted),
         )  # fmt: skip

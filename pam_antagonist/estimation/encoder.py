@@ -230,7 +230,7 @@ def correct(reading, memory, settings, work):
 
     `reading`: ψ as measured, offset subtracted [rad], finite. `memory`:
     :class:`pam_antagonist.estimation.memory.Memory`, changed in place. `settings`:
-    :class:`pam_antagonist.estimation.memory.Settings`.
+    :class:`pam_antagonist.estimation.memory.FilterSettings`.
     """
     innovation = reading - memory.x[ANGLE]
     variance = memory.covariance[ANGLE, ANGLE] + settings.angle_noise

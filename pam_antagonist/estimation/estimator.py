@@ -14,7 +14,14 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import encoder, possible, push, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation import memory as memories
-from pam_antagonist.estimation.memory import ESTIMATE_DTYPE, Checkpoint, Counts, FilterIdentity, Settings, make_memory
+from pam_antagonist.estimation.memory import (
+    ESTIMATE_DTYPE,
+    Checkpoint,
+    Counts,
+    FilterIdentity,
+    FilterSettings,
+    make_memory,
+)
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import ADDED_STATES, parameter_path
@@ -166,7 +173,7 @@ class Estimator:
         n, m = int(sets[0, par.STATES]), (len(sets) - 1) // 2
         initial, process = _of_states(sets[0], chosen, rig.sample_period, joint == "locked")
         measurement = np.array(chosen.measurement)
-        self._settings = Settings(
+        self._settings = FilterSettings(
             parameter_sets=sets,
             initial=initial,
             process_noise=process,

@@ -45,11 +45,11 @@ from pam_antagonist.estimation.memory import (
     NO_ANGLE,
     OUTLIER,
     REPAIRED,
+    FilterSettings,
     Memory,
-    Settings,
 )
 from pam_antagonist.estimation.stamps import LAST, LONGEST_GAP_NS, REJECTED, RESTART_AFTER_NS, RUNNING, STARTED
-from pam_antagonist.estimation.ukf import Work
+from pam_antagonist.estimation.ukf import FilterScratch
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
 from pam_antagonist.model.parameters import SLOT_OF
@@ -297,8 +297,8 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
     `stamp`: [ns]. `y`: both pressures [Pa], NaN where missing. `u`: both voltages [V] over the step that ends at the
     stamp, NaN where missing. `angles`: measured angles (N,) [rad], NaN where missing; None where none is used. `k`:
     index of the sample's angle in ``angles``. `memory`: :class:`Memory` of the filter, changed in place. `settings`:
-    its :class:`Settings`. `row`: result, a record of ``ESTIMATE_DTYPE``. Returns True if ``row`` holds an estimate;
-    False if the sample was dropped, or could not start the filter.
+    its :class:`FilterSettings`. `row`: result, a record of ``ESTIMATE_DTYPE``. Returns True if ``row`` holds an
+    estimate; False if the sample was dropped, or could not start the filter.
     """
     clock, counts = memory.clock, memory.counts
     bounds = settings.possible
@@ -361,12 +361,13 @@ def process_all(
 
     `stamps`: (N,) [ns]. `pressures`: (N, 2) [Pa]. `voltages`: (N, 2) [V]. `angles`: (N,) [rad]; None for a filter
     without an encoder, for which numba compiles a smaller version. `memory_fields`: fields of :class:`Memory` as a
-    plain tuple: numba unpacks it in a third of a NamedTuple's time. `settings_fields`: fields of :class:`Settings`,
-    likewise. `work_fields`: fields of :class:`pam_antagonist.estimation.ukf.Work`, likewise. `rows`: results (N,) of
-    ``ESTIMATE_DTYPE``. `states`: result (N, n), the whole state of each estimate. `index`: result (N,), the index of
-    each estimate's sample. `started`: result (N,), the stamp [ns] at which the filter of each estimate was started.
+    plain tuple: numba unpacks it in a third of a NamedTuple's time. `settings_fields`: fields of
+    :class:`FilterSettings`, likewise. `work_fields`: those of :class:`pam_antagonist.estimation.ukf.FilterScratch`,
+    likewise. `rows`: results (N,) of ``ESTIMATE_DTYPE``. `states`: result (N, n), the whole state of each estimate.
+    `index`: result (N,), the index of each estimate's sample. `started`: result (N,), the stamp [ns] at which the
+    filter of each estimate was started.
     """
-    memory, settings, work = Memory(*memory_fields), Settings(*settings_fields), Work(*work_fields)
+    memory, settings, work = Memory(*memory_fields), FilterSettings(*settings_fields), FilterScratch(*work_fields)
     count = 0
     for k in range(stamps.shape[0]):
         y, u = (pressures[k, 0], pressures[k, 1]), (voltages[k, 0], voltages[k, 1])

@@ -86,7 +86,7 @@ ESTIMATE_DTYPE = np.dtype(
 torque [N m] and its covariance with angle, velocity, torque and itself are NaN if the rig has no such state."""
 
 
-class Settings(NamedTuple):
+class FilterSettings(NamedTuple):
     """Settings of a filter; n states, m consider parameters."""
 
     # parameter vectors of the sigma points (1 + 2 m, parameters.SIZE), the nominal one first.
@@ -211,7 +211,7 @@ class Checkpoint:
     angle_sensor: NDArray[np.float64]
 
 
-def settings_hash(settings: Settings) -> str:
+def settings_hash(settings: FilterSettings) -> str:
     """Hash of all settings of a filter, sixteen hex digits."""
     content = settings._asdict()
     del content["possible"], content["commands"]  # follow from the rig; checkpoints older than them remain valid

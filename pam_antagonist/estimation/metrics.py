@@ -339,7 +339,7 @@ class PressureErrors:
 
 
 @dataclass(frozen=True)
-class ModelErrors:
+class ModelAloneErrors:
     """Errors of the model alone; None where a channel was not measured."""
 
     angle: ChannelErrors | None
@@ -348,7 +348,7 @@ class ModelErrors:
 
 
 @dataclass(frozen=True)
-class FilterErrors(ModelErrors):
+class FilterErrors(ModelAloneErrors):
     """Errors of the filter, which may estimate the external torque as well."""
 
     external_torque: ChannelErrors | None

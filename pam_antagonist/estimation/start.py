@@ -47,7 +47,7 @@ def start(y, effects, memory, settings, work):
     """Set state and covariance from a first sample.
 
     `y`: pressures (2,) [Pa]. `memory`: :class:`~pam_antagonist.estimation.memory.Memory` of the filter, changed in
-    place. `settings`: its :class:`~pam_antagonist.estimation.memory.Settings`.
+    place. `settings`: its :class:`~pam_antagonist.estimation.memory.FilterSettings`.
     """
     x, covariance, cross, innovation = memory.x, memory.covariance, memory.cross, memory.innovation
     p = settings.parameter_sets[0]

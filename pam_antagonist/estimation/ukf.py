@@ -34,7 +34,7 @@ _TOLERANCE = 1e-12
 """A pivot below this share of its diagonal entry is a rounding error."""
 
 
-class Work(NamedTuple):
+class FilterScratch(NamedTuple):
     """Scratch arrays of the kernels, so that no step allocates."""
 
     points: np.ndarray  # sigma points (1 + 2 m + 2 n, n)
@@ -54,10 +54,10 @@ class Work(NamedTuple):
     before_cross: np.ndarray  # C there (n, m)
 
 
-def make_work(states: int, parameter_sets: np.ndarray) -> Work:
+def make_work(states: int, parameter_sets: np.ndarray) -> FilterScratch:
     """Scratch arrays for a number of states and parameters. `parameter_sets`: of the sigma points (1 + 2 m, SIZE)."""
     n, points = states, 2 * states + len(parameter_sets)
-    return Work(
+    return FilterScratch(
         points=np.zeros((points, n)),
         lower=np.zeros((n, n)),
         scratch=np.zeros((n, n)),

@@ -62,7 +62,7 @@ class RegulatorChannel(Strict):
     reference: Literal["gauge", "absolute"] = Field(description="whether offset counts from the atmosphere or vacuum")
 
 
-class Calibration(Strict):
+class DeviceCalibration(Strict):
     """Sensors and regulators of a device. Read one with :func:`load_calibration`."""
 
     name: str
@@ -84,14 +84,14 @@ def calibration_names() -> list[str]:
     return sorted(path.stem for path in (config_dir() / "hardware").glob("*.yaml"))
 
 
-def load_calibration(name_or_path: str | Path) -> Calibration:
+def load_calibration(name_or_path: str | Path) -> DeviceCalibration:
     """Read and check a calibration.
 
     `name_or_path`: the path of a YAML file, or the name of one in ``config/hardware`` (``example``).
     """
     path = _locate(str(name_or_path))
     content = read_mapping(path, "hardware", "config/hardware/example.yaml")
-    found = validated(Calibration, content, str(path))
+    found = validated(DeviceCalibration, content, str(path))
     for complaint in _complaints(found):
         raise BadInput(f"{path}: {complaint}")
     return found
@@ -109,7 +109,7 @@ def _locate(name: str) -> Path:
     return config_dir() / "hardware" / f"{name}.yaml"
 
 
-def _complaints(calibration: Calibration) -> Iterator[str]:
+def _complaints(calibration: DeviceCalibration) -> Iterator[str]:
     """Contradictions between entries, which the schema cannot check."""
     sensors = {"pressure_1": calibration.pressure_1, "pressure_2": calibration.pressure_2}
     for name, channel in {**sensors, "torque": calibration.torque}.items():
@@ -159,7 +159,7 @@ def _absolute(channel: PressureChannel, atmosphere: float, reading: float) -> fl
     return channel.gain * reading + offset + (atmosphere if channel.reference == "gauge" else 0.0)
 
 
-class _Linear(NamedTuple):
+class _Straight(NamedTuple):
     gain: float
     offset: float
     lowest: float = -math.inf
@@ -185,22 +185,22 @@ class Converter:
     `rest`: correction that is added to both pressures (2,) [Pa], as measured at rest.
     """
 
-    def __init__(self, calibration: Calibration, rest: Pair = (0.0, 0.0)) -> None:
+    def __init__(self, calibration: DeviceCalibration, rest: Pair = (0.0, 0.0)) -> None:
         self.calibration = calibration
         self.rest = rest
         atmosphere = calibration.atmosphere
         self._pressures = tuple(
-            _Linear(channel.gain, _absolute(channel, atmosphere, 0.0), channel.lowest, channel.highest)
+            _Straight(channel.gain, _absolute(channel, atmosphere, 0.0), channel.lowest, channel.highest)
             for channel in (calibration.pressure_1, calibration.pressure_2)
             if channel is not None
         )
         self._regulators = tuple(
-            _Linear(channel.gain, channel.offset + (atmosphere if channel.reference == "gauge" else 0.0))
+            _Straight(channel.gain, channel.offset + (atmosphere if channel.reference == "gauge" else 0.0))
             for channel in (calibration.regulator_1, calibration.regulator_2)
             if channel is not None
         )
         torque, encoder = calibration.torque, calibration.encoder
-        self._torque = None if torque is None else _Linear(torque.gain, torque.offset, torque.lowest, torque.highest)
+        self._torque = None if torque is None else _Straight(torque.gain, torque.offset, torque.lowest, torque.highest)
         self._step = math.nan if encoder is None else encoder.sign * 2.0 * math.pi / encoder.counts
         self._zero = 0 if encoder is None else encoder.zero
 

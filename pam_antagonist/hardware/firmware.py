@@ -29,7 +29,7 @@ _HALF_SEQUENCE = 1 << 15
 
 
 @dataclass(frozen=True)
-class Settings:
+class DeviceSettings:
     """Fixed settings of the device."""
 
     name: str = "reference"
@@ -64,8 +64,8 @@ class Firmware:
     voltages for lack of a valid command.
     """
 
-    def __init__(self, settings: Settings | None = None) -> None:
-        self.settings = settings or Settings()
+    def __init__(self, settings: DeviceSettings | None = None) -> None:
+        self.settings = settings or DeviceSettings()
         # Rounded to float32 like the commands, so that a command at the limit is accepted.
         self._lowest, self._highest = as_float32(self.settings.voltage_min), as_float32(self.settings.voltage_max)
         self.safe_voltage = self.settings.safe_voltage

@@ -141,7 +141,7 @@ _CLOCK_STEP = 50_000_000  # step of the host's clock, larger than its normal adj
 _JOIN = 0.3  # [s]
 
 
-class Sample(NamedTuple):
+class DeviceSample(NamedTuple):
     """One sample in SI units."""
 
     stamp_ns: int  # host time at which it was taken [ns]
@@ -153,7 +153,7 @@ class Sample(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RequiredDevice:
     """Required properties of a device."""
 
     period_ns: int  # time between two samples [ns]
@@ -187,9 +187,9 @@ class Link:
         self,
         device: Device,
         converter: Converter,
-        wanted: Wanted,
+        wanted: RequiredDevice,
         now_ns: Callable[[], int],
-        deliver: Callable[[Sample], None],
+        deliver: Callable[[DeviceSample], None],
         attend: Callable[[], None],
     ) -> None:
         self._device = device
@@ -319,4 +319,4 @@ class Link:
             second = math.nan
         angle, torque = self._converter.angle(raw.encoder), self._converter.torque(raw.torque)
         self.counts.samples += 1
-        self._deliver(Sample(stamp, (first, second), raw.voltage, angle, torque, raw.status))
+        self._deliver(DeviceSample(stamp, (first, second), raw.voltage, angle, torque, raw.status))

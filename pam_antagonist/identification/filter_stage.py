@@ -142,7 +142,7 @@ def _followed(rig: Rig, recordings: Sequence[Given], jobs: int) -> _Followed:
 
 
 @dataclass(frozen=True)
-class Covered:
+class UnknownTorque:
     """The unknown torque, and what it gives."""
 
     rig: Rig
@@ -152,7 +152,7 @@ class Covered:
 
 def with_unknown_torque(
     rig: Rig, recordings: Sequence[Given], jobs: int = 1, progress: Callable[[str], None] | None = None
-) -> Covered:
+) -> UnknownTorque:
     """The rig with the standard deviation of an unknown torque, so that 95 % of the angles lie in their intervals.
 
     Where the uncertainty of the rig's values alone makes the intervals wider than that, it is made smaller.
@@ -172,8 +172,8 @@ def with_unknown_torque(
 
     if lacking < -_CLOSE and (known or rig.directions):
         found, _, share = _covering(narrower, math.exp(lacking), "angle", recordings, jobs, progress)
-        return Covered(found, 0.0, share)
-    return Covered(*_covering(with_torque, _FIRST_SHARE * torque_scale(rig), "angle", recordings, jobs, progress))
+        return UnknownTorque(found, 0.0, share)
+    return UnknownTorque(*_covering(with_torque, _FIRST_SHARE * torque_scale(rig), "angle", recordings, jobs, progress))
 
 
 def with_unknown_force(

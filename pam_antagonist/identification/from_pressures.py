@@ -23,8 +23,8 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import air_stage, joint_stage, noise
 from pam_antagonist.identification.air_stage import errors, fit_air
 from pam_antagonist.identification.filter_stage import (
-    Covered,
     Given,
+    UnknownTorque,
     with_least_error,
     with_process_noise,
     with_unknown_force,
@@ -46,7 +46,7 @@ from pam_antagonist.identification.regulators import beside_the_lag
 from pam_antagonist.identification.result import (
     AS_USUAL,
     FromPressures,
-    Held,
+    HeldRecording,
     Options,
     Step,
     held_of,
@@ -63,7 +63,7 @@ from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal
 
-__all__ = ["FromPressures", "Held", "concluded", "fitted_until", "identify", "parts_of", "with_joint"]
+__all__ = ["FromPressures", "HeldRecording", "concluded", "fitted_until", "identify", "parts_of", "with_joint"]
 
 Floats = NDArray[np.float64]
 
@@ -274,7 +274,7 @@ def _own_rig(rig: Rig, joint: Fit, air: Fit | None, name: str) -> Rig:
 def _with_filter(
     rig: Rig, joint: Fit, air: Fit | None, parts: Sequence[Given], runs: Sequence[Run], jobs: int,
     progress: Callable[[str], None],
-) -> Covered:  # fmt: skip
+) -> UnknownTorque:  # fmt: skip
     """The rig with noise and covariance of its filter."""
     progress("process noise of the filter")
     free = [given for given in parts if is_free(given)]
@@ -288,7 +288,7 @@ def _with_filter(
     followed = with_process_noise(quiet, parts, jobs, guessed=False).replaced(uncertainty=kept)
     best = with_least_error([quiet, followed], parts, jobs)
     best = noise.with_directions(best, joint, runs)
-    covered = with_unknown_torque(best, free, jobs, progress) if free else Covered(best, 0.0, math.nan)
+    covered = with_unknown_torque(best, free, jobs, progress) if free else UnknownTorque(best, 0.0, math.nan)
     return replace(covered, rig=with_unknown_force(covered.rig, parts, jobs, progress))
 
 

@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from pam_antagonist.estimation.metrics import ChannelErrors
-from pam_antagonist.identification.result import Held
-from pam_antagonist.replays.result import ANGLE, CHANNELS, Channel, ReplayReport, covered
+from pam_antagonist.identification.result import HeldRecording
+from pam_antagonist.replays.result import ANGLE, CHANNELS, EstimatedChannel, ReplayReport, covered
 from pam_antagonist.rig.physical import is_positive
 from pam_antagonist.rig.units import readable
 from pam_antagonist.shown import number
@@ -33,17 +33,17 @@ _Model = Literal["ukf", "model_alone"]
 _MODELS: tuple[_Model, ...] = ("ukf", "model_alone")
 
 
-def rigs_of(held: Held) -> list[tuple[str, ReplayReport]]:
+def rigs_of(held: HeldRecording) -> list[tuple[str, ReplayReport]]:
     """The compared rigs: title and numbers."""
     return [(title, held.reports[key]) for key, title in _TITLES.items() if key in held.reports]
 
 
-def errors_of(held: Held) -> dict[str, float]:
+def errors_of(held: HeldRecording) -> dict[str, float]:
     """Errors of a free joint's angle by what gives it, RMS [deg]; empty without any."""
     return {key: held.error(key) for key in COLUMNS if math.isfinite(held.error(key))}
 
 
-def known(held: Held, channel: Channel, model: _Model = "ukf") -> list[ChannelErrors]:
+def known(held: HeldRecording, channel: EstimatedChannel, model: _Model = "ukf") -> list[ChannelErrors]:
     """Errors of a channel with each rig; empty if it was not measured, did not move or the joint was locked."""
     if channel is ANGLE and held.identified.joint.condition == "locked":
         return []
@@ -52,7 +52,7 @@ def known(held: Held, channel: Channel, model: _Model = "ukf") -> list[ChannelEr
     return found if len(found) == len(errors) else []
 
 
-def entry(held: Held) -> dict[str, Any]:
+def entry(held: HeldRecording) -> dict[str, Any]:
     """The numbers of a held-out part in ``report.json``."""
     keys = ("samples", "duration_s", "ukf", "model_alone", "innovation")
     rigs = {rig: picked(held.reports[rig], *keys) if rig in held.reports else None for rig in _TITLES}
@@ -60,13 +60,13 @@ def entry(held: Held) -> dict[str, Any]:
     return {**about, **rigs, "errors_deg": errors_of(held)}
 
 
-def pooled_coverage(every: Iterable[Held], rig: str = "identified") -> float:
+def pooled_coverage(every: Iterable[HeldRecording], rig: str = "identified") -> float:
     """Mean coverage of a rig's 95 % interval over recordings and estimated quantities; NaN without measurements."""
     shares = [item.coverage for held in every if rig in held.reports for item in covered(held.reports[rig])]
     return sum(shares) / len(shares) if shares else math.nan
 
 
-def lacks_an_effect(every: Sequence[Held]) -> bool:
+def lacks_an_effect(every: Sequence[HeldRecording]) -> bool:
     """Whether the filter got worse on held-out data, so that the model seems to lack an effect."""
     return any(
         errors[1].rmse > WORSE * errors[0].rmse
@@ -80,8 +80,8 @@ def do_not_use(rejected: str) -> str:
 
 
 def rejection(
-    every: Sequence[Held], refused: str = "", parameters: Sequence[ParameterEntry] = (), declared: Collection[str] = (),
-    saw: bool = False,
+    every: Sequence[HeldRecording], refused: str = "", parameters: Sequence[ParameterEntry] = (),
+    declared: Collection[str] = (), saw: bool = False,
 ) -> str:  # fmt: skip
     """Why the identified rig should not be used, in a sentence; empty if it may.
 
@@ -117,14 +117,14 @@ def bounds_met(met: Sequence[ParameterEntry]) -> str:
     )
 
 
-def _much_better(every: Sequence[Held]) -> bool:
+def _much_better(every: Sequence[HeldRecording]) -> bool:
     """Whether no channel got worse on held-out data, and their errors at most half as large as before in the mean."""
     both = [_pooled(every, channel, model) for channel in CHANNELS for model in _MODELS]
     ratios = [max(now, 1e-12) / max(before, 1e-12) for before, now in filter(None, both)]
     return bool(ratios) and max(ratios) <= 1.0 and math.prod(ratios) <= 0.5 ** len(ratios)
 
 
-def _became_worse(every: Sequence[Held]) -> str:
+def _became_worse(every: Sequence[HeldRecording]) -> str:
     """Whether the filter got worse on all held-out parts together, in a sentence; empty if not.
 
     The filter's error counts twice as much as that of the model alone. A worse torque counts if the angle did not
@@ -161,7 +161,7 @@ def _became_worse(every: Sequence[Held]) -> str:
     return ""
 
 
-def _pooled(every: Sequence[Held], channel: Channel, model: _Model) -> tuple[float, float] | None:
+def _pooled(every: Sequence[HeldRecording], channel: EstimatedChannel, model: _Model) -> tuple[float, float] | None:
     """RMS error of a channel over all recordings that have it, as configured and identified."""
     found = [errors for held in every if (errors := known(held, channel, model))]
     if not found:
@@ -170,7 +170,7 @@ def _pooled(every: Sequence[Held], channel: Channel, model: _Model) -> tuple[flo
     return before, now
 
 
-def _diverged(held: Held) -> bool:
+def _diverged(held: HeldRecording) -> bool:
     """Whether filter or model have no error that is a number."""
     figures = held.identified
     errors = [item for channel in CHANNELS for part in (figures.ukf, figures.model_alone) if (item := channel.of(part))]

@@ -24,7 +24,7 @@ from pam_antagonist.identification.held_out import (
     rejection,
 )
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
-from pam_antagonist.identification.result import FromPressures, Held, pooled
+from pam_antagonist.identification.result import FromPressures, HeldRecording, pooled
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
 from pam_antagonist.inference.unknowns import Fit, Unknown
 from pam_antagonist.program import versions
@@ -96,7 +96,7 @@ class Identified(Shown):
     rig: Rig
     own: tuple[Rig, ...]
     found: FromPressures | SealedIdentified
-    held: tuple[Held, ...]
+    held: tuple[HeldRecording, ...]
     recordings: tuple[tuple[Recording, JointCondition, str], ...]
     seed: int = 0
 

@@ -24,7 +24,7 @@ from pam_antagonist.inference.command_driven import CommandDriven
 from pam_antagonist.inference.episode_search import Begun, Tried, search
 from pam_antagonist.inference.episodes import EpisodeModel, Episodes
 from pam_antagonist.inference.free_parameters import Candidate, moved
-from pam_antagonist.inference.held_episodes import Held, held_out, thinned
+from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out, thinned
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
 from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import picked
@@ -75,7 +75,7 @@ class RegulatorsFound:
         return moved(rig, {name: interval.value for name, interval in self.values.items()})
 
 
-def of_commands(joint: Episodes, held: Held, progress: Callable[[str], None]) -> RegulatorsFound:
+def of_commands(joint: Episodes, held: EpisodeSplit, progress: Callable[[str], None]) -> RegulatorsFound:
     """Identify both regulators."""
     driven = CommandDriven.like(joint)
     pool = thinned(held.pool, _USED)

@@ -12,7 +12,7 @@ from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from pam_antagonist.identification import joint_stage
-from pam_antagonist.identification.filter_stage import Covered, Given
+from pam_antagonist.identification.filter_stage import Given, UnknownTorque
 from pam_antagonist.identification.parts import held_runs, is_free
 from pam_antagonist.identification.runs import SWINGS, Run
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
@@ -61,7 +61,7 @@ or more on three simulated joints, with the right ones 0.06 or less there."""
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldRecording:
     """Held-out data of one recording."""
 
     name: str
@@ -135,8 +135,8 @@ class FromPressures:
     joint: Fit
     air: Fit | None  # values of chambers and valves, or regulators, likewise; None without commands
     final: tuple[Fit, Fit | None]  # the same two from all of the data, where the rig was guessed
-    covered: Covered
-    held: tuple[Held, ...]
+    covered: UnknownTorque
+    held: tuple[HeldRecording, ...]
     fitted: tuple[tuple[str, float], ...]  # name of each recording, and the end of its part that was fitted [s]
     notes: tuple[str, ...]
     # errors of the pressures in a second from the commands [Pa]: of the model, and if nothing flowed.
@@ -207,7 +207,7 @@ class FromPressures:
         )
 
 
-def pooled(every: Sequence[Held], column: str) -> float:
+def pooled(every: Sequence[HeldRecording], column: str) -> float:
     """Error of the angle over all held-out rows, RMS [deg]; NaN without any. `column`: as for :meth:`Held.error`."""
     known = [(item.error(column), item.rows) for item in every if math.isfinite(item.error(column))]
     total = sum(rows for _, rows in known)
@@ -225,7 +225,7 @@ def linear_map(runs: Sequence[Run]) -> Floats | None:
     return np.asarray(found)
 
 
-def held_of(given: Given, before: Given, end: float, rigs: Mapping[str, Rig], line: Floats | None) -> Held:
+def held_of(given: Given, before: Given, end: float, rigs: Mapping[str, Rig], line: Floats | None) -> HeldRecording:
     """Errors of a recording's held-out part.
 
     `end`: of the part that was fitted [s]. `line`: coefficients of the linear map (3,); None without any.
@@ -246,7 +246,7 @@ def held_of(given: Given, before: Given, end: float, rigs: Mapping[str, Rig], li
         alone = _rms_deg([joint_stage.simulated(run, p, 0.0, 0.0) - run.angle for run in parts])
         mapped = _rms_deg([np.column_stack([run.pressure, np.ones(len(run))]) @ line - run.angle for run in parts])
         rows = int(np.isfinite(recording.angle[recording.time_s >= begin]).sum())
-    return Held(name, begin, replays, reports, alone, mapped, rows)
+    return HeldRecording(name, begin, replays, reports, alone, mapped, rows)
 
 
 def _lean(item: Replay) -> Replay:

@@ -41,7 +41,7 @@ _MOST, _STEPS = 10.0, (0.2, 0.2, 0.3, 0.5, 0.01)
 """Largest factor between start and solution, and usual steps of the five."""
 
 
-class Form(NamedTuple):
+class TableForm(NamedTuple):
     """A form of the force map, or that of the volume, by the model's own functions."""
 
     name: str  # a key of ``UNITS``
@@ -95,7 +95,7 @@ class LeftOut(NamedTuple):
 class StaticFit:
     """A form fitted to a table, in SI units."""
 
-    form: Form
+    form: TableForm
     coefficients: Floats  # (K,), pressures absolute
     # (K, K); values at one length count as dependent on each other. NaN where there are only as many volumes as
     # coefficients.
@@ -201,7 +201,7 @@ def fit(table: StaticTable, name: str, rest_length: float = 0.2, nominal: float 
     """
     if name != VOLUME and FORMS[name].nominal:
         rest_length = nominal or float(table.length.max())
-    form, bend = Form(name, rest_length, table.atmosphere), _BEND * float(table.value.max())
+    form, bend = TableForm(name, rest_length, table.atmosphere), _BEND * float(table.value.max())
     whole = _fitted(table, form, bend)
     if name != VOLUME and not np.all(np.isfinite(whole.covariance)):
         raise Undetermined(f"{int(np.sum(~table.slack))} measured forces, expected more than coefficients")
@@ -247,7 +247,7 @@ def compare_forms(
     return out
 
 
-def _fitted(table: StaticTable, form: Form, bend: float) -> StaticFit:
+def _fitted(table: StaticTable, form: TableForm, bend: float) -> StaticFit:
     """A form fitted to all of a table. `bend`: w of ``braided`` [N], the same for all parts of a table."""
     fewest = _FEWEST_LENGTHS.get(form.name, 0)
     if len(np.unique(table.group[~table.slack])) < fewest:
@@ -258,7 +258,7 @@ def _fitted(table: StaticTable, form: Form, bend: float) -> StaticFit:
     return _sarosi(table, form, start) if form.name == "sarosi" else _around(table, form, start, np.arange(len(start)))
 
 
-def _sarosi(table: StaticTable, form: Form, start: Floats) -> StaticFit:
+def _sarosi(table: StaticTable, form: TableForm, start: Floats) -> StaticFit:
     """Each exponent has one best set of the other coefficients, so the search has one dimension."""
     linear = np.delete(np.arange(len(start)), _EXPONENT)
     known = table.length[~table.slack]
@@ -291,7 +291,7 @@ def _sarosi(table: StaticTable, form: Form, start: Floats) -> StaticFit:
     return _around(table, form, found.coefficients, np.arange(len(start)), held=True)
 
 
-def _braided(table: StaticTable, form: Form, bend: float) -> StaticFit:
+def _braided(table: StaticTable, form: TableForm, bend: float) -> StaticFit:
     """The map itself is 0 where the muscle is slack, and a, k, b and s are positive."""
     top, shortest = int(np.argmax(table.value)), float(table.length[~table.slack].min())
     most, closing = float(table.value[top]), 0.8 / max(1.0 - shortest / form.rest_length, 0.05)
@@ -322,7 +322,9 @@ def _braided(table: StaticTable, form: Form, bend: float) -> StaticFit:
     return replace(found, covariance=covariance)
 
 
-def _around(table: StaticTable, form: Form, start: Floats, free: NDArray[np.int64], held: bool = False) -> StaticFit:
+def _around(
+    table: StaticTable, form: TableForm, start: Floats, free: NDArray[np.int64], held: bool = False
+) -> StaticFit:
     """The most likely free coefficients by the slopes at a start; where ``held``, those of the start."""
     slopes = form.slopes(start, table.length, table.pressure)[:, free]
     offset = form.value(start, table.length, table.pressure) - slopes @ start[free] if held else 0.0

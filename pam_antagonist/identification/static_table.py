@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.tobit import Bools, Floats
 from pam_antagonist.recording.csv_map import Delimiter, Layout
-from pam_antagonist.recording.csv_table import Line, Lines, Table, check_file, opened, read_table, split
+from pam_antagonist.recording.csv_table import NumberTable, TextLine, TextLines, check_file, opened, read_table, split
 from pam_antagonist.recording.plausible import UNITS, Signal, canonical, judge_muscles
 
 _WORDS = {
@@ -205,7 +205,7 @@ def _read(
     return found, dict(table.labels)
 
 
-def _complete(path: Path, table: Table, issues: list[str]) -> dict[str, Floats]:
+def _complete(path: Path, table: NumberTable, issues: list[str]) -> dict[str, Floats]:
     """The columns without rows in which a value is missing."""
     good = np.all([np.isfinite(cells) for cells in table.values.values()], axis=0)
     missing = int(np.sum(~good))
@@ -242,15 +242,15 @@ def _opening(path: Path) -> tuple[Layout, list[str]]:
     """The format of a file, and the names of its columns."""
     check_file(path)
     layout = Layout(comment=None)
-    start: list[Line] = []
+    start: list[TextLine] = []
     with opened(path, layout) as stream:
-        lines = Lines(path, layout, stream)
+        lines = TextLines(path, layout, stream)
         for line in lines:
             start.append(line)
             if not line.text.lstrip().startswith("#"):
                 break
         after = "".join(line.text for line in itertools.islice(lines, _PEEKED))
-    first = start[-1] if start else Line(0, "#")
+    first = start[-1] if start else TextLine(0, "#")
     if first.text.lstrip().startswith("#"):
         raise BadInput(f"{path}: no rows in it, only comments")
     delimiter: Delimiter = next((mark for mark in _DELIMITERS if mark in first.text), "space")
@@ -258,7 +258,7 @@ def _opening(path: Path) -> tuple[Layout, list[str]]:
     comma = delimiter != "," and re.search(r"\d,\d", after) and not re.search(r"\d\.\d", after)
     layout = Layout(comment="#", delimiter=delimiter, decimal="," if comma else ".")
 
-    def names(line: Line) -> list[str]:
+    def names(line: TextLine) -> list[str]:
         return [cell.strip() for cell in split(path, layout, [line])[0]]
 
     found = names(first)

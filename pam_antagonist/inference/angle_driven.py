@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
-from pam_antagonist.inference.free_run import Run, predict, start_of
+from pam_antagonist.inference.free_run import StartedModel, predict, start_of
 from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
@@ -262,7 +262,7 @@ class AngleDriven(Experiment):
         ((pressure, needed),) = whole.driven([whole.origin], whole=True)
         alone = np.full(len(self.trial), np.nan)
         if self.trial.has(TORQUE):
-            alone = predict(self.trial, Run(rig.parameters("free")), start_of(self.trial))[:, ANGLE]
+            alone = predict(self.trial, StartedModel(rig.parameters("free")), start_of(self.trial))[:, ANGLE]
         return np.column_stack([alone, needed, pressure])
 
     @property

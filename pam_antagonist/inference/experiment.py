@@ -20,7 +20,7 @@ from typing_extensions import override
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.driven import Driven
 from pam_antagonist.inference.free_parameters import Candidate
-from pam_antagonist.inference.likelihood import ERROR_S, Equations, Scale, in_decibels
+from pam_antagonist.inference.likelihood import ERROR_S, LinearProblem, Scale, in_decibels
 from pam_antagonist.inference.point import THROUGHOUT, Channel, Point, Span
 from pam_antagonist.inference.trial import Split, Trial
 from pam_antagonist.model import parameters as par
@@ -345,7 +345,9 @@ class Experiment(Driven):
         columns = np.stack(self.differences(now, residual, moved_by), axis=2)
         # Weighed and counted as in any fit, and pulled to what the sensors showed.
         scale, none = self.scale(), np.zeros((*residual.shape, 0))
-        step = Equations.of(residual, columns, none).solved(scale, np.ones(starts), np.zeros(starts), rounds=1).theta
+        step = (
+            LinearProblem.of(residual, columns, none).solved(scale, np.ones(starts), np.zeros(starts), rounds=1).theta
+        )
         moved = Point(np.concatenate([point.theta[:count], step]), point.effects)
         weight = 1.0 / (scale.variances(residual) * scale.blocks_per_error)
         before, after = (weight @ np.sum(part**2, axis=0) for part in (residual, self.residual(moved)))

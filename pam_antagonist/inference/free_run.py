@@ -37,7 +37,7 @@ class Phase(NamedTuple):
     parameters: Floats  # vector (P,) of the model
 
 
-class Run(NamedTuple):
+class StartedModel(NamedTuple):
     """A model, and where it starts."""
 
     parameters: Floats  # vector (P,)
@@ -99,7 +99,7 @@ def _rate(values: Floats) -> float:
     return abs(float(np.polynomial.Polynomial.fit(known, values[known], 1).deriv()(0.0))) if len(known) > 1 else 0.0
 
 
-def predict(trial: Trial, model: Run, start: Start) -> Floats:
+def predict(trial: Trial, model: StartedModel, start: Start) -> Floats:
     """The model alone, from the start of a recording on.
 
     `start`: what the sensors showed first; the added states start settled. Returns what the sensors would show (N, 4),
@@ -109,7 +109,7 @@ def predict(trial: Trial, model: Run, start: Start) -> Floats:
 
 
 def predict_each(
-    trial: Trial, models: Sequence[Run], start: Start, jobs: int, made: Callable[[int, Floats], _Result]
+    trial: Trial, models: Sequence[StartedModel], start: Start, jobs: int, made: Callable[[int, Floats], _Result]
 ) -> list[_Result]:
     """:func:`predict` of many models, side by side: a group of them in lanes takes little longer than one model.
 
@@ -135,7 +135,7 @@ def predict_each(
     return [found[k] for k in range(len(models))]
 
 
-def _shown(trial: Trial, model: Run, course: Course) -> Floats:
+def _shown(trial: Trial, model: StartedModel, course: Course) -> Floats:
     """What the sensors show (N, 4) of a model's course; from where it diverges on, ``DIVERGED``."""
     states, torque = course
     shown = np.empty((len(states), 2))
@@ -147,7 +147,7 @@ def _shown(trial: Trial, model: Run, course: Course) -> Floats:
     return out
 
 
-def courses(trial: Trial, models: Sequence[Run], start: Start) -> list[Course]:
+def courses(trial: Trial, models: Sequence[StartedModel], start: Start) -> list[Course]:
     """States (N, n) and torques (N,) [N m] of models whose phases begin at the same times, side by side.
 
     `models`: the models.
@@ -199,7 +199,7 @@ def initial_state(trial: Trial, p: Floats, start: Start, shift: Floats | None = 
     return np.asarray(equilibrium.initial_state(angle, pressures[0], pressures[1], given[0], p))
 
 
-def _parts(trial: Trial, model: Run) -> list[tuple[slice, Floats]]:
+def _parts(trial: Trial, model: StartedModel) -> list[tuple[slice, Floats]]:
     """The samples of each phase, with its parameter vector (P,); a phase has one sample at least."""
     first = [0, *(round(phase.begin_s / trial.dt) for phase in model.later), len(trial)]
     rows = [slice(begin, min(end, len(trial))) for begin, end in zip(first[:-1], first[1:], strict=True)]

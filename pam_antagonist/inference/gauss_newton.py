@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pam_antagonist.inference.driven import Driven
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
-from pam_antagonist.inference.likelihood import Equations, Scale, Step
+from pam_antagonist.inference.likelihood import LinearProblem, Scale, Solution
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import Mask
 
@@ -119,7 +119,7 @@ def refit(
     for _ in range(rounds):
         scale = experiment.scale(residual, blocks_per_error)
         cost = cost_of(experiment, point, residual, scale)
-        found, linear = None, Equations.of(residual, base, effect)
+        found, linear = None, LinearProblem.of(residual, base, effect)
         damped = len(_CAREFUL) if careful > 0 and (fresh or renewals <= 0) else 0
         for number in range(first, len(_STEP_LENGTHS) + damped):
             step = _step(experiment, point, free, linear, scale, number)
@@ -158,7 +158,7 @@ def refit(
             return refit(experiment, *again, near=False)
         residual = true
     scale = experiment.scale(residual, blocks_per_error)
-    last = Equations.of(residual, base, effect).solved(
+    last = LinearProblem.of(residual, base, effect).solved(
         scale, experiment.prior, point.theta, rounds=1, length=scale.length
     )
     cost = cost_of(experiment, point, residual, scale)
@@ -178,10 +178,10 @@ def _step(
     experiment: Experiment,
     point: Point,
     free: Sequence[FreeEffectParameter],
-    linear: Equations,
+    linear: LinearProblem,
     scale: Scale,
     number: int,
-) -> Step:
+) -> Solution:
     """A step to be tried, the more careful the higher its number.
 
     The first ones expect the variances that the linear model promises. Where it promises too much they lead nowhere,
@@ -206,7 +206,7 @@ class Near(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class Linearised:
     """A model of all of a recording with its derivatives, from which fits to parts of it start."""
 
     experiment: Experiment
@@ -216,7 +216,7 @@ class Linear:
     effect: Floats  # likewise by the effects' coordinates (B, C, m)
 
     @classmethod
-    def of(cls, experiment: Experiment, fitted: Fitted) -> Linear:
+    def of(cls, experiment: Experiment, fitted: Fitted) -> Linearised:
         """A model with its derivatives."""
         residual = experiment.residual(fitted.point)
         effect = effect_jacobian(experiment, fitted.point, residual, fitted.free)
@@ -233,7 +233,7 @@ class Linear:
         point, residual, scale = self.fitted.point, self.residual, self.fitted.scale
         cost = cost_of(self.experiment, point, residual[part], scale)
         for _ in range(_PART_ROUNDS):
-            linear = Equations.of(residual[part], self.base[part], self.effect[part])
+            linear = LinearProblem.of(residual[part], self.base[part], self.effect[part])
             for number in range(len(_STEP_LENGTHS) + len(_CAREFUL)):
                 step = _step(self.experiment, point, self.fitted.free, linear, scale, number)
                 moved = moved_by(point, self.fitted.free, step.theta, step.effect)
@@ -257,7 +257,7 @@ def held_residual(experiment: Experiment, fitted: Fitted) -> Floats:
     known = _HELD.get(fitted)
     if known is None or known[0] is not experiment:
         if experiment.splits:
-            linear = Linear.of(experiment, fitted)
+            linear = Linearised.of(experiment, fitted)
             parts = [linear.on(split.fitted).residual[split.held] for split in experiment.splits]
             known = experiment, np.concatenate(parts)
         else:

@@ -13,7 +13,7 @@ FIFTH = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class EpisodeSplit:
     """Split of the episodes, as indices."""
 
     pool: Indices  # episodes that may be fitted (E,)
@@ -21,11 +21,11 @@ class Held:
     later: Indices
 
 
-def held_out(episodes: int, share: float) -> Held:
+def held_out(episodes: int, share: float) -> EpisodeSplit:
     """Hold out the last share of the episodes, and every fifth of the others."""
     before = np.arange(round(episodes * (1.0 - share)))
     fifth = before % FIFTH == FIFTH - 1
-    return Held(before[~fifth], before[fifth], np.arange(len(before), episodes))
+    return EpisodeSplit(before[~fifth], before[fifth], np.arange(len(before), episodes))
 
 
 def thinned(episodes: Indices, most: int) -> Indices:

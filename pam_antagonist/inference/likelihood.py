@@ -91,7 +91,7 @@ class Scale:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Solution:
     """Solution of a linear problem."""
 
     theta: Floats  # change of the base coordinates (K + S,)
@@ -99,7 +99,7 @@ class Step:
     squares: Floats  # mean squares of what the linear model leaves (C,)
     information: Floats
     keep: NDArray[np.intp]
-    equations: Equations
+    equations: LinearProblem
 
     @property
     def residual(self) -> Floats:
@@ -117,7 +117,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class LinearProblem:
     """A linear problem, and the sums over its blocks that any weights of the channels need."""
 
     residual: Floats  # measured minus simulated (B, C)
@@ -128,7 +128,7 @@ class Equations:
     squares: Floats  # sums of the residual's squares (C,)
 
     @classmethod
-    def of(cls, residual: Floats, base: Floats, effect: Floats) -> Equations:
+    def of(cls, residual: Floats, base: Floats, effect: Floats) -> LinearProblem:
         """The problem of a residual with its derivatives.
 
         Args:
@@ -144,12 +144,12 @@ class Equations:
             gram[c], slope[c] = columns @ columns.T, columns @ residual[:, c]
         return cls(residual, base, effect, gram, slope, np.asarray(np.sum(residual**2, axis=0)))
 
-    def among(self, effects: Sequence[int]) -> Equations:
+    def among(self, effects: Sequence[int]) -> LinearProblem:
         """The problem with some of the effects' coordinates only."""
         n = self.base.shape[2]
         keep = np.array([*range(n), *(n + k for k in effects)], dtype=int)
         gram, slope = self.gram[:, keep[:, None], keep], self.slope[:, keep]
-        return Equations(self.residual, self.base, self.effect[:, :, list(effects)], gram, slope, self.squares)
+        return LinearProblem(self.residual, self.base, self.effect[:, :, list(effects)], gram, slope, self.squares)
 
     def solved(
         self,
@@ -161,7 +161,7 @@ class Equations:
         first: Floats | None = None,
         length: Floats | None = None,
         damping: float = 0.0,
-    ) -> Step:
+    ) -> Solution:
         """Most probable step, with the channels' variances estimated anew in every round.
 
         Args:
@@ -189,7 +189,7 @@ class Equations:
             step[keep] = -_solved(damped[kept], right[keep])
             # What the step leaves, by the same sums: no block is looked at again.
             squares = np.maximum(self.squares + (2.0 * self.slope + self.gram @ step) @ step, 0.0) / blocks
-        return Step(step[:n], step[n:], squares, information[kept], keep, self)
+        return Solution(step[:n], step[n:], squares, information[kept], keep, self)
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:

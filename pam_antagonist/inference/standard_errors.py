@@ -23,7 +23,7 @@ from pam_antagonist.inference.free_parameters import (
     values_along,
 )
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, moved_by, relinearised
-from pam_antagonist.inference.likelihood import Equations
+from pam_antagonist.inference.likelihood import LinearProblem
 from pam_antagonist.inference.point import Point
 
 Floats = NDArray[np.float64]
@@ -54,7 +54,7 @@ def well_known(experiment: Experiment, fitted: Fitted) -> Fitted:
     known[: len(experiment.directions)] /= _distance(experiment, near) ** 2
     prior, at_rest = np.append(known, np.ones(len(measured))), np.append(theta, np.zeros(len(measured)))
     scale = fitted.scale
-    last = Equations.of(fitted.residual, both, effect).solved(scale, prior, at_rest, rounds=1, length=scale.length)
+    last = LinearProblem.of(fitted.residual, both, effect).solved(scale, prior, at_rest, rounds=1, length=scale.length)
     covariance = last.covariance
     own = np.r_[0 : experiment.size, both.shape[2] : len(covariance)]
     return replace(near, covariance=covariance[np.ix_(own, own)])
@@ -75,7 +75,7 @@ def settled(experiment: Experiment, fitted: Fitted) -> Fitted:
 def _step(experiment: Experiment, fitted: Fitted) -> Fitted | None:
     """A step with the model's derivatives, which may be those of a nearby point; None if it gains too little."""
     base, effect, scale, theta = fitted.base, fitted.effect, fitted.scale, fitted.point.theta
-    step = Equations.of(fitted.residual, base, effect).solved(scale, experiment.prior, theta, rounds=1)
+    step = LinearProblem.of(fitted.residual, base, effect).solved(scale, experiment.prior, theta, rounds=1)
     for share in _SHARES:
         point = moved_by(fitted.point, fitted.free, share * step.theta, share * step.effect)
         residual = experiment.residual(point)

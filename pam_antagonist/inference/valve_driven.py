@@ -23,8 +23,8 @@ from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, b
 from pam_antagonist.inference.free_run import (
     Key,
     Phase,
-    Run,
     Start,
+    StartedModel,
     courses,
     in_steps,
     predict_each,
@@ -195,10 +195,10 @@ class ValveDriven(Experiment):
     def _recent(self) -> dict[str, tuple[tuple[Trial, Key, Floats], ...]]:
         return {}
 
-    def _run(self, point: Point) -> Run:
+    def _run(self, point: Point) -> StartedModel:
         """The model at the start of the recording, and after each time at which an effect begins or ends."""
         later = tuple(Phase(edge, self.parameters(point, edge)) for edge in self.edges(point) if edge > 0.0)
-        return Run(self.parameters(point, 0.0), self.start_shift(point), later)
+        return StartedModel(self.parameters(point, 0.0), self.start_shift(point), later)
 
     @cached_property
     def _part(self) -> Trial:

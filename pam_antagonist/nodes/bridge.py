@@ -14,7 +14,7 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter, ZeroPressureMeasurement, load_calibration
 from pam_antagonist.hardware.device import Device
-from pam_antagonist.hardware.link import Link, Sample, Wanted
+from pam_antagonist.hardware.link import DeviceSample, Link, RequiredDevice
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.nodes import wire
@@ -106,7 +106,7 @@ class BridgeNode(PamNode):
         # The device's outputs are voltages; for a rig with regulators all other commands are pressures.
         limits, action = self.port.drive.limits, self._converter.action(self.port.drive.action)
         low, high = (self._converter.output((limit, limit)) for limit in (limits.minimum, limits.maximum))
-        wanted = Wanted(round(rig.sample_period * 1e9), min(low), max(high), action)
+        wanted = RequiredDevice(round(rig.sample_period * 1e9), min(low), max(high), action)
         self._device = self._make_device()
         self._link = Link(self._device, self._converter, wanted, self.now_ns, self._deliver, self._attend)
         self._rate, self._rises = Rate(), Rises(None)
@@ -169,7 +169,7 @@ class BridgeNode(PamNode):
         self._commands_sent, self._sent_ns = commands, now
         self._device.command(self._converter.output(voltage))
 
-    def _deliver(self, sample: Sample) -> None:
+    def _deliver(self, sample: DeviceSample) -> None:
         asked = self._converter.asked(sample.voltage)
         self._samples.send(sample.stamp_ns, sample.pressure, asked, sample.angle, sample.torque, sample.angle)
         with self.port.lock:

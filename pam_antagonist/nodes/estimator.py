@@ -24,7 +24,7 @@ from pam_antagonist.nodes.parameters import (
     SIMULATED_JOINT,
     Parameter,
 )
-from pam_antagonist.nodes.sources import Finding, SampleSources, several
+from pam_antagonist.nodes.sources import SampleSources, SourceFinding, several
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 from pam_antagonist.rig.units import unread_signals
@@ -233,7 +233,7 @@ class EstimatorNode(PamNode):
             **{name.replace("_", " "): value for name, value in vars(counts).items()},
         }
         complaint, many = self._estimator.complaint, nis.size and outliers > 0.05 * nis.size
-        finding = self._sources.report(steady_ns) if self._sources else Finding(Level.OK, "")
+        finding = self._sources.report(steady_ns) if self._sources else SourceFinding(Level.OK, "")
         self._mixed = finding.is_mixed
         second, waits, lacks = several(self, [TOPICS["joint_estimate"].relative]), self._waits_for(), finding.words
         some = f"{late} late and {incomplete} incomplete samples" + (f": {lacks}" if incomplete and lacks else "")

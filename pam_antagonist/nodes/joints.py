@@ -70,7 +70,7 @@ _EARLY = 500_000  # [ns] by which a call may come early; otherwise it would come
 
 
 @dataclass(eq=False)
-class Entry:
+class TimerEntry:
     """One timer."""
 
     period_ns: int  # time between two calls [ns]
@@ -95,16 +95,16 @@ class SharedTimers:
 
     def __init__(self, clock: Callable[[], int] = time.monotonic_ns) -> None:
         self._clock = clock
-        self._entries: list[Entry] = []
+        self._entries: list[TimerEntry] = []
 
-    def add(self, period: float, callback: Callable[[], object]) -> Entry:
+    def add(self, period: float, callback: Callable[[], object]) -> TimerEntry:
         """Add a timer. `period`: time between two calls [s]."""
         period_ns = round(period * 1e9)
-        entry = Entry(period_ns, callback, self._clock() + period_ns)
+        entry = TimerEntry(period_ns, callback, self._clock() + period_ns)
         self._entries = [*self._entries, entry]
         return entry
 
-    def remove(self, entry: Entry) -> None:
+    def remove(self, entry: TimerEntry) -> None:
         """Remove a timer."""
         self._entries = [other for other in self._entries if other is not entry]
 
@@ -118,7 +118,7 @@ class SharedTimers:
                 entry.callback()
 
 
-class Joint(NamedTuple):
+class JointNodes(NamedTuple):
     """The nodes of one joint."""
 
     namespace: str  # absolute, such as ``/left/elbow``
@@ -138,7 +138,7 @@ class Joint(NamedTuple):
         return getattr(self.source, "port", None)
 
 
-def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
+def make_joint(namespace: str, source: str = "plant", **options: Any) -> JointNodes:
     """Make plant or bridge, estimator and controller of one joint, linked by direct calls.
 
     Add all of them to one single-threaded executor: each node calls the next one in its own callback.
@@ -159,7 +159,7 @@ def make_joint(namespace: str, source: str = "plant", **options: Any) -> Joint:
     elif source == "bridge":
         # A bridge has a thread of its own, so commands and samples go through the middleware, which is thread-safe.
         owner = bridge.BridgeNode(**options)
-    return Joint(namespace, owner, estimator_node, controller_node)
+    return JointNodes(namespace, owner, estimator_node, controller_node)
 
 
 class JointsNode(PamNode):
@@ -171,7 +171,7 @@ class JointsNode(PamNode):
     NAME, TABLE = "joints", PARAMETERS
 
     def __init__(self, **options: Any) -> None:
-        self.joints: list[Joint] = []
+        self.joints: list[JointNodes] = []
         super().__init__(also_known=_KNOWN, **{"namespace": "/", **options})
         timers = SharedTimers()
         self.create_timer(_TICK, timers.run, clock=self._steady)
@@ -237,7 +237,7 @@ class JointsNode(PamNode):
         return {"joints": health}
 
 
-def _state(joint: Joint) -> str:
+def _state(joint: JointNodes) -> str:
     stopped = "" if joint.port is None else joint.port.guard.stopped
     if stopped or joint.controller.stopped:
         return f"stopped: {stopped or joint.controller.stopped}"

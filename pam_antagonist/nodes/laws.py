@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pam_antagonist.control.command import PI_MODES, Mode, VoltageLimits
-from pam_antagonist.control.governor import Governor, Limits
+from pam_antagonist.control.governor import Governor, JointLimits
 from pam_antagonist.control.laws import LAWS, Laws, Reachable
 from pam_antagonist.control.model_law import ModelController, ModelGains
 from pam_antagonist.control.pi import PUBLISHED_GAINS, Gains, PiController
@@ -180,7 +180,7 @@ def _governor(values: Mapping[str, Any], p: np.ndarray, box: Box) -> Governor:
     def limit(name: str) -> float:
         return float(values[name]) or math.inf
 
-    limits = Limits(
+    limits = JointLimits(
         box.lowest - values["supply_margin"], box.highest + values["supply_margin"], limit("max_angle"),
         limit("max_velocity"), limit("max_extension"), limit("max_contraction"),
     )  # fmt: skip

@@ -16,7 +16,7 @@ import numpy as np
 from typing_extensions import override
 
 from pam_antagonist.diagnosis.monitor import Alarms, Conclusion, Monitor, limits, searches
-from pam_antagonist.diagnosis.monitor_blocks import WINDOW, Finding
+from pam_antagonist.diagnosis.monitor_blocks import WINDOW, MonitorFinding
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, judged
@@ -118,7 +118,7 @@ class MonitorNode(PamNode):
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
         names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
         self._sources = SampleSources(self, names, self._feed.pairing, rig.sample_period)
-        self._samples, self._rate, self._suspect, self._complaint = 0, Rate(), list[Finding](), ""
+        self._samples, self._rate, self._suspect, self._complaint = 0, Rate(), list[MonitorFinding](), ""
         self._health = self.create_publisher(HealthMessage, TOPICS["health"].relative, qos.LATCHED)
         self.announce(rig)
 

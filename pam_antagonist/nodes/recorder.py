@@ -24,7 +24,7 @@ from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.wire import Gaps, message_class, number_of, take
 from pam_antagonist.program import typed
-from pam_antagonist.recording.bag_files import Limits
+from pam_antagonist.recording.bag_files import FileLimits
 from pam_antagonist.recording.topics import TOPICS, Topic, normalize_namespace
 from pam_antagonist.recording.writer import BagWriter
 
@@ -76,7 +76,7 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
     for namespace in given.namespace:
         if not _NAMESPACE.fullmatch(namespace) or given.namespace.count(namespace) > 1:
             raise BadInput(f"--namespace {namespace or '/'}: expected a namespace such as /left/elbow, each once")
-    given.limits = Limits(size, given.max_duration)
+    given.limits = FileLimits(size, given.max_duration)
     return given
 
 

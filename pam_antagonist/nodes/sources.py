@@ -72,7 +72,7 @@ class OneEstimator:
         return several(self._node, (TOPICS["joint_estimate"].relative,))
 
 
-class Finding(NamedTuple):
+class SourceFinding(NamedTuple):
     """What is wrong with the samples' topics."""
 
     level: Level
@@ -93,9 +93,9 @@ class SampleSources:
         self._lacking = dict(pairing.counts.lacking)
         self._since_ns: int | None = None
         self._kind = self._logged = ""
-        self._finding = Finding(Level.OK, "")
+        self._finding = SourceFinding(Level.OK, "")
 
-    def report(self, steady_ns: int) -> Finding:
+    def report(self, steady_ns: int) -> SourceFinding:
         """What is wrong now. It is judged about once a second. `steady_ns`: steady time [ns]."""
         if self._since_ns is not None and steady_ns - self._since_ns < _AGAIN_NS:
             return self._finding
@@ -109,7 +109,7 @@ class SampleSources:
                 self._node.get_logger().warning(self._finding.words)
         return self._finding
 
-    def _judge(self) -> tuple[str, Finding]:
+    def _judge(self) -> tuple[str, SourceFinding]:
         """The kind of what is wrong, and the finding."""
         counts = self._pairing.counts
         samples, complete = counts.samples - self._samples, counts.samples - counts.incomplete - self._complete
@@ -119,20 +119,20 @@ class SampleSources:
         recent = {self._names[place]: stamps for place, stamps in self._pairing.arrivals.take().items()}
         silent = [name for name, stamps in recent.items() if not len(stamps)]
         if len(silent) == len(recent):
-            return "silent", Finding(Level.WARN, f"no samples: {absent(self._node, silent)}")
+            return "silent", SourceFinding(Level.WARN, f"no samples: {absent(self._node, silent)}")
         if second := several(self._node, recent):
             is_mixed = any(mixed(stamps, self._period) for stamps in recent.values())
-            return "several", Finding(Level.ERROR, second, is_mixed)
+            return "several", SourceFinding(Level.ERROR, second, is_mixed)
         if silent:
             coming = listed([name for name in recent if name not in silent])
             why = f"{absent(self._node, silent)}; the {self._node.NAME} needs {listed(silent)} too"
-            return f"without {silent}", Finding(Level.ERROR, f"messages of {coming} come, but {why}")
+            return f"without {silent}", SourceFinding(Level.ERROR, f"messages of {coming} come, but {why}")
         if 2 * complete < min(map(len, recent.values())) and (words := disagreement(recent)):
-            return "stamps", Finding(Level.ERROR, words)
+            return "stamps", SourceFinding(Level.ERROR, words)
         if samples > complete:
             most = max(lacking, key=lambda name: lacking[name])
-            return "", Finding(Level.WARN, f"{lacking[most]} of the last {samples} samples lack {most}")
-        return "", Finding(Level.OK, "")
+            return "", SourceFinding(Level.WARN, f"{lacking[most]} of the last {samples} samples lack {most}")
+        return "", SourceFinding(Level.OK, "")
 
 
 def absent(node: PamNode, topics: Sequence[str]) -> str:

@@ -33,7 +33,7 @@ from pam_antagonist.nodes.wire import number_of, take
 from pam_antagonist.recording.topics import COMMAND_TOPICS, TOPICS
 from pam_antagonist.rig import Rig
 from pam_antagonist.safety import PressureSupervision, SafeAction, ValveGuard
-from pam_antagonist.safety.guard import Decision, Verdict, safe_action
+from pam_antagonist.safety.guard import Decision, Ruling, safe_action
 from pam_antagonist.safety.supervision import frozen_time
 
 if TYPE_CHECKING:
@@ -126,17 +126,17 @@ class ValvePort:
         for data, info in take(self._subscription):
             self.accept(data, now_ns, number_of(info), self._subscription.get_publisher_count())
 
-    def accept(self, data: bytes, now_ns: int, sequence: int | None = None, publishers: int = 1) -> Verdict:
+    def accept(self, data: bytes, now_ns: int, sequence: int | None = None, publishers: int = 1) -> Ruling:
         """Take one command, serialised; see :meth:`ValveGuard.command`."""
         stamp_ns, first, second = self._unpack(data)
         was_stopped, refused = self.guard.stopped, self.guard.authority.refused
         late = stamp_ns > 0 and self._node.ages.of(stamp_ns) > self._max_age
         verdict = self.guard.command((first, second), now_ns, sequence, publishers, late)
-        if verdict is Verdict.LISTENING:
+        if verdict is Ruling.LISTENING:
             self._holder = None
-        elif verdict is Verdict.UNCLEAR and not was_stopped:
+        elif verdict is Ruling.UNCLEAR and not was_stopped:
             self._node.get_logger().error(f"stopped: {self._conflict()}")
-        elif verdict is Verdict.REFUSED and refused == self._refused_before:
+        elif verdict is Ruling.REFUSED and refused == self._refused_before:
             self._node.get_logger().error(self._conflict())
         return verdict
 

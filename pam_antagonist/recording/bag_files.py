@@ -25,7 +25,7 @@ from .cdr import typestore
 
 
 @dataclass(frozen=True)
-class Limits:
+class FileLimits:
     """When to begin the next file of a bag; checked after every batch of messages."""
 
     size: int | None = None  # size of a full file, which may be exceeded by one chunk (1 MB) [bytes]; None: no limit
@@ -121,7 +121,7 @@ class _File(Writer):
 class BagFiles:
     """All files of one bag; for one thread. ``size`` may be read from any thread: bytes as of the last flush."""
 
-    def __init__(self, path: Path, limits: Limits, durable: bool) -> None:
+    def __init__(self, path: Path, limits: FileLimits, durable: bool) -> None:
         self._path, self._limits, self._durable = path, limits, durable
         self._topics: list[tuple[str, str]] = []
         self._connections: dict[str, Connection] = {}

@@ -148,7 +148,7 @@ def _members(prefix: str, msgtype: str, store: Typestore) -> list[tuple[str, Any
 
 
 @dataclass(frozen=True)
-class Group:
+class MessageLayout:
     """Messages of one layout."""
 
     rows: NDArray[np.intp]  # numbers of the messages (k,)
@@ -162,7 +162,7 @@ class Decoded:
     """Messages of one topic as arrays."""
 
     size: int
-    groups: tuple[Group, ...]
+    groups: tuple[MessageLayout, ...]
 
     def fixed(self, path: str) -> NDArray[Any]:
         """Values of a field that every message has: (N,) or (N, count) in native byte order."""
@@ -211,7 +211,7 @@ def _decode(payloads: Payloads, msgtype: str, store: Typestore) -> Decoded:
     if np.any(kinds > 1):
         index = int(np.argmax(kinds > 1))
         raise CdrError(f"message {index} begins with 0x{kinds[index]:04x}, expected plain CDR (0x0000 or 0x0001)")
-    done: list[Group] = []
+    done: list[MessageLayout] = []
     sorts = 2 * length + kinds  # by length and byte order
     for sort in np.unique(sorts).tolist():
         rows, (size, kind) = np.flatnonzero(sorts == sort), divmod(sort, 2)
@@ -230,7 +230,7 @@ def _decode(payloads: Payloads, msgtype: str, store: Typestore) -> Decoded:
 
 def _first_layout(
     rows: NDArray[np.intp], matrix: NDArray[np.uint8], msgtype: str, store: Typestore, order: str
-) -> tuple[Group, NDArray[np.bool_]]:
+) -> tuple[MessageLayout, NDArray[np.bool_]]:
     """The messages that have the layout of the first row, and which ones they are."""
     size, first = matrix.shape[1], matrix[0].tobytes()
     there = np.ones(len(rows), bool)
@@ -262,7 +262,7 @@ def _first_layout(
         elif np.any(last := matrix[:, layout.fields[path][1] + length - 1]):
             index = rows[int(np.argmax(last != 0))]
             raise CdrError(f"message {index}: string {path} of length {length} does not end with a zero byte")
-    return Group(rows, columns, layout.counts), there
+    return MessageLayout(rows, columns, layout.counts), there
 
 
 def _check_end(path: str, layout: _Layout, size: int, message: int) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from . import plausible
 from .csv_map import CsvMap, Time
-from .csv_table import Table, read_table
+from .csv_table import NumberTable, read_table
 from .notes import REGULATOR, SEALED, Issue, read_notes, sha256
 from .plausible import UNITS, Signal, unwrapped
 from .recording import FurtherSignal, Recording
@@ -132,7 +132,7 @@ def began_ns(recording: Recording) -> int | None:
         return None
 
 
-def _apart(table: Table) -> tuple[str, ...]:
+def _apart(table: NumberTable) -> tuple[str, ...]:
     """Columns whose cells mostly stand in rows without a first pressure: each row holds the cells of some topic."""
     there = {name: np.isfinite(cells) for name, cells in table.values.items() if name != "time"}
     if "time" not in table.values or "episode" in table.values or np.count_nonzero(there["pressure_1"]) < _FEWEST_ROWS:
@@ -141,7 +141,7 @@ def _apart(table: Table) -> tuple[str, ...]:
     return tuple(name for name, its in there.items() if 2 * shared[name] < np.count_nonzero(its))
 
 
-def _joined(table: Table) -> Table:
+def _joined(table: NumberTable) -> NumberTable:
     """A table with one row for each time, sorted; the same where a column's own times do not increase."""
     time = table.values["time"]
     known = np.isfinite(time)
@@ -155,7 +155,7 @@ def _joined(table: Table) -> Table:
     return replace(table, values=values, line=table.line[known][first])
 
 
-def _apart_issue(table: Table, apart: tuple[str, ...]) -> Issue:
+def _apart_issue(table: NumberTable, apart: tuple[str, ...]) -> Issue:
     held = [table.labels[name] for name in apart if name in _COMMANDS]
     others = [table.labels[name] for name in apart if name not in _COMMANDS]
     text = f"the rows hold the cells of some columns each: samples are the rows with {table.labels['pressure_1']}"
@@ -164,7 +164,7 @@ def _apart_issue(table: Table, apart: tuple[str, ...]) -> Issue:
     return Issue(text, "resampled", len(table))
 
 
-def _signals(mapping: CsvMap, table: Table, keep: NDArray[np.intp], issues: list[str]) -> dict[str, Signal]:
+def _signals(mapping: CsvMap, table: NumberTable, keep: NDArray[np.intp], issues: list[str]) -> dict[str, Signal]:
     """Scaled numbers of every column, in its unit; NaN for what is not finite."""
     signals, entries = {}, mapping.entries()
     for name, cells in table.values.items():
@@ -222,7 +222,7 @@ def _resampling_issue(stamp_ns: Stamps, rate: float) -> str:
 def _recording(
     path: Path,
     mapping: CsvMap,
-    table: Table,
+    table: NumberTable,
     stamp_ns: Stamps,
     columns: dict[str, Floats],
     episode_ns: Stamps | None,
@@ -279,7 +279,7 @@ def _cut(where: str, recording: Recording, mapping: CsvMap) -> Recording:
 
 
 def _timing(
-    where: str, time: Time, table: Table, sampled: NDArray[np.bool_], issues: list[str]
+    where: str, time: Time, table: NumberTable, sampled: NDArray[np.bool_], issues: list[str]
 ) -> tuple[Stamps, NDArray[np.intp], Stamps | None]:
     """Stamps of the kept rows (M,) [ns], their indices in the file (M,), and the stamps at which episodes begin (E,).
 
@@ -296,7 +296,7 @@ def _timing(
 
 
 def _piece(
-    where: str, time: Time, table: Table, sampled: NDArray[np.bool_], issues: list[str]
+    where: str, time: Time, table: NumberTable, sampled: NDArray[np.bool_], issues: list[str]
 ) -> tuple[int, Stamps, NDArray[np.intp]]:
     """Stamp of the first row [ns], times of the kept rows since then (M,) [ns], and their indices (M,)."""
     start = START_NS if time.date_ns is None else time.date_ns
@@ -322,7 +322,9 @@ def _piece(
     return round(float(begin) * 1e6) * 1000 if is_epoch else start, since, rows
 
 
-def _of_episodes(where: str, time: Time, table: Table, issues: list[str]) -> tuple[Stamps, NDArray[np.intp], Stamps]:
+def _of_episodes(
+    where: str, time: Time, table: NumberTable, issues: list[str]
+) -> tuple[Stamps, NDArray[np.intp], Stamps]:
     """Stamps of a file of episodes, one after the other with pauses; each episode's time may begin anew."""
     number = table.values["episode"]
     bad = np.flatnonzero(~np.isfinite(number))
@@ -364,7 +366,7 @@ def _grid(count: int, rate: float) -> Stamps:
     return np.asarray(np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64))
 
 
-def _in_order(where: str, time: Time, table: Table, issues: list[str]) -> NDArray[np.intp]:
+def _in_order(where: str, time: Time, table: NumberTable, issues: list[str]) -> NDArray[np.intp]:
     """Indices of the rows that are later than all rows before them; the map says whether others are dropped."""
     cells, label = table.values["time"], table.labels["time"]
     known = np.isfinite(cells)
@@ -416,7 +418,7 @@ def _check_period(where: str, label: str, unit: str, cells: NDArray[np.float64])
 
 
 def _judge_intervals(
-    where: str, time: Time, table: Table, keep: NDArray[np.intp], since: Stamps, issues: list[str]
+    where: str, time: Time, table: NumberTable, keep: NDArray[np.intp], since: Stamps, issues: list[str]
 ) -> None:
     """Report uneven intervals; refuse a file with many of them."""
     interval = np.diff(since) * 1e-9

@@ -137,14 +137,14 @@ class Further(Column):
         return next((name for name in ("pressure", "angle", "temperature") if self.unit in UNITS[name]), "")
 
 
-class Atmosphere(Strict):
+class StatedAtmosphere(Strict):
     """What a gauge pressure counts from."""
 
     pressure: float = Field(description="absolute pressure of the surroundings, in the unit")
     unit: str
 
 
-class Valve(Strict):
+class ValveColumn(Strict):
     """A column, or one voltage for the whole file; ``sealed`` says that no air passes."""
 
     column: Optional[Name] = Field(None, description="name of the column, or its number from 1")
@@ -163,11 +163,11 @@ class CsvMap(Strict):
 
     file: Layout = Layout()
     time: Time
-    atmosphere: Optional[Atmosphere] = None
+    atmosphere: Optional[StatedAtmosphere] = None
     pressure_1: Pressure
     pressure_2: Pressure
-    valve_1: Optional[Valve] = None
-    valve_2: Optional[Valve] = None
+    valve_1: Optional[ValveColumn] = None
+    valve_2: Optional[ValveColumn] = None
     drive: Literal["valve", "regulator"] = Field(
         "valve", description="what drove the joint: valves by a voltage, or pressure regulators"
     )
@@ -182,9 +182,9 @@ class CsvMap(Strict):
     external_torque: Optional[Column] = None
 
     @property
-    def valves(self) -> tuple[Valve, Valve]:
+    def valves(self) -> tuple[ValveColumn, ValveColumn]:
         """Both valves; for a joint with pressure regulators constant placeholders of 0 V."""
-        none = Valve(column=None, constant=0.0, sealed=False, unit="V", scale=1.0, offset=0.0, holds="until_row")
+        none = ValveColumn(column=None, constant=0.0, sealed=False, unit="V", scale=1.0, offset=0.0, holds="until_row")
         return self.valve_1 or none, self.valve_2 or none
 
     @property
@@ -197,7 +197,7 @@ class CsvMap(Strict):
         known = {"angle": self.angle, "torque": self.torque, "external_torque": self.external_torque}
         return {name: column for name, column in known.items() if column is not None}
 
-    def entries(self) -> dict[str, Column | Valve]:
+    def entries(self) -> dict[str, Column | ValveColumn]:
         """Quantity -> entry with a unit and a scale, for all that the map has but time and atmosphere."""
         names = ("pressure_1", "pressure_2", "valve_1", "valve_2", "command_1", "command_2", *self.measured())
         known = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -317,7 +317,7 @@ def _further_contradictions(also: Mapping[str, Further]) -> Iterator[str]:
             yield f"also.{name}.reference: expected gauge or absolute of a pressure, and of nothing else"
 
 
-def _valve_contradictions(name: str, valve: Valve) -> Iterator[str]:
+def _valve_contradictions(name: str, valve: ValveColumn) -> Iterator[str]:
     if valve.sealed and (valve.column is not None or valve.constant is None):
         yield (
             f"{name} is sealed: expected constant, the voltage to write for it (that at which the valve is "

@@ -40,7 +40,7 @@ _NO_VALUE = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "---",
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class NumberTable:
     """Numbers of a file, N rows."""
 
     values: Mapping[str, Floats]  # quantity -> cells (N,), NaN where a cell holds no value
@@ -54,7 +54,7 @@ class Table:
 
 def read_table(
     path: Path, layout: Layout, columns: Mapping[str, Name], progress: Callable[[int], object] | None = None
-) -> Table:
+) -> NumberTable:
     """Read some columns of a file. `columns`: quantity -> name or number (from 1) of its column."""
     kind = kind_of(path)
     if kind:  # a row's line number is the number of the row
@@ -63,11 +63,11 @@ def read_table(
             cells[np.isin(cells, [one for one in layout.missing if not isinstance(one, str)])] = np.nan
         rows = len(next(iter(values.values())))
         labels = {quantity: f"{quantity} (column {column!r})" for quantity, column in columns.items()}
-        return Table(values, np.arange(1, rows + 1, dtype=np.int32), labels, ())
+        return NumberTable(values, np.arange(1, rows + 1, dtype=np.int32), labels, ())
     check_file(path)
     layout = labview(path, layout)
     with opened(path, layout) as stream:
-        lines = Lines(path, layout, stream)
+        lines = TextLines(path, layout, stream)
         reader = _Reader(path, layout, lines)
         reader.find(columns)
         done = 0
@@ -152,14 +152,14 @@ def labview(path: Path, layout: Layout) -> Layout:
     return layout.replaced(delimiter=delimiter, decimal=decimal, skip_lines=ends[-1])
 
 
-class Line(NamedTuple):
+class TextLine(NamedTuple):
     """A line of the file; ``number`` counts from 1, as editors do."""
 
     number: int
     text: str
 
 
-class Lines:
+class TextLines:
     """The lines of a file without blank lines and comments."""
 
     def __init__(self, path: Path, layout: Layout, stream: TextIO) -> None:
@@ -168,14 +168,14 @@ class Lines:
         self._blank = ' \t\r\n"' + layout.mark
         self.unterminated = False
 
-    def __iter__(self) -> Iterator[Line]:
+    def __iter__(self) -> Iterator[TextLine]:
         return self
 
-    def __next__(self) -> Line:
+    def __next__(self) -> TextLine:
         comment = self._layout.comment
         while text := self._raw():
             if text.strip(self._blank) and not (comment and text.lstrip().startswith(comment)):
-                return Line(self._number, text)
+                return TextLine(self._number, text)
         raise StopIteration
 
     def skip(self, count: int) -> None:
@@ -209,7 +209,7 @@ def other_delimiter(layout: Layout, text: str) -> str:
     return next((word for mark, word in words.items() if mark in text.strip() and mark != layout.mark), "")
 
 
-def split(path: Path, layout: Layout, lines: list[Line]) -> list[list[str]]:
+def split(path: Path, layout: Layout, lines: list[TextLine]) -> list[list[str]]:
     """Cells of each line."""
     if layout.delimiter == "space":
         return [line.text.split() for line in lines]
@@ -229,16 +229,16 @@ class _Reader:
 
     path: Path
     layout: Layout
-    lines: Lines
+    lines: TextLines
     names: list[str] | None = None  # of all columns; None without a header
     width: int = 0
-    first: list[Line] = field(default_factory=list)  # the first row, where it has been read already
+    first: list[TextLine] = field(default_factory=list)  # the first row, where it has been read already
     index: dict[str, int] = field(default_factory=dict)
     rows: int = 0
     columns: dict[str, list[Floats]] = field(default_factory=dict)
     numbers: list[NDArray[np.int32]] = field(default_factory=list)
     issues: list[str] = field(default_factory=list)
-    short: tuple[Line, list[str]] | None = None  # the first row with fewer cells than the header
+    short: tuple[TextLine, list[str]] | None = None  # the first row with fewer cells than the header
     shorter: int = 0
     longer: int = 0
     # Whether a row is as long as the header, and whether one has numbers behind the last used column.
@@ -295,7 +295,7 @@ class _Reader:
                 raise no_column(path, quantity, column, names)
             self.index[quantity] = names.index(name)
 
-    def read(self, block: list[Line]) -> None:
+    def read(self, block: list[TextLine]) -> None:
         """Add a block of lines."""
         block, self.first = self.first + block, []
         rows = self._checked(split(self.path, self.layout, block), block)
@@ -306,7 +306,7 @@ class _Reader:
         self.numbers.append(np.fromiter((line.number for line in block), np.int32, len(block)))
         self.rows += len(block)
 
-    def table(self) -> Table:
+    def table(self) -> NumberTable:
         """All rows that were read."""
         self._judge_ragged()
         values = {quantity: np.concatenate(parts) for quantity, parts in self.columns.items()}
@@ -314,7 +314,7 @@ class _Reader:
         for cells in values.values():
             cells[np.isin(cells, [one for one in missing if one is not None])] = np.nan
         labels = {quantity: self._label(quantity) for quantity in self.index}
-        return Table(values, np.concatenate(self.numbers), labels, tuple(self.issues))
+        return NumberTable(values, np.concatenate(self.numbers), labels, tuple(self.issues))
 
     def _number(self, cell: str) -> float | None:
         return number_of(cell, self.layout.decimal)
@@ -324,7 +324,7 @@ class _Reader:
         name = f"column {column + 1}" if self.names is None else f"column {self.names[column]!r}"
         return f"{quantity} ({name})"
 
-    def _checked(self, rows: list[list[str]], block: list[Line]) -> list[list[str]]:
+    def _checked(self, rows: list[list[str]], block: list[TextLine]) -> list[list[str]]:
         """Rows with all used columns, and no number behind the header's columns; one that is cut off is dropped."""
         width, needed = self.width, 1 + max(self.index.values())
         if set(map(len, rows)) == {width}:
@@ -350,7 +350,7 @@ class _Reader:
         self.full = True
         self.numbers_behind = self.numbers_behind or any(self._number(cell) is not None for cell in unused)
 
-    def _ragged(self, line: Line, row: list[str]) -> BadInput:
+    def _ragged(self, line: TextLine, row: list[str]) -> BadInput:
         """The refusal of a row that is shorter or longer than the header."""
         other = other_delimiter(self.layout, line.text) if len(row) == 1 else ""
         hint = f"; is the delimiter {other}?" if other else ""
@@ -374,7 +374,7 @@ class _Reader:
             text = f"{self.shorter + self.longer} of {self.rows} rows have fewer or more cells than the header"
             self.issues.append(Issue(f"{text}, in columns that the map does not use", size=self.shorter + self.longer))
 
-    def _numbers(self, quantity: str, cells: list[str], block: list[Line]) -> Floats:
+    def _numbers(self, quantity: str, cells: list[str], block: list[TextLine]) -> Floats:
         comma = self.layout.decimal == ","
         # float() reads 1_000 as a thousand; in a file it is more likely a mistake.
         if not any("_" in cell or (comma and "." in cell) for cell in cells):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import stamps
-from .cdr import CdrError, Decoded, Group, decode, encode
+from .cdr import CdrError, Decoded, MessageLayout, decode, encode
 from .notes import Issue
 from .raw import CompressionError, RawBag, unpack_messages
 from .recording import FurtherSignal
@@ -145,7 +145,7 @@ def read_checkpoints(decoded: Decoded, keep: NDArray[np.intp]) -> tuple[Checkpoi
     return tuple(found[row] for row in keep.tolist())
 
 
-def _checkpoint(group: Group, place: int, stamp_ns: int, started_ns: int) -> Checkpoint:
+def _checkpoint(group: MessageLayout, place: int, stamp_ns: int, started_ns: int) -> Checkpoint:
     from ..estimation.memory import Checkpoint, FilterIdentity  # takes a second that a bag alone does not need
 
     columns = group.columns

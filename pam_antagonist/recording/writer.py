@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from . import signals
-from .bag_files import BagFiles, Limits
+from .bag_files import BagFiles, FileLimits
 from .cdr import encode, typestore
 from .recording import ESTIMATE_SHAPES, RecordedEstimate, Recording
 from .topics import ALSO, DEFAULT_NAMESPACE, STATE_TOPICS, TOPICS, Topic
@@ -57,7 +57,7 @@ class BagWriter:
         self,
         path: str | Path,
         *,
-        limits: Limits = Limits(),  # noqa: B008  (frozen)
+        limits: FileLimits = FileLimits(),  # noqa: B008  (frozen)
         durable: bool = False,
         backlog: int | None = None,
     ) -> None:

@@ -206,7 +206,7 @@ class Segment(NamedTuple):
 
 
 @dataclass
-class Plan:
+class ReplayPlan:
     """How a recording is replayed."""
 
     segments: list[Segment]
@@ -215,12 +215,12 @@ class Plan:
     model_first: int = 0  # index of the first sample of the model alone, which also runs over skipped samples
 
 
-def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None) -> Plan:
+def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None) -> ReplayPlan:
     """Plan the starts of the filter.
 
     `begin_ns`: stamp from which estimates are wanted [ns]; None: for the whole recording.
     """
-    out = Plan([], {})
+    out = ReplayPlan([], {})
     live = recording.estimate
     if live is None or len(live) == 0:
         out.segments += [Segment(part.start) for part in recording.episodes]
@@ -235,7 +235,7 @@ def plan(recording: Recording, estimator: Estimator, begin_ns: int | None = None
 
 
 def _of_start(
-    recording: Recording, live: RecordedEstimate, start: int, at: int, estimator: Estimator, out: Plan
+    recording: Recording, live: RecordedEstimate, start: int, at: int, estimator: Estimator, out: ReplayPlan
 ) -> Iterator[Segment]:
     """The segments of one start of the live filter, whose first recorded estimate is number ``at``."""
     here = _place(recording, start)
@@ -255,7 +255,7 @@ def _of_start(
     yield Segment(first, start, None, why_not)
 
 
-def _skip(recording: Recording, begin_ns: int, estimator: Estimator, out: Plan) -> None:
+def _skip(recording: Recording, begin_ns: int, estimator: Estimator, out: ReplayPlan) -> None:
     """Skip the samples before the last usable checkpoint before a stamp; the estimates stay the same."""
     wanted = int(np.searchsorted(recording.stamp_ns, begin_ns))
     number = max((k for k, segment in enumerate(out.segments) if segment.first <= wanted), default=0)
@@ -274,7 +274,7 @@ def _skip(recording: Recording, begin_ns: int, estimator: Estimator, out: Plan) 
 
 
 def _usable(
-    recording: Recording, start: int, end: int, estimator: Estimator, out: Plan, newest_first: bool = False
+    recording: Recording, start: int, end: int, estimator: Estimator, out: ReplayPlan, newest_first: bool = False
 ) -> Iterator[tuple[int, Checkpoint]]:
     """Index of the sample and checkpoint, for checkpoints of one start up to a stamp that the filter accepts."""
     for checkpoint in reversed(recording.checkpoints) if newest_first else recording.checkpoints:

@@ -20,11 +20,11 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Counts, EstimateRun
-from pam_antagonist.estimation.metrics import ChannelErrors, FilterErrors, ModelErrors
+from pam_antagonist.estimation.metrics import ChannelErrors, FilterErrors, ModelAloneErrors
 from pam_antagonist.program import versions
 from pam_antagonist.recording import RecordedEstimate, Recording, write_bag
 from pam_antagonist.recording.joint import JointCondition
-from pam_antagonist.replays.live import LiveComparison, Plan
+from pam_antagonist.replays.live import LiveComparison, ReplayPlan
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.units import assumption
 from pam_antagonist.shown import Shown, error_in_words, number
@@ -124,7 +124,7 @@ class ReplayReport(Shown):
     duration_s: float
     realtime_factor: float
     ukf: FilterErrors
-    model_alone: ModelErrors
+    model_alone: ModelAloneErrors
     innovation: Innovation
     recording: RecordingFacts
     joint: JointFacts
@@ -171,7 +171,7 @@ class Replay(Shown):
     run: EstimateRun
     model: ModelTrack
     report: ReplayReport
-    plan: Plan
+    plan: ReplayPlan
 
     @override
     def _brief(self) -> str:
@@ -210,7 +210,7 @@ class Replay(Shown):
         return self.recording.pressure[self.run.index]
 
 
-class Channel(NamedTuple):
+class EstimatedChannel(NamedTuple):
     """The angle or the torque."""
 
     name: str
@@ -221,7 +221,7 @@ class Channel(NamedTuple):
         """The name, capitalised."""
         return self.name.capitalize()
 
-    def of(self, errors: ModelErrors) -> ChannelErrors | None:
+    def of(self, errors: ModelAloneErrors) -> ChannelErrors | None:
         """Errors of the channel; None where it was not measured."""
         return errors.angle if self.name == "angle" else errors.torque
 
@@ -230,7 +230,7 @@ class Channel(NamedTuple):
         return "diverges" if math.isinf(value) else f"{number(value, 2)}{'' if self.unit == '°' else ' '}{self.unit}"
 
 
-ANGLE, TORQUE = Channel("angle", "°"), Channel("torque", "N m")
+ANGLE, TORQUE = EstimatedChannel("angle", "°"), EstimatedChannel("torque", "N m")
 CHANNELS = (ANGLE, TORQUE)
 """Channels that are estimated from the pressures."""
 LEAST_COVERAGE, HIGH_COVERAGE = 0.92, 0.98
@@ -241,10 +241,10 @@ WIDE = 2.0 * 1.96
 """A 95 % interval is wide if its half width over the RMS error is larger: the claimed error is twice the real one."""
 
 
-class Judged(NamedTuple):
+class JudgedChannel(NamedTuple):
     """A channel with its errors in one recording."""
 
-    channel: Channel
+    channel: EstimatedChannel
     ukf: ChannelErrors
     model: ChannelErrors
 
@@ -285,13 +285,13 @@ def covered(report: ReplayReport) -> list[Covered]:
     return [Covered(what, errors, share) for what, errors, share in known if share is not None and math.isfinite(share)]
 
 
-def judged(report: ReplayReport) -> list[Judged]:
+def judged(report: ReplayReport) -> list[JudgedChannel]:
     """Channels with a measurement, without a locked joint's angle, which is not estimated."""
     out = []
     for channel in CHANNELS:
         ukf, model = channel.of(report.ukf), channel.of(report.model_alone)
         if ukf is not None and model is not None and (channel is TORQUE or report.joint.condition == "free"):
-            out.append(Judged(channel, ukf, model))
+            out.append(JudgedChannel(channel, ukf, model))
     return out
 
 

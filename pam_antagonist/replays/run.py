@@ -16,7 +16,7 @@ from pam_antagonist.estimation.memory import read_angle
 from pam_antagonist.estimation.metrics import (
     ChannelErrors,
     FilterErrors,
-    ModelErrors,
+    ModelAloneErrors,
     channel_errors,
     pressure_errors,
 )
@@ -29,7 +29,7 @@ from pam_antagonist.replays.live import (
     Apart,
     LiveComparison,
     LiveInput,
-    Plan,
+    ReplayPlan,
     as_live,
     compare_with_live,
     ended,
@@ -192,7 +192,7 @@ def _from(recording: Recording, run: EstimateRun, model: ModelTrack, begin_ns: i
 
 
 def _estimate(
-    recording: Recording, given: LiveInput, estimator: Estimator, planned: Plan, progress: Callable[[int], None]
+    recording: Recording, given: LiveInput, estimator: Estimator, planned: ReplayPlan, progress: Callable[[int], None]
 ) -> EstimateRun:
     """Run the filter over the recording; each planned segment starts it anew or from a checkpoint."""
     stamps = recording.stamp_ns
@@ -221,7 +221,7 @@ def _estimate(
 
 
 def _model_alone(
-    recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun, planned: Plan, given: LiveInput
+    recording: Recording, rig: Rig, joint: JointCondition, run: EstimateRun, planned: ReplayPlan, given: LiveInput
 ) -> ModelTrack:
     """The model alone, which starts anew at the first pressures wherever the filter was started.
 
@@ -279,7 +279,7 @@ def _judged(
     joint: JointCondition,
     run: EstimateRun,
     model: ModelTrack,
-    planned: Plan,
+    planned: ReplayPlan,
     begin_ns: int | None,
 ) -> ReplayReport:
     """The report of a recording, or of its part from a stamp on; its timings are filled in later."""
@@ -300,7 +300,7 @@ def _judged(
             pressure_errors(pressure, _readings(rig, rows["pressure"])),
             _external(recording, run),
         ),
-        model_alone=ModelErrors(
+        model_alone=ModelAloneErrors(
             channel_errors(angle, model.angle, "deg"),
             channel_errors(torque, model.torque, "nm"),
             pressure_errors(pressure, model.pressure),
@@ -347,7 +347,7 @@ def unread(rig: Rig) -> list[str]:
     return [f"rig {rig.name}: {unread_signals(rig.signals)}"] if rig.signals else []
 
 
-def _live(recording: Recording, run: EstimateRun, planned: Plan, begin_ns: int | None) -> LiveComparison | None:
+def _live(recording: Recording, run: EstimateRun, planned: ReplayPlan, begin_ns: int | None) -> LiveComparison | None:
     """The comparison with the live estimate; None where none was recorded."""
     if recording.estimate is None:
         return None

@@ -16,7 +16,7 @@ from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.diagnosis.verdicts import TITLES, Verdict
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.replays.result import CHANNELS, TORQUE, Channel
+from pam_antagonist.replays.result import CHANNELS, TORQUE, EstimatedChannel
 from pam_antagonist.report import close_loop_findings as said
 from pam_antagonist.report.document import (
     Block,
@@ -165,7 +165,9 @@ def errors_table(result: ClosedLoop) -> Table:
     return out.table("Errors on held-out data")
 
 
-def _channel_rows(out: Comparison, errors: ModelErrors, channels: Sequence[Channel], largest: bool = False) -> None:
+def _channel_rows(
+    out: Comparison, errors: ModelErrors, channels: Sequence[EstimatedChannel], largest: bool = False
+) -> None:
     """Rows of channels; with `largest` also the largest errors and channels that were not measured."""
     for channel in channels:
         known = [item for model in errors.all if (item := getattr(model, channel.name)) is not None]
@@ -256,7 +258,9 @@ def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
     return (*out, Tile(label, f"{number(now * unit.scale, 2)} {unit.name}", before))
 
 
-def _change(label: str, channel: Channel, errors: ModelErrors, more: str = "", by_effects: bool = False) -> list[Tile]:
+def _change(
+    label: str, channel: EstimatedChannel, errors: ModelErrors, more: str = "", by_effects: bool = False
+) -> list[Tile]:
     """RMSE of a channel with each model; none where it was not measured."""
     before, base, after = (getattr(model, channel.name) for model in errors.all)
     if before is None or base is None or after is None:

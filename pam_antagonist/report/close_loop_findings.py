@@ -13,7 +13,7 @@ from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, HeldOutCompa
 from pam_antagonist.diagnosis.verdicts import UNEXPLAINED
 from pam_antagonist.inference.point import Span
 from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.report.document import Block, Finding, Findings, Table, good, note, sentence, warn, words
+from pam_antagonist.report.document import Block, Findings, Statement, Table, good, note, sentence, warn, words
 from pam_antagonist.report.figure import (
     ESTIMATE,
     MODEL,
@@ -47,7 +47,7 @@ _DRAWN = 3
 """Number of residuals of each recording that are drawn over the signals that they depend on."""
 
 
-def findings(result: ClosedLoop) -> tuple[Finding, ...]:
+def findings(result: ClosedLoop) -> tuple[Statement, ...]:
     """Findings in addition to the verdict."""
     out = [warn(sentence(text)) for text in result.warnings]
     rivals = {item.other: item for item in result.ambiguities if item.ambiguous}
@@ -80,7 +80,7 @@ def findings(result: ClosedLoop) -> tuple[Finding, ...]:
     return tuple(out)
 
 
-def calibration_findings(result: ClosedLoop) -> tuple[Finding, ...]:
+def calibration_findings(result: ClosedLoop) -> tuple[Statement, ...]:
     """The calibrations that the recordings need, with command line options."""
     if not result.shared:
         return ()

@@ -122,14 +122,14 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Statement:
     """One statement that the numbers support."""
 
     status: Literal["good", "warn", "note"]  # ``good`` (as expected), ``warn`` (a problem) or ``note`` (information)
     text: str
 
 
-good, warn, note = partial(Finding, "good"), partial(Finding, "warn"), partial(Finding, "note")
+good, warn, note = partial(Statement, "good"), partial(Statement, "warn"), partial(Statement, "note")
 """A finding of this status, from its text."""
 
 
@@ -137,7 +137,7 @@ good, warn, note = partial(Finding, "good"), partial(Finding, "warn"), partial(F
 class Findings:
     """A list of findings, marked by symbol and colour."""
 
-    items: tuple[Finding, ...]
+    items: tuple[Statement, ...]
 
 
 @dataclass(frozen=True)

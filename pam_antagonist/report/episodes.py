@@ -17,7 +17,7 @@ from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.model.effects.learned import FIRST_SIGNAL
 from pam_antagonist.replays.result import joined
-from pam_antagonist.report.document import Document, Finding, Findings, Section, Table, Tile, Tiles, note, page, warn
+from pam_antagonist.report.document import Document, Findings, Section, Statement, Table, Tile, Tiles, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, FloatArray, Line, Panel
 from pam_antagonist.report.identify_episodes import (
     ABOUT,
@@ -102,7 +102,7 @@ def further_signals(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> dict[
     return dict(list(joint.rig.signals.items())[:last])
 
 
-def findings(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Finding, ...]:
+def findings(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Statement, ...]:
     """Findings, from the numbers."""
     out = [_not_told_apart(diagnosis, name, instead_of, row) for name, instead_of, row in diagnosis.others]
     base = next(row for row in diagnosis.rows if row.model.startswith("mechanics"))
@@ -153,7 +153,7 @@ def findings(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Findin
     return (*out, *units_findings(joint), note(next_step(diagnosis, joint)))
 
 
-def _about_laws(diagnosis: EpisodeDiagnosis) -> list[Finding]:
+def _about_laws(diagnosis: EpisodeDiagnosis) -> list[Statement]:
     """The learned laws one by one, and what a dependence on the time since the start means."""
     taken = [item for item in diagnosis.tried if item.taken and item.name.startswith(LEARNED)]
     out = []
@@ -168,7 +168,7 @@ def _about_laws(diagnosis: EpisodeDiagnosis) -> list[Finding]:
     return out
 
 
-def _not_told_apart(diagnosis: EpisodeDiagnosis, name: str, instead_of: str, row: Row) -> Finding:
+def _not_told_apart(diagnosis: EpisodeDiagnosis, name: str, instead_of: str, row: Row) -> Statement:
     taken = next(item for item in diagnosis.tried if item.taken and item.name == instead_of)
     other = next(item for item in diagnosis.tried if item.round == taken.round and item.name == name)
     assert taken.removed is not None and other.removed is not None

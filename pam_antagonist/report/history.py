@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from pam_antagonist.inference.trend import FEWEST, Trend, significant, trend
 from pam_antagonist.program import versions
-from pam_antagonist.report.document import Block, Document, Finding, Findings, Section, Table, good, note, page, warn
+from pam_antagonist.report.document import Block, Document, Findings, Section, Statement, Table, good, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, Axis, Band, Figure, Line, Panel, Points, Reference
 from pam_antagonist.report.result import Result
 from pam_antagonist.rig import Rig
@@ -43,7 +43,7 @@ class Limit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ValueOverTime:
     """One value over time."""
 
     name: str
@@ -117,7 +117,7 @@ class HistoryResult(Result):
         return self.book.entries[0].when
 
     @cached_property
-    def courses(self) -> tuple[Course, ...]:
+    def courses(self) -> tuple[ValueOverTime, ...]:
         """Values that were found more than once, those that changed first."""
         series: dict[str, list[tuple[float, float, float, str]]] = {}
         for entry in self.book.entries:
@@ -130,7 +130,7 @@ class HistoryResult(Result):
             if len(rows) > 1:
                 days, value, std = np.array([row[:3] for row in rows]).T
                 line = trend(days, value, std) if len(rows) >= FEWEST and np.ptp(days) > 0.0 else None
-                plain.append(Course(name, rows[-1][3], days, value, std, line, limit=self._limit(name, value)))
+                plain.append(ValueOverTime(name, rows[-1][3], days, value, std, line, limit=self._limit(name, value)))
         lines = {course.name: course.line for course in plain if course.line is not None}
         there = dict(zip(lines, significant([line.p for line in lines.values()]), strict=True))
         out = [replace(course, changed=there.get(course.name, False)) for course in plain]
@@ -141,7 +141,7 @@ class HistoryResult(Result):
         return None if given is None else given.of(float(value[0]))
 
     @property
-    def changed(self) -> tuple[Course, ...]:
+    def changed(self) -> tuple[ValueOverTime, ...]:
         """Values with a trend."""
         return tuple(course for course in self.courses if course.changed)
 
@@ -165,7 +165,7 @@ class HistoryResult(Result):
             "software": versions(),
         }
 
-    def _course(self, course: Course) -> dict[str, Any]:
+    def _course(self, course: ValueOverTime) -> dict[str, Any]:
         line, met = course.line, course.forecast
         change, std = course.change if line is not None else (None, None)
         return {
@@ -178,7 +178,7 @@ class HistoryResult(Result):
             },
         }  # fmt: skip
 
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[Statement, ...]:
         """What the log book says, in sentences."""
         out = [warn(text) for text in self.book.notes]
         for course in self.changed:
@@ -242,7 +242,7 @@ class HistoryResult(Result):
         blocks.append(Section("Log book", (self._log(),), level=2, anchor="log", brief=True))
         return page("Log book", self.rig.name, blocks, "history", [("Rig", self.rig.name)], lede)
 
-    def _figure(self, course: Course) -> Figure:
+    def _figure(self, course: ValueOverTime) -> Figure:
         x, y, half = course.days, course.value, 1.96 * course.std
         bars = np.column_stack([y - half, y + half, np.full(len(y), np.nan)]).ravel()
         series: list[Any] = []

@@ -13,7 +13,7 @@ from typing_extensions import override
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.identification.held_out import COLUMNS, errors_of, known, rigs_of
 from pam_antagonist.identification.identified import Identified, ParameterEntry
-from pam_antagonist.identification.result import FromPressures, Held, Step
+from pam_antagonist.identification.result import FromPressures, HeldRecording, Step
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
 from pam_antagonist.replays.result import CHANNELS
 from pam_antagonist.report.document import (
@@ -117,12 +117,12 @@ def _held_out(result: Identified, with_figures: bool) -> Section:
     return Section("On held-out data", tuple(content), 2, "held-out", brief=True)
 
 
-def held_out_figures(held: Held) -> tuple[Figure, ...]:
+def held_out_figures(held: HeldRecording) -> tuple[Figure, ...]:
     """A recording before and after; the held-out part is shaded."""
     return replay_figures(held.whole, held.from_s, held.replays["as_configured"])
 
 
-def held_out_table(held: Held) -> Table:
+def held_out_table(held: HeldRecording) -> Table:
     """Errors on one recording's held-out part, for all compared rigs."""
     titles, figures = zip(*rigs_of(held), strict=True)
     out = Comparison(f"{held.name}, from {held.from_s:.4g} s on", *titles)

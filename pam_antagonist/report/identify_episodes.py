@@ -18,7 +18,7 @@ from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.report.document import Document, Finding, Findings, Table, note, page, warn
+from pam_antagonist.report.document import Document, Findings, Statement, Table, note, page, warn
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig, write_unread
@@ -101,7 +101,7 @@ def intervals_frame(values: Mapping[str, Interval]) -> DataFrame:
     return frame_of(rows, ("value_of", "value", "low", "high"), "value_of")
 
 
-def units_findings(joint: PressureDriven) -> tuple[Finding, ...]:
+def units_findings(joint: PressureDriven) -> tuple[Statement, ...]:
     """Findings about a rig that was fitted to the episodes before, unknown units, and episodes that were left out."""
     out, units = [], joint.rig.units
     if not is_fair(joint):
@@ -199,7 +199,7 @@ class EpisodesIdentifyResult(Result):
             f"{number(later)}°, on interleaved ones {number(between)}°; the rig file as configured errs by "
             f"{number(before)}° on the later ones."
         )
-        remarks: list[Finding] = []
+        remarks: list[Statement] = []
         if later > before and is_fair(self.joint):
             remarks.append(warn("On later episodes the rig as configured has the smaller error: the joint drifts, or "
                                 "it moved too little to be identified."))  # fmt: skip

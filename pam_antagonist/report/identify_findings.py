@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 from pam_antagonist.identification.held_out import WORSE, at_bounds, bounds_met, do_not_use, known
-from pam_antagonist.identification.result import Held
+from pam_antagonist.identification.result import HeldRecording
 from pam_antagonist.replays.result import ANGLE, CHANNELS, covered
-from pam_antagonist.report.document import Finding, good, note, warn
+from pam_antagonist.report.document import Statement, good, note, warn
 from pam_antagonist.shown import percent
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def verdict(result: Identified) -> str:
     return f"Errors of the filter with the identified rig on held-out data (RMS): {', '.join(parts)}."
 
 
-def findings(result: Identified) -> tuple[Finding, ...]:
+def findings(result: Identified) -> tuple[Statement, ...]:
     """All findings."""
     out = [warn(text) for text in result.found.notes]
     if (met := at_bounds(result.parameters)) and not result.rejected:
@@ -55,7 +55,7 @@ def findings(result: Identified) -> tuple[Finding, ...]:
     return (*out, *_coverage(result), *_differences(result), *_undetermined(result), *_pairs(result))
 
 
-def of_recording(held: Held) -> list[Finding]:
+def of_recording(held: HeldRecording) -> list[Statement]:
     """Channels in which the filter got worse, is worse than the model alone, or errs much for the angle's range."""
     out = []
     for channel in CHANNELS:
@@ -87,7 +87,7 @@ def of_recording(held: Held) -> list[Finding]:
     return [warn(f"{held.name}, held-out part: {text}") for text in out]
 
 
-def _coverage(result: Identified) -> list[Finding]:
+def _coverage(result: Identified) -> list[Statement]:
     """How many of the held-out readings lie in their 95 % intervals, and where too few or too many do."""
     share, own = result.coverage95
     each = [(item, f"{item.what} of {held.name}") for held in result.held for item in covered(held.identified)]
@@ -104,7 +104,7 @@ def _coverage(result: Identified) -> list[Finding]:
     return [kind(f"{inside}. The filter's covariance {how}{listed}.")]
 
 
-def _differences(result: Identified) -> list[Finding]:
+def _differences(result: Identified) -> list[Statement]:
     if not result.between:
         one = "One recording does not show how much the rig changes between recordings. Give several for that."
         return [note(one)] if len(result.recordings) == 1 else []
@@ -124,7 +124,7 @@ def _differences(result: Identified) -> list[Finding]:
     )]  # fmt: skip
 
 
-def _undetermined(result: Identified) -> list[Finding]:
+def _undetermined(result: Identified) -> list[Statement]:
     """Parameters that are not determined, by the recording that would help."""
     records: dict[str, list[str]] = {}
     for item in result.parameters:
@@ -135,7 +135,7 @@ def _undetermined(result: Identified) -> list[Finding]:
     ] or [good("The recordings determine every free parameter.")]
 
 
-def _pairs(result: Identified) -> list[Finding]:
+def _pairs(result: Identified) -> list[Statement]:
     pairs = result.correlations
     if not pairs:
         return []

@@ -17,7 +17,7 @@ from pam_antagonist.replays.result import (
     LEAST_COVERAGE,
     TORQUE,
     Covered,
-    Judged,
+    JudgedChannel,
     Replay,
     ReplayReport,
     columns,
@@ -33,9 +33,9 @@ from pam_antagonist.report.document import (
     Columns,
     Comparison,
     Document,
-    Finding,
     Findings,
     Section,
+    Statement,
     Table,
     Text,
     Tile,
@@ -263,7 +263,7 @@ def verdict(reports: Sequence[ReplayReport]) -> str:
     return f"From the two pressures alone, the estimator gives {joined(known)} ({what}).{held}"
 
 
-def findings(report: ReplayReport) -> tuple[Finding, ...]:
+def findings(report: ReplayReport) -> tuple[Statement, ...]:
     """All findings of one recording."""
     if report.duration_s < SHORTEST_S:
         text = f"{report.duration_s:.3f} s is too short to judge the filter by; expected {SHORTEST_S:g} s or more."
@@ -273,7 +273,7 @@ def findings(report: ReplayReport) -> tuple[Finding, ...]:
     return (*against, *_honesty(covered(report)), *_innovations(report), *_live(report), *_quality(report))
 
 
-def _against_model(item: Judged) -> Finding:
+def _against_model(item: JudgedChannel) -> Statement:
     channel, ukf, model = item
     text = (
         f"{channel.title}: the filter's error is {channel.write(ukf.rmse)} (RMS) and at most "
@@ -296,7 +296,7 @@ def _constant(item: Covered) -> bool:
     return known and abs(mean or 0.0) >= CONSTANT * item.errors.rmse
 
 
-def _zero(item: Covered) -> Finding:
+def _zero(item: Covered) -> Statement:
     """A zero that is missing."""
     channel, sensor, option = _ZEROS[item.what]
     by = -(item.errors.mean or 0.0)
@@ -306,7 +306,7 @@ def _zero(item: Covered) -> Finding:
     )
 
 
-def _honesty(known: Sequence[Covered]) -> list[Finding]:
+def _honesty(known: Sequence[Covered]) -> list[Statement]:
     if constant := [item for item in known if _constant(item)]:
         return [*map(_zero, constant), *_honesty([item for item in known if not _constant(item)])]
     if not known:
@@ -327,7 +327,7 @@ def _honesty(known: Sequence[Covered]) -> list[Finding]:
     return [note(f"The filter's covariance is larger than needed: {holds} and is wide. {larger}")]
 
 
-def _innovations(report: ReplayReport) -> list[Finding]:
+def _innovations(report: ReplayReport) -> list[Statement]:
     mean, p, out = report.innovation.nis_mean, report.innovation.whiteness_p, []
     if math.isfinite(mean):
         kind, how = good, "as large as"
@@ -340,7 +340,7 @@ def _innovations(report: ReplayReport) -> list[Finding]:
     return out
 
 
-def _whiteness(p: float, correlation: float) -> Finding:
+def _whiteness(p: float, correlation: float) -> Statement:
     """Finding about whiteness; the size counts as well, because many samples make any correlation significant."""
     small = "p < 0.001" if p < 1e-3 else f"p = {number(p, 2)}"
     size = f"largest autocorrelation {number(correlation, 2)}"
@@ -355,7 +355,7 @@ def _whiteness(p: float, correlation: float) -> Finding:
     return note(text)
 
 
-def _live(report: ReplayReport) -> list[Finding]:
+def _live(report: ReplayReport) -> list[Statement]:
     live, out = report.live_equal, []
     if live is None:
         return []
@@ -371,7 +371,7 @@ def _live(report: ReplayReport) -> list[Finding]:
     return [*out, _equality(live, live_rig(report))]
 
 
-def _not_compared(live: LiveComparison, report: ReplayReport) -> Finding:
+def _not_compared(live: LiveComparison, report: ReplayReport) -> Statement:
     """Why part of the live estimate was not compared, and the differences there."""
     why = joined(live.why_not)
     text = f"{live.not_compared} live estimates were not compared bit for bit: {why}."
@@ -395,7 +395,7 @@ def live_rig(report: ReplayReport) -> str:
     return f" The live filter had other values: rig {rig.name} ({rig.fingerprint})."
 
 
-def _equality(live: LiveComparison, rig: str = "") -> Finding:
+def _equality(live: LiveComparison, rig: str = "") -> Statement:
     if live.compared == 0:
         return warn("The recorded live estimate has no sample in common with the replay.")
     if live.equal == live.compared and not live.only_live and not live.only_replay:
@@ -408,7 +408,7 @@ def _equality(live: LiveComparison, rig: str = "") -> Finding:
     )
 
 
-def _quality(report: ReplayReport) -> list[Finding]:
+def _quality(report: ReplayReport) -> list[Statement]:
     counts, issues = report.estimator.counts, report.recording.issues
     out = [warn(sentence(issue)) for issue in issues[:_ISSUES]]
     if len(issues) > _ISSUES:

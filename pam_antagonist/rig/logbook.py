@@ -14,14 +14,14 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.fingerprint import RigIdentity, differences
-from pam_antagonist.strict_yaml import Line
+from pam_antagonist.strict_yaml import JsonLine
 
 _ENDING = ".log.jsonl"
 _EARLIEST = datetime.datetime(2000, 1, 1, tzinfo=datetime.timezone.utc)
 """Stamps before it count from the start of a clock, not of the calendar."""
 
 
-class Measured(Line):
+class Measured(JsonLine):
     """A value with its standard error, in the unit that it has."""
 
     value: float
@@ -29,7 +29,7 @@ class Measured(Line):
     unit: str = ""
 
 
-class Span(Line):
+class RecordingSpan(JsonLine):
     """A recording: its name, when it began, how long it is, and the hash of its files."""
 
     name: str
@@ -38,13 +38,13 @@ class Span(Line):
     sha256: str = ""
 
     @classmethod
-    def of(cls, name: str, begin_ns: int | None, seconds: float, sha256: str) -> Span:
+    def of(cls, name: str, begin_ns: int | None, seconds: float, sha256: str) -> RecordingSpan:
         """A recording that began at `begin_ns` [ns]; None where that is not known."""
         begin = datetime.datetime.fromtimestamp((begin_ns or 0) * 1e-9, datetime.timezone.utc)
         return cls(name=name, begin=begin if begin >= _EARLIEST else None, seconds=seconds, sha256=sha256)
 
 
-class Entry(Line):
+class Entry(JsonLine):
     """What one command found."""
 
     at: datetime.datetime
@@ -53,7 +53,7 @@ class Entry(Line):
     """Identity of the rig that was given, as :class:`RigIdentity` writes it."""
     made: str = ""
     """Identity of the rig that came out, which may differ from the given one by more than two files of one rig may."""
-    recordings: tuple[Span, ...] = ()
+    recordings: tuple[RecordingSpan, ...] = ()
     verdict: str = ""
     said: str = ""
     values: dict[str, Measured] = {}

@@ -21,7 +21,7 @@ from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.strict_yaml import Strict, fields_of, unknown
 
 
-class Form(Strict):
+class ModelForm(Strict):
     """Which of the compared models is used; the first of each is the paper's own."""
 
     force: Literal["linear", "hildebrandt", "sarosi", "polynomial", "braided"] = Field(
@@ -281,7 +281,7 @@ class Rig(Strict):
         {}, description="recordings that the values were fitted to: SHA-256 of each, and the end of that part [s]"
     )
     sample_period: float = Field(ge=1e-4, le=0.1, description="T_stp [s]")
-    model: Form = Field(default_factory=lambda: Form(force="linear", friction="kikuuwe"))
+    model: ModelForm = Field(default_factory=lambda: ModelForm(force="linear", friction="kikuuwe"))
     drive: Literal["valve", "regulator"] = Field(
         "valve", description="what drives the joint: voltages of valves, or pressures that regulators hold"
     )

@@ -27,7 +27,7 @@ sample, at 1 kHz 20 within the time-out; the limit allows bursts of five times a
 closer than this cannot be distinguished."""
 
 
-class Verdict(Enum):
+class Ruling(Enum):
     """Decision about a command."""
 
     ACCEPTED = "accepted"
@@ -64,7 +64,7 @@ class Authority:
         self._holds = False
         self._rival_ns: int | None = None
 
-    def admit(self, sequence: int | None, publishers: int, now_ns: int) -> Verdict:
+    def admit(self, sequence: int | None, publishers: int, now_ns: int) -> Ruling:
         """Judge one command.
 
         Args:
@@ -78,25 +78,25 @@ class Authority:
             self._holds = True
             return self._follow(sequence, now_ns)
         if sequence is None:
-            return Verdict.UNCLEAR
+            return Ruling.UNCLEAR
         step = None if self._last is None else sequence - self._last
         if step is not None and 0 < step <= LONGEST_STEP:
             return self._follow(sequence, now_ns)
         if step is None or not 0 <= now_ns - self._heard_ns <= self._timeout:  # silent, or the clock was set back
             if self._rival_ns is not None and self._rival_ns >= self._heard_ns - self._timeout:
-                return Verdict.UNCLEAR  # a publisher was refused until the holder fell silent
+                return Ruling.UNCLEAR  # a publisher was refused until the holder fell silent
             self._holds, self._since_ns = False, now_ns
             return self._follow(sequence, now_ns)
         if not self._holds or -LONGEST_STEP <= step <= 0:  # no publisher gives a number twice
-            return Verdict.UNCLEAR
+            return Ruling.UNCLEAR
         self.refused += 1
         self._rival_ns = now_ns
-        return Verdict.REFUSED
+        return Ruling.REFUSED
 
-    def _follow(self, sequence: int | None, now_ns: int) -> Verdict:
+    def _follow(self, sequence: int | None, now_ns: int) -> Ruling:
         self._last, self._heard_ns = sequence, now_ns
         self._holds = self._holds or now_ns - self._since_ns > self._timeout
-        return Verdict.ACCEPTED if self._holds else Verdict.LISTENING
+        return Ruling.ACCEPTED if self._holds else Ruling.LISTENING
 
 
 _SILENCE_NS = 1_000_000_000  # of the owner of references
@@ -313,7 +313,7 @@ class ValveGuard:
         sequence: int | None = None,
         publishers: int = 1,
         late: bool = False,
-    ) -> Verdict:
+    ) -> Ruling:
         """Take a command.
 
         Args:
@@ -328,9 +328,9 @@ class ValveGuard:
             stopped or inactive.
         """
         verdict = self.authority.admit(sequence, publishers, now_ns)
-        if verdict is Verdict.UNCLEAR:
+        if verdict is Ruling.UNCLEAR:
             self.stop(verdict.value)
-        if verdict is not Verdict.ACCEPTED:
+        if verdict is not Ruling.ACCEPTED:
             return verdict
         if not (math.isfinite(voltage[0]) and math.isfinite(voltage[1])):
             self.counts.not_finite += 1  # ignored, so that the time-out acts

@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Span:
+class DriveVoltages:
     """Voltages of drive -1, 0 and 1 [V]."""
 
     lowest: float = 4.15  # at drive -1
@@ -102,7 +102,7 @@ PROFILES: dict[str, Callable[[FloatArray, int], FloatArray]] = {"paper": paper, 
 """Built-in profiles by name."""
 
 
-def profile(name: str, duration: float, period: float, seed: int = 0, span: Span | None = None) -> FloatArray:
+def profile(name: str, duration: float, period: float, seed: int = 0, span: DriveVoltages | None = None) -> FloatArray:
     """Voltages (N, 2) [V] of a built-in profile, one of ``PROFILES``; row k is held over sample period k [s].
 
     `span`: of the voltages; default: 4.15, 5.5, 7.5 V.
@@ -110,7 +110,7 @@ def profile(name: str, duration: float, period: float, seed: int = 0, span: Span
     if name not in PROFILES:
         raise BadInput(f"profile {name!r}: expected one of {', '.join(PROFILES)}, or a CSV file")
     time = np.arange(round(duration / period)) * period
-    return (span or Span()).voltage(PROFILES[name](np.asarray(time, dtype=np.float64), seed))
+    return (span or DriveVoltages()).voltage(PROFILES[name](np.asarray(time, dtype=np.float64), seed))
 
 
 def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
@@ -125,7 +125,7 @@ def for_rig(rig: Rig, name: str, duration: float, seed: int = 0) -> FloatArray:
         return np.clip(profile(name, duration, rig.sample_period, seed, _of_valves(rig)), low, high)
     least, most = (rig.atmosphere.pressure, rig.supply.pressure) if lapped else (low, high)
     rest, top = (rest_pressure(rig), least + _HIGHEST * (most - least)) if lapped else (0.5 * (low + high), high)
-    span = Span(least + (most - least) / 6.0, rest, top)
+    span = DriveVoltages(least + (most - least) / 6.0, rest, top)
     wanted = profile(name, duration, rig.sample_period, seed, span)
     return np.clip(_voltages_for(wanted, rig) if lapped else wanted, low, high)
 
@@ -148,11 +148,11 @@ def _voltages_for(wanted: FloatArray, rig: Rig) -> FloatArray:
     return out
 
 
-def _of_valves(rig: Rig) -> Span:
-    """Voltages with the open rates that :class:`Span` has on the curve of ``shin2022``."""
+def _of_valves(rig: Rig) -> DriveVoltages:
+    """Voltages with the open rates that :class:`DriveVoltages` has on the curve of ``shin2022``."""
     curves = rig.valve_1.curve, rig.valve_2.curve
     means = [np.mean([np.interp(rate, curve.open_rate, curve.voltage) for curve in curves]) for rate in _OPEN_RATES]
-    return Span(*(round(float(mean) / _VOLTS) * _VOLTS for mean in means))
+    return DriveVoltages(*(round(float(mean) / _VOLTS) * _VOLTS for mean in means))
 
 
 def read_table(path: Path) -> tuple[FloatArray, FloatArray]:

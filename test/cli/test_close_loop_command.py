@@ -10,7 +10,7 @@ import pytest
 
 from pam_antagonist import simulate
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.hypotheses import Checkpoint
+from pam_antagonist.diagnosis.hypotheses import ResumeFolder
 from pam_antagonist.recording import write_bag
 from pam_antagonist.rig import load_rig
 from validation.battery.plants import Case
@@ -89,15 +89,15 @@ def test_what_was_interrupted_wants_resume(leaking, tmp_path, refused):
 def test_an_interrupted_run_goes_on_to_the_same_report(leaking, done, tmp_path, monkeypatch, capsys):
     out = tmp_path / "o"
     arguments = [str(leaking), "--rig", "shin2022", "--out", str(out), "--jobs", "1", "--no-figures"]
-    save = Checkpoint.save
+    save = ResumeFolder.save
 
-    def interrupted(self: Checkpoint, *what: object) -> None:
+    def interrupted(self: ResumeFolder, *what: object) -> None:
         save(self, *what)  # type: ignore[arg-type]
         if self.finished() == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Checkpoint, "save", interrupted)
+        patch.setattr(ResumeFolder, "save", interrupted)
         assert main(arguments) == 130
     said = capsys.readouterr().err
     assert "2 finished refits are kept" in said and "--resume" in said and str(leaking) in said

@@ -14,7 +14,7 @@ import yaml
 
 from pam_antagonist.cli import commission, commission_steps
 from pam_antagonist.design import Plan
-from pam_antagonist.design.apart import Verdict
+from pam_antagonist.design.apart import ExpectedOutcome
 from pam_antagonist.design.first_fill import first_fill
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.free_parameters import moved
@@ -77,7 +77,7 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> Stopped:
     monkeypatch.setattr(commission_steps, "drive", drive)
     monkeypatch.setattr(commission_steps, "designed", lambda rig, limits, s, joint="free", *more, **k: short(joint))
     monkeypatch.setattr(
-        commission_steps, "told_apart", lambda *given, **k: Verdict(short(), 0.97, {"valve_offset": 0.97})
+        commission_steps, "told_apart", lambda *given, **k: ExpectedOutcome(short(), 0.97, {"valve_offset": 0.97})
     )
     monkeypatch.setattr(
         "pam_antagonist.api.diagnose.identify", lambda bags, rig, seed: Found(rig=RIG, warnings=(), rejected="")
@@ -142,9 +142,9 @@ def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named
 ):
     asked: list[Any] = []
 
-    def told_apart(*given: Any, channels: Any, **more: Any) -> Verdict:
+    def told_apart(*given: Any, channels: Any, **more: Any) -> ExpectedOutcome:
         asked.append(channels)
-        return Verdict(short(), 0.12, {"valve_offset": 0.12})
+        return ExpectedOutcome(short(), 0.12, {"valve_offset": 0.12})
 
     stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "identified", "found"), 1))
     monkeypatch.setattr(commission_steps, "told_apart", told_apart)

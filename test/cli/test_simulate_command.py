@@ -93,7 +93,7 @@ def test_the_papers_profile_reaches_the_papers_pressures_and_angles():
 
 @pytest.mark.parametrize("name", sorted(excitation.PROFILES))
 def test_profiles_start_at_rest_and_stay_within_their_span(name):
-    span = excitation.Span(4.0, 5.0, 8.0)
+    span = excitation.DriveVoltages(4.0, 5.0, 8.0)
     voltage = excitation.profile(name, 150.0, 1e-3, seed=4, span=span)
     assert voltage[0] == pytest.approx([5.0, 5.0], abs=0.01)
     assert voltage.min() >= 4.0

@@ -15,7 +15,7 @@ from pam_antagonist.cli import new_rig, replay
 from pam_antagonist.cli.static import main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_fit import VOLUME as PARABOLA
-from pam_antagonist.identification.static_fit import Form
+from pam_antagonist.identification.static_fit import TableForm
 from pam_antagonist.rig import load_rig
 
 MAP = Path(__file__).resolve().parents[3] / "shared" / "data" / "measured" / "force_maps" / "dmsp_20_300.csv"
@@ -39,10 +39,12 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
     """Measurements of a muscle that differs from the rig's: cylinder and force map."""
     rng = np.random.default_rng(8)
     length = np.linspace(0.148, 0.182, 7)
-    volume = Form(PARABOLA).value(VOLUME, length) + 1e-7 * rng.standard_normal(7)
+    volume = TableForm(PARABOLA).value(VOLUME, length) + 1e-7 * rng.standard_normal(7)
     cylinder = written(tmp_path / "cylinder.csv", "length_mm,volume_cm3", length * 1e3, volume * 1e6)
     at, held = (grid.ravel() for grid in np.meshgrid(length, np.linspace(150e3, 720e3, 9)))
-    force = np.maximum(Form("linear", 0.165, 101.3e3).value(FORCE, at, held) + 0.3 * rng.standard_normal(len(at)), 0.0)
+    force = np.maximum(
+        TableForm("linear", 0.165, 101.3e3).value(FORCE, at, held) + 0.3 * rng.standard_normal(len(at)), 0.0
+    )
     header, gauge = "length_mm,pressure_kPa_gauge,force_N", (held - 101.3e3) * 1e-3
     return cylinder, written(tmp_path / "bench.csv", header, at * 1e3, gauge, force)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pam_antagonist.control.command import Mode
-from pam_antagonist.control.governor import Governor, Limits
+from pam_antagonist.control.governor import Governor, JointLimits
 from pam_antagonist.control.laws import Laws, Reachable
 from pam_antagonist.control.model_law import ModelController, Seen
 from pam_antagonist.control.pi import PiController
@@ -20,13 +20,13 @@ from pam_antagonist.simulation.plant import Plant
 
 RIG = load_rig("shin2022")
 P = RIG.parameters()
-LIMITS = Limits(220e3, 640e3, math.radians(15.0), 0.8, 0.05, 0.05, 18.0)
+LIMITS = JointLimits(220e3, 640e3, math.radians(15.0), 0.8, 0.05, 0.05, 18.0)
 BOX = LIMITS.inner()
 VARIANCES = (1e-5, 1e-3, 1e-3, 1e6, 1e6)
 SEEN = Seen(0.0, 0.0, 0.0, 420e3, 420e3, math.nan, 0.0, *VARIANCES)
 
 
-def running(governed: bool = True, limits: Limits = LIMITS) -> Laws:
+def running(governed: bool = True, limits: JointLimits = LIMITS) -> Laws:
     model = ModelController(P, BOX)
     model.step(Mode.ANGLE, 0.0, math.nan, SEEN)
     governor = Governor(P, BOX, limits) if governed else None

@@ -10,7 +10,7 @@ import pytest
 
 from pam_antagonist.cli import excite
 from pam_antagonist.design import Limits, Plan
-from pam_antagonist.design.apart import SHORTEST, Question, chance, imitation, told_apart
+from pam_antagonist.design.apart import SHORTEST, Distinction, chance, imitation, told_apart
 from pam_antagonist.design.information import STEP
 from pam_antagonist.errors import BadInput
 from pam_antagonist.rig import Rig, load_rig
@@ -25,7 +25,7 @@ def rig() -> Rig:
 
 
 def distance(rig: Rig, rival: str, voltage: np.ndarray, plan: Plan) -> float:
-    question = Question(rig, "leak", rival, plan, (0, 1, 2, 3))
+    question = Distinction(rig, "leak", rival, plan, (0, 1, 2, 3))
     question.take(question.course(voltage))
     return question.distance
 

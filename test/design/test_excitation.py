@@ -40,7 +40,9 @@ def truth(rig: Rig, plan: Plan, seed: int) -> Floats:
 
 def test_standard_errors_are_well_below_those_of_steps_over_the_same_pressures(rig: Rig, plan: Plan) -> None:
     low, high = (steady_voltage(rig, pressure)[0] for pressure in plan.limits.pressure)
-    steps = excitation.profile("steps", plan.duration, plan.period, 1, excitation.Span(low, plan.rest[0], high))
+    steps = excitation.profile(
+        "steps", plan.duration, plan.period, 1, excitation.DriveVoltages(low, plan.rest[0], high)
+    )
     mine, theirs = (standard_errors(rig, voltage, plan.period) for voltage in (plan.voltage, steps))
     assert np.median([mine[name] / theirs[name] for name in mine]) < 0.7
 

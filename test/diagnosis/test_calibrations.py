@@ -11,7 +11,7 @@ import pytest
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.diagnosis import Diagnosis, calibrations, diagnose
-from pam_antagonist.diagnosis.calibrations import Calibration
+from pam_antagonist.diagnosis.calibrations import CalibrationHypothesis
 from pam_antagonist.diagnosis.errors import RigErrors, errors_of
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
@@ -147,7 +147,9 @@ def meter(rig) -> Ranking:
     made = [simulate(slow, duration=20.0, joint="locked", seed=seed, mismatch=0.0) for seed in (3, 4)]
     trials = [make_trial(one, slow, "locked", 0.0, name) for one, name in
               ((misread(made[0], torque_scale=0.5), "half"), (made[1], "whole"))]  # fmt: skip
-    return search(recalibrated([ValveDriven(slow, one, 3325) for one in trials]), Work(), (Calibration(),), most=1)
+    return search(
+        recalibrated([ValveDriven(slow, one, 3325) for one in trials]), Work(), (CalibrationHypothesis(),), most=1
+    )
 
 
 def test_a_scale_that_one_recording_shows_and_another_rules_out_is_no_calibration(meter: Ranking) -> None:

@@ -14,7 +14,7 @@ from pam_antagonist.api.diagnose import DiagnoseResult
 from pam_antagonist.api.history import entry
 from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out, warnings
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Noise, RigErrors
-from pam_antagonist.diagnosis.hypotheses import Checkpoint
+from pam_antagonist.diagnosis.hypotheses import ResumeFolder
 from pam_antagonist.diagnosis.pipeline import course_in_words
 from pam_antagonist.diagnosis.result import FoundCalibration
 from pam_antagonist.diagnosis.rig_choice import RigFile
@@ -350,9 +350,9 @@ def test_recordings_that_are_too_short_are_refused(rig, recorded) -> None:
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory) -> Checkpoint:
+def kept(tmp_path_factory) -> ResumeFolder:
     """What the fits of pressures alone came to: two tests ask of them."""
-    return Checkpoint(tmp_path_factory.mktemp("kept"))
+    return ResumeFolder(tmp_path_factory.mktemp("kept"))
 
 
 @pytest.mark.slow(4)

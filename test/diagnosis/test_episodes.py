@@ -18,7 +18,7 @@ import pytest
 import pam_antagonist
 from pam_antagonist import load_rig
 from pam_antagonist.cli.close_loop import main
-from pam_antagonist.diagnosis.episodes import Linear, Lines, course, diagnose, search
+from pam_antagonist.diagnosis.episodes import LinearEpisodes, Lines, course, diagnose, search
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.episodes import is_fair
 from pam_antagonist.inference.bootstrap import Interval, drawn, ratio, rmse
@@ -179,7 +179,7 @@ def test_a_friction_that_grows_over_the_recording_is_said_to_drift() -> None:
     assert still.low < 0.0 < still.high
     pool = episodes.take(held.pool)
     whole = pool.fit(model)
-    lines = Lines(episodes, held.pool, whole, Linear(pool, whole))
+    lines = Lines(episodes, held.pool, whole, LinearEpisodes(pool, whole))
     later = episodes.take(held.later)
     constant = later.squares(later.residual(whole)).rmse
     assert lines.later(later).rmse < 0.8 * constant

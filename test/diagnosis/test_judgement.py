@@ -11,7 +11,7 @@ import pytest
 
 from pam_antagonist.diagnosis import models, warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
-from pam_antagonist.diagnosis.hypotheses import Checkpoint, Kept, Ranking, TriedCandidate
+from pam_antagonist.diagnosis.hypotheses import Kept, Ranking, ResumeFolder, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.inference.free_parameters import FreeEffectParameter
@@ -133,7 +133,7 @@ def test_an_estimator_that_got_worse_is_told_with_its_numbers() -> None:
 
 
 def test_a_finished_candidate_is_found_again(tmp_path: Path) -> None:
-    checkpoint = Checkpoint(tmp_path / "kept")
+    checkpoint = ResumeFolder(tmp_path / "kept")
     point = Point(np.array([0.1, -0.2]), {"effects.leak.area_1": 1e-9})
     checkpoint.save("a", Kept(point, 50.0, 12.5))
     found = checkpoint.load("a")
@@ -147,9 +147,9 @@ def test_a_finished_candidate_is_found_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["", "{", "{}", "[1]", '{"theta": [1], "effects": {}, "blocks_per_error": 1}'])
 def test_a_damaged_file_is_worked_out_anew(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.json").write_text(text)
-    assert Checkpoint(tmp_path).load("a") is None
+    assert ResumeFolder(tmp_path).load("a") is None
 
 
 def test_nothing_is_kept_without_a_folder() -> None:
-    Checkpoint().save("a", Kept(Point(np.zeros(1)), 1.0, 0.0))
-    assert Checkpoint().load("a") is None
+    ResumeFolder().save("a", Kept(Point(np.zeros(1)), 1.0, 0.0))
+    assert ResumeFolder().load("a") is None

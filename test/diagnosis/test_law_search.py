@@ -12,7 +12,7 @@ import pytest
 from pam_antagonist import diagnose, load_rig, simulate
 from pam_antagonist.api import diagnose as api
 from pam_antagonist.diagnosis import Diagnosis, driven_law, learned_law
-from pam_antagonist.diagnosis.law_regression import Group
+from pam_antagonist.diagnosis.law_regression import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch
 from pam_antagonist.diagnosis.law_simulation import Simulation, Subject
 from pam_antagonist.diagnosis.learned_law import is_better, joined, learn, leaves_excess, refusal
@@ -166,7 +166,7 @@ def test_a_law_of_a_rate_leaves_a_held_joint_as_it_is() -> None:
     without, with_it = (simulation.evaluated(each, amounts).excess[0, 2] for each in (None, law))
     assert with_it == pytest.approx(without, rel=1e-6)
     # At rest there is nothing to damp, so no constant stands for a force of the base.
-    assert Group("force_1", "length_rate").law(np.array([-1.0, 1.0]), np.array([2.0, 6.0])).value(0.0) == 0.0
+    assert LawForm("force_1", "length_rate").law(np.array([-1.0, 1.0]), np.array([2.0, 6.0])).value(0.0) == 0.0
 
 
 @pytest.mark.thorough(1)

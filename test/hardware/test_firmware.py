@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pam_antagonist.hardware import protocol
-from pam_antagonist.hardware.firmware import Firmware, Readings, Settings
+from pam_antagonist.hardware.firmware import DeviceSettings, Firmware, Readings
 from pam_antagonist.hardware.protocol import (
     Command,
     FrameReader,
@@ -32,7 +32,7 @@ class Bench:
     """A device with a clock, and a host that knows what to say."""
 
     def __init__(self, first_us: int = 0, session: int = 77) -> None:
-        self.firmware = Firmware(Settings(safe_voltage=(5.5, 5.5)))
+        self.firmware = Firmware(DeviceSettings(safe_voltage=(5.5, 5.5)))
         self.now = first_us
         self.session = session
         self.sequence = 0
@@ -120,7 +120,7 @@ def test_twenty_milliseconds_without_a_command_are_safe_voltages_also_across_the
 def test_a_command_of_71_minutes_ago_is_not_new_again() -> None:
     bench = Bench().started(commanded=True)
     bench.tick(30)
-    bench.firmware.settings = Settings(session_us=2**32 - 1)
+    bench.firmware.settings = DeviceSettings(session_us=2**32 - 1)
     bench.now += 2**32 - 30_000
     bench.tick()
     assert bench.firmware.voltage == SAFE

@@ -18,7 +18,7 @@ import pytest
 from pam_antagonist.hardware import protocol
 from pam_antagonist.hardware.calibration import Converter, load_calibration
 from pam_antagonist.hardware.device import DeviceInfo, DeviceLost, RawSample
-from pam_antagonist.hardware.link import SILENCE, ClockMap, Link, Sample, Unwrapped, Wanted
+from pam_antagonist.hardware.link import SILENCE, ClockMap, DeviceSample, Link, RequiredDevice, Unwrapped
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.safety import SafeAction
 
@@ -26,7 +26,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 DRIVER, PROTOCOL = DOCS.parent / "examples" / "drivers" / "daq_card.py", DOCS / "reference" / "protocol.md"
 MS = 1_000_000
 ACTION = SafeAction((5.0, 5.25))
-WANTED = Wanted(MS, 0.0, 10.0, ACTION)
+WANTED = RequiredDevice(MS, 0.0, 10.0, ACTION)
 INFO = DeviceInfo("double", "V", True, True, MS, 20 * MS, 0.0, 10.0)
 
 
@@ -81,8 +81,8 @@ class Double:
 @contextmanager
 def running(
     device: Any, now_ns: Callable[[], int] = time.time_ns, calibration: str | Path = "example"
-) -> Iterator[tuple[Link, list[Sample]]]:
-    got: list[Sample] = []
+) -> Iterator[tuple[Link, list[DeviceSample]]]:
+    got: list[DeviceSample] = []
     converter = Converter(load_calibration(calibration))
     link = Link(device, converter, WANTED, now_ns, got.append, lambda: device.command((6.0, 5.0)))
     link.start()

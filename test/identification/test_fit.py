@@ -15,7 +15,7 @@ from pam_antagonist import identify
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures
 from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.inference.free_run import Run, predict, start_of
+from pam_antagonist.inference.free_run import StartedModel, predict, start_of
 from pam_antagonist.inference.trial import check, make_trial
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import load_rig
@@ -83,7 +83,7 @@ def test_a_torque_from_outside_reaches_the_model() -> None:
     external = 0.5 * np.sin(np.arange(len(quiet)) * 1e-3)
     pushed = make_trial(replace(record("free", 1), external_torque=external), RIG, "free", 0.0, "bag")
     p = RIG.parameters()
-    angles = [predict(trial, Run(p), start_of(trial))[:, 0] for trial in (quiet, pushed)]
+    angles = [predict(trial, StartedModel(p), start_of(trial))[:, 0] for trial in (quiet, pushed)]
     assert np.abs(angles[1] - angles[0]).max() > np.radians(1.0)
 
 

@@ -20,7 +20,7 @@ from pam_antagonist.cli import import_csv, new_rig, replay
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, WEIGHT_COS, WEIGHT_SIN, ZERO
-from pam_antagonist.identification.result import Held
+from pam_antagonist.identification.result import HeldRecording
 from pam_antagonist.recording import Recording, recording_hash, write_bag
 from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.rig import Rig, load_rig
@@ -87,7 +87,7 @@ def test_the_file_has_what_all_of_the_data_determine(found: FromPressures) -> No
 
 
 def test_a_cause_is_named_only_where_the_recordings_show_it(found: FromPressures) -> None:
-    def worse(item: Held, linear: float, sign: float) -> Held:
+    def worse(item: HeldRecording, linear: float, sign: float) -> HeldRecording:
         """A held-out part on which the rig file is better than what was identified."""
         whole = item.replays["as_configured"]
         rows = whole.run.rows.copy()

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from pam_antagonist.identification.static_fit import UNITS, VOLUME, Form, compare_forms, fit, largest, rms
+from pam_antagonist.identification.static_fit import UNITS, VOLUME, TableForm, compare_forms, fit, largest, rms
 from pam_antagonist.identification.static_table import StaticTable, read_force_map
 from pam_antagonist.identification.tobit import Undetermined, solve
 from pam_antagonist.model import parameters as par
@@ -36,7 +36,7 @@ def table(form: str, seed: int, noise: float = NOISE, together: float = 0.0) -> 
     rng = np.random.default_rng(seed)
     length, pressure = (grid.ravel() for grid in np.meshgrid(LENGTHS, PRESSURES))
     group = np.tile(np.arange(len(LENGTHS)), len(PRESSURES))
-    force = Form(form, REST, OUTSIDE).value(np.array(TRUTH[form]), length, pressure)
+    force = TableForm(form, REST, OUTSIDE).value(np.array(TRUTH[form]), length, pressure)
     force = force + noise * rng.standard_normal(len(force)) + together * rng.standard_normal(len(LENGTHS))[group]
     # This map is above 0 everywhere: a sensor shows nothing below 1.5 N.
     limit = 1.5 if form == "braided" else 0.0
@@ -48,7 +48,7 @@ def table(form: str, seed: int, noise: float = NOISE, together: float = 0.0) -> 
 def worst(found, form: str) -> float:
     """Largest error of the fitted map where the muscle really pulls [N]."""
     length, pressure = (grid.ravel() for grid in np.meshgrid(np.linspace(0.147, 0.182, 15), PRESSURES))
-    true = Form(form, REST, OUTSIDE).value(np.array(TRUTH[form]), length, pressure)
+    true = TableForm(form, REST, OUTSIDE).value(np.array(TRUTH[form]), length, pressure)
     return float(np.max(np.abs(found.value(length, pressure) - true)[true > 0.0]))
 
 
@@ -85,7 +85,7 @@ def test_errors_that_a_length_shares_widen_the_intervals():
         measured = table("linear", seed, together=4.0)
         found = fit(measured, "linear", REST)
         at = measured.length, measured.pressure
-        design = np.column_stack([Form("linear", REST, OUTSIDE).value(e, *at) for e in np.eye(4)])
+        design = np.column_stack([TableForm("linear", REST, OUTSIDE).value(e, *at) for e in np.eye(4)])
         plain = solve(design, measured.value, measured.slack, measured.spread, False, 4)
         assert plain.coefficients == pytest.approx(found.coefficients, rel=1e-6)
         error = np.abs(found.coefficients - TRUTH["linear"])
@@ -109,7 +109,7 @@ def test_leaving_slack_points_out_is_biased_and_keeping_them_is_not():
     for seed in range(60):
         measured = table("linear", seed, noise=8.0)
         at = np.array([0.15]), np.array([300e3])
-        true = Form("linear", REST, OUTSIDE).value(np.array(TRUTH["linear"]), *at)[0]
+        true = TableForm("linear", REST, OUTSIDE).value(np.array(TRUTH["linear"]), *at)[0]
         kept.append(fit(measured, "linear", REST).value(*at)[0] - true)
         dropped.append(fit(measured.part(~measured.slack), "linear", REST).value(*at)[0] - true)
     assert abs(np.mean(dropped)) > 4.0 * np.std(dropped) / np.sqrt(len(dropped))
@@ -230,7 +230,9 @@ VOLUME_NOISE = 2e-7
 def cylinder(lengths, repeats: int = 1, seed: int = 0, noise: float = VOLUME_NOISE) -> StaticTable:
     length = np.repeat(np.asarray(lengths, dtype=float), repeats)
     group = np.repeat(np.arange(len(lengths)), repeats)
-    volume = Form(VOLUME).value(PARABOLA, length) + noise * np.random.default_rng(seed).standard_normal(len(length))
+    volume = TableForm(VOLUME).value(PARABOLA, length) + noise * np.random.default_rng(seed).standard_normal(
+        len(length)
+    )
     ones = np.ones(len(length))
     return StaticTable("t", length, volume, 0.0 * ones, group, ones, False, ones < 0.0)
 
@@ -242,7 +244,7 @@ def test_intervals_hold_the_parabola(repeats):
     hits = [np.abs(found.coefficients - PARABOLA) <= found.reach95 * found.std for found in fits]
     assert np.mean(hits) >= 0.90
     middle = np.array([0.165])
-    true = Form(VOLUME).value(PARABOLA, middle)
+    true = TableForm(VOLUME).value(PARABOLA, middle)
     inside = [np.abs(found.value(middle) - true) <= found.reach95 * found.value_std(middle) for found in fits]
     assert np.mean(inside) >= 0.88
     assert np.median([found.value_std(middle)[0] for found in fits]) < VOLUME_NOISE

@@ -8,7 +8,7 @@ import pytest
 from pam_antagonist.diagnosis.models import share_of
 from pam_antagonist.inference.likelihood import (
     BLOCKS_PER_ERROR,
-    Equations,
+    LinearProblem,
     Scale,
     correlation_length,
     in_decibels,
@@ -60,7 +60,7 @@ def _problem(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarr
 def test_solve_recovers_what_is_there() -> None:
     residual, base, effect = _problem(np.random.default_rng(1))
     scale = Scale.of(residual, np.array([0.01, 0.01]))
-    step = Equations.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3))
+    step = LinearProblem.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3))
     np.testing.assert_allclose(step.theta, [0.3, -0.2, 0.1], atol=2e-3)
     np.testing.assert_allclose(step.effect, [1.5, -0.7], atol=2e-3)
     assert np.sqrt(np.mean(step.residual**2)) == pytest.approx(0.01, rel=0.05)
@@ -70,7 +70,7 @@ def test_what_has_no_influence_stays() -> None:
     residual, base, effect = _problem(np.random.default_rng(2))
     effect[:, :, 1] = 0.0
     scale = Scale.of(residual, np.array([0.01, 0.01]))
-    step = Equations.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3))
+    step = LinearProblem.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3))
     assert step.effect[1] == 0.0
     assert np.all(np.isfinite(step.covariance))
 
@@ -78,7 +78,9 @@ def test_what_has_no_influence_stays() -> None:
 def test_what_is_held_stays() -> None:
     residual, base, effect = _problem(np.random.default_rng(2))
     scale = Scale.of(residual, np.array([0.01, 0.01]))
-    assert Equations.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3), held=[0]).effect[0] == 0.0
+    assert (
+        LinearProblem.of(residual, base, effect).solved(scale, np.full(3, 1e-3), np.zeros(3), held=[0]).effect[0] == 0.0
+    )
 
 
 NOISE = np.array([0.01, 2.0])

@@ -10,7 +10,7 @@ import pytest
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.force_forms import FORMS
-from pam_antagonist.rig.schema import Form
+from pam_antagonist.rig.schema import ModelForm
 
 LENGTH, PRESSURE = 0.17, 400e3
 USUAL = {
@@ -31,7 +31,7 @@ def force(name: str, values: dict[str, float]) -> float:
 
 
 def test_a_rig_file_knows_every_form_and_no_other() -> None:
-    assert typing.get_args(Form.model_fields["force"].annotation) == tuple(FORMS)
+    assert typing.get_args(ModelForm.model_fields["force"].annotation) == tuple(FORMS)
 
 
 @pytest.mark.parametrize("name", FORMS)

@@ -22,7 +22,7 @@ ONSET_NS = 1_000_000_000_000_000_000
 
 def leak(evidence: float = 60.0) -> list[Any]:
     """Findings of a monitor whose muscle 1 leaks."""
-    from pam_antagonist.diagnosis.monitor_blocks import Finding
+    from pam_antagonist.diagnosis.monitor_blocks import MonitorFinding
     from pam_antagonist.diagnosis.monitor_responses import hypotheses
     from pam_antagonist.rig import load_rig
 
@@ -30,9 +30,9 @@ def leak(evidence: float = 60.0) -> list[Any]:
     paths = ("effects.leak.area_1", "effects.valve_offset.voltage_1", "effects.supply_droop.stiffness")
     first, other, third = (by_path[path,] for path in paths)
     return [
-        Finding(first, evidence, 900.0, ONSET_NS, 2.0, 3.1e-9, 2e-10),
-        Finding(other, evidence, 880.0, ONSET_NS, 2.0, 0.05, 0.01),
-        Finding(third, evidence, 300.0, ONSET_NS, 2.0, 2e7, 8e6),
+        MonitorFinding(first, evidence, 900.0, ONSET_NS, 2.0, 3.1e-9, 2e-10),
+        MonitorFinding(other, evidence, 880.0, ONSET_NS, 2.0, 0.05, 0.01),
+        MonitorFinding(third, evidence, 300.0, ONSET_NS, 2.0, 2e7, 8e6),
     ]
 
 

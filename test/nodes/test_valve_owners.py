@@ -14,7 +14,7 @@ import yaml
 from sent import MS, asked, command, stamp_of
 
 from pam_antagonist.hardware.device import DeviceLost
-from pam_antagonist.hardware.link import Sample
+from pam_antagonist.hardware.link import DeviceSample
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.paths import config_dir
 from pam_antagonist.rig import load_rig
@@ -99,7 +99,7 @@ class Real(Owner):
         pressure = (4e5 + sound, sound if second is None else second(sound))
         fields = {"voltage": (6.0, 5.0), "angle": 0.1, "torque": -0.5, "status": Status(0), **changes}
         self.node._attend()
-        self.node._deliver(Sample(self.now, pressure, **fields))
+        self.node._deliver(DeviceSample(self.now, pressure, **fields))
         return self.node._converter.asked(self.node._device.commands[-1])
 
 
@@ -272,7 +272,9 @@ def test_rest_is_measured_and_used(real: Real) -> None:
     done, said = asked(real.node._measure_rest)
     assert not done and "0 samples so far" in said
     for k in range(1000):
-        sample = Sample(T0 + k * MS, (101.3e3 - 400.0 + k % 2, 101.3e3 + 250.0 + k % 2), SAFE, 0.1, -0.5, Status(0))
+        sample = DeviceSample(
+            T0 + k * MS, (101.3e3 - 400.0 + k % 2, 101.3e3 + 250.0 + k % 2), SAFE, 0.1, -0.5, Status(0)
+        )
         real.node._deliver(sample)
     done, said = asked(real.node._measure_rest)
     assert done and said.endswith("pressure_rest: [399.5, -250.5]")

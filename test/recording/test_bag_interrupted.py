@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import BagWriter, read_bag, writer
-from pam_antagonist.recording.bag_files import Limits
+from pam_antagonist.recording.bag_files import FileLimits
 from pam_antagonist.recording.mcap import MAGIC
 
 
@@ -50,7 +50,7 @@ def assert_a_beginning(recording, rig: FakeRig, least: int) -> None:
 
 def test_a_split_bag_is_one_recording(tmp_path: Path) -> None:
     rig = FakeRig(5000)
-    with BagWriter(tmp_path / "bag", limits=Limits(size=300_000)) as bag:
+    with BagWriter(tmp_path / "bag", limits=FileLimits(size=300_000)) as bag:
         write(bag, rig)
     names = [path.name for path in (tmp_path / "bag").iterdir()]
     assert 4 < bag.files < 10
@@ -71,7 +71,7 @@ def test_a_split_bag_is_one_recording(tmp_path: Path) -> None:
 
 def test_files_of_a_duration(tmp_path: Path) -> None:
     rig = FakeRig(40)
-    with BagWriter(tmp_path / "bag", limits=Limits(duration=0.1)) as bag:
+    with BagWriter(tmp_path / "bag", limits=FileLimits(duration=0.1)) as bag:
         write(bag, rig, 0.01)
     assert 3 <= bag.files <= 5
     rig.assert_same(read_bag(tmp_path / "bag"))
@@ -79,7 +79,7 @@ def test_files_of_a_duration(tmp_path: Path) -> None:
 
 def test_files_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     rig = FakeRig(1200)
-    with BagWriter(tmp_path / "bag", limits=Limits(size=10_000)) as bag:
+    with BagWriter(tmp_path / "bag", limits=FileLimits(size=10_000)) as bag:
         write(bag, rig)
     assert bag.files > 11
     (tmp_path / "bag" / "metadata.yaml").unlink()
@@ -211,7 +211,7 @@ def test_metadata_without_content_after_a_power_cut(
 
 def test_the_next_file_was_begun_and_holds_nothing(tmp_path: Path) -> None:
     rig = FakeRig(2000)
-    with BagWriter(tmp_path / "bag", limits=Limits(size=50_000)) as bag:
+    with BagWriter(tmp_path / "bag", limits=FileLimits(size=50_000)) as bag:
         write(bag, rig)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     for content in (b"", bytes(4096)):

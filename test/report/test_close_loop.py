@@ -11,7 +11,7 @@ import pytest
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.models import Model
-from pam_antagonist.diagnosis.remaining import Form, RemainingResidual, Surroundings
+from pam_antagonist.diagnosis.remaining import RemainingResidual, SumOfTerms, Surroundings
 from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, PartVerdict, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice
@@ -139,7 +139,7 @@ def test_a_part_that_is_not_explained_is_a_warning(found: DiagnoseResult) -> Non
 
 def test_what_is_left_is_a_table_of_all_recordings_without_shares_that_are_nothing() -> None:
     around = Surroundings(np.zeros((5, 2)), None, np.arange(5.0))
-    form = Form((), 0.0, float("nan"))
+    form = SumOfTerms((), 0.0, float("nan"))
     one, other = (
         RemainingResidual(name, "torque", "N m", 3.0, {"pressure": share}, {"below 0.1 Hz": 1.0}, 2.0, form,
                           np.zeros(5), around)

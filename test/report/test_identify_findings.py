@@ -12,7 +12,7 @@ import pytest
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.identification import held_out as held_out_errors
 from pam_antagonist.identification.episodes import EpisodesIdentified
-from pam_antagonist.identification.result import Held
+from pam_antagonist.identification.result import HeldRecording
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.replays.result import covered
 from pam_antagonist.report import identify_findings
@@ -35,7 +35,7 @@ def held_out(before: float, now: float, alone: tuple[float, float] = (1.0, 1.0),
     reports = {"as_configured": figures(before, alone[0]), "identified": figures(now, alone[1])}
     for one in reports.values():
         one.joint = SimpleNamespace(condition="free")
-    return Held("lab/free", 20.0, {}, reports, math.nan, math.nan, 0)  # type: ignore[arg-type]
+    return HeldRecording("lab/free", 20.0, {}, reports, math.nan, math.nan, 0)  # type: ignore[arg-type]
 
 
 def parameter(name: str, value: float, bound: float | None = None) -> Any:

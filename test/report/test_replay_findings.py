@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from pam_antagonist.estimation import Counts
-from pam_antagonist.estimation.metrics import ChannelErrors, FilterErrors, ModelErrors, PressureErrors, channel_errors
+from pam_antagonist.estimation.metrics import (
+    ChannelErrors,
+    FilterErrors,
+    ModelAloneErrors,
+    PressureErrors,
+    channel_errors,
+)
 from pam_antagonist.replays.live import LiveComparison
 from pam_antagonist.replays.result import FilterFacts, Innovation, JointFacts, RecordingFacts, ReplayReport, Timing
 from pam_antagonist.report.replay import errors_table, findings, tiles, verdict
@@ -27,7 +33,7 @@ def report() -> ReplayReport:
         duration_s=1.0,
         realtime_factor=10.0,
         ukf=FilterErrors(ANGLE, TORQUE, PressureErrors((500.0, 600.0), (1000.0, 1000.0), (0.1, 0.1)), None),
-        model_alone=ModelErrors(WORSE, SAME, PressureErrors((5000.0, 600.0), (1000.0, 1000.0), (0.1, 0.1))),
+        model_alone=ModelAloneErrors(WORSE, SAME, PressureErrors((5000.0, 600.0), (1000.0, 1000.0), (0.1, 0.1))),
         innovation=Innovation(2.0, 0.95, 0.3, 0.01, 1000),
         recording=RecordingFacts("lab/first", "0" * 64, {}, 0, (), {}),
         joint=JointFacts("free", None, "measured angle"),

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pam_antagonist.report import html
-from pam_antagonist.report.document import Comparison, Definitions, Finding, Findings, Section, Table, Text
+from pam_antagonist.report.document import Comparison, Definitions, Findings, Section, Statement, Table, Text
 from pam_antagonist.report.terminal import WIDTH, render
 from pam_antagonist.shown import number, percent
 from pam_antagonist.strict_json import dumps, plain, write_json
@@ -83,7 +83,7 @@ def test_a_share_is_never_minus_nothing() -> None:
 def test_findings_are_marked_and_wrapped() -> None:
     long = "word " * 40
     lines = render(
-        (Findings((Finding("good", "right"), Finding("warn", long), Finding("note", "known"))),)
+        (Findings((Statement("good", "right"), Statement("warn", long), Statement("note", "known"))),)
     ).splitlines()
     assert lines[0] == "✓ right"
     assert lines[1].startswith("! word") and lines[2].startswith("  word")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pam_antagonist.control.command import VoltageLimits
 from pam_antagonist.errors import BadInput
 from pam_antagonist.safety import Authority, ReferenceOwner, SafeAction, ValveGuard
-from pam_antagonist.safety.guard import State, Verdict, safe_action
+from pam_antagonist.safety.guard import Ruling, State, safe_action
 
 MS = 1_000_000
 S = 1000 * MS
@@ -26,7 +26,7 @@ def make(action: SafeAction | None = None, slew: float = 1e6, timeout: float = 0
 def test_waits_in_the_safe_voltages_then_obeys() -> None:
     guard = make()
     assert guard.output(0) == (SAFE, State.WAITING, "")
-    assert guard.command((7.0, 3.0), MS) is Verdict.ACCEPTED
+    assert guard.command((7.0, 3.0), MS) is Ruling.ACCEPTED
     assert guard.output(MS) == ((7.0, 3.0), State.OBEYING, "")
 
 
@@ -64,7 +64,7 @@ def test_commands_that_are_too_old_keep_the_right_of_their_publisher_and_nothing
     guard.command((7.0, 3.0), 0)
     voltages = []
     for k in range(1, 30):
-        assert guard.command((8.0, 2.0), k * MS, late=True) is Verdict.ACCEPTED
+        assert guard.command((8.0, 2.0), k * MS, late=True) is Ruling.ACCEPTED
         voltages.append(guard.output(k * MS).voltage)
     assert voltages == [(7.0, 3.0)] * 20 + [SAFE] * 9
     assert (guard.counts.late, guard.counts.commands) == (29, 1)
@@ -120,7 +120,7 @@ def test_a_stop_latches_and_keeps_its_first_reason() -> None:
 def test_two_commanders_that_cannot_be_told_apart_stop_it() -> None:
     guard = make()
     guard.command((7.0, 3.0), 0, sequence=10, publishers=1)
-    assert guard.command((1.0, 1.0), MS, sequence=10, publishers=2) is Verdict.UNCLEAR
+    assert guard.command((1.0, 1.0), MS, sequence=10, publishers=2) is Ruling.UNCLEAR
     assert guard.output(MS).state is State.STOPPED
 
 
@@ -129,7 +129,7 @@ def test_a_second_commander_never_reaches_the_valves() -> None:
     for k in range(1, 500):
         guard.command((6.0, 5.0), k * MS, sequence=4000 + k, publishers=1 if k < 100 else 2)
         if k >= 100:
-            assert guard.command((10.0, 0.0), k * MS + 1, sequence=k - 99, publishers=2) is Verdict.REFUSED
+            assert guard.command((10.0, 0.0), k * MS + 1, sequence=k - 99, publishers=2) is Ruling.REFUSED
         assert guard.output(k * MS + 2).voltage == (6.0, 5.0)
 
 
@@ -217,7 +217,7 @@ def hold(authority: Authority, first: int = 5000, count: int = 50, publishers: i
 def test_a_single_publisher_is_obeyed_whatever_its_numbers() -> None:
     authority = Authority(TIMEOUT)
     for k, number in enumerate([7, 8, 900, 3, None, 4]):
-        assert authority.admit(number, 1, k * MS) is Verdict.ACCEPTED
+        assert authority.admit(number, 1, k * MS) is Ruling.ACCEPTED
     assert authority.refused == 0
 
 
@@ -225,8 +225,8 @@ def test_a_second_commander_is_refused_and_the_first_one_goes_on() -> None:
     authority = Authority(TIMEOUT)
     last, now = hold(authority)
     for k in range(1, 1000):
-        assert authority.admit(k, 2, now + k * MS) is Verdict.REFUSED
-        assert authority.admit(last + k, 2, now + k * MS + 1) is Verdict.ACCEPTED
+        assert authority.admit(k, 2, now + k * MS) is Ruling.REFUSED
+        assert authority.admit(last + k, 2, now + k * MS + 1) is Ruling.ACCEPTED
     assert authority.refused == 999
 
 
@@ -234,34 +234,34 @@ def test_a_second_commander_is_refused_and_the_first_one_goes_on() -> None:
 def test_lost_messages_do_not_cost_the_valves(lost: int) -> None:
     authority = Authority(TIMEOUT)
     last, now = hold(authority)
-    assert authority.admit(last + 1 + lost, 2, now + 10 * MS) is Verdict.ACCEPTED
+    assert authority.admit(last + 1 + lost, 2, now + 10 * MS) is Ruling.ACCEPTED
 
 
 def test_who_was_refused_does_not_inherit_the_valves() -> None:
     authority = Authority(TIMEOUT)
     _, now = hold(authority)
     verdicts = [authority.admit(10 + k, 2, now + k * MS) for k in range(1, 40)]
-    assert verdicts[:20] == [Verdict.REFUSED] * 20
-    assert verdicts[20] is Verdict.UNCLEAR
+    assert verdicts[:20] == [Ruling.REFUSED] * 20
+    assert verdicts[20] is Ruling.UNCLEAR
 
 
 def test_a_commander_that_was_started_again_is_obeyed_while_the_dead_one_is_still_counted() -> None:
     authority = Authority(TIMEOUT)
     _, now = hold(authority)
     verdicts = [authority.admit(1 + k, 2, now + 500 * MS + k * MS) for k in range(30)]
-    assert verdicts == [Verdict.LISTENING] * 21 + [Verdict.ACCEPTED] * 9
+    assert verdicts == [Ruling.LISTENING] * 21 + [Ruling.ACCEPTED] * 9
 
 
 def test_a_commander_that_stalled_goes_on() -> None:
     authority = Authority(TIMEOUT)
     last, now = hold(authority)
-    assert authority.admit(last + 1, 2, now + 300 * MS) is Verdict.ACCEPTED
+    assert authority.admit(last + 1, 2, now + 300 * MS) is Ruling.ACCEPTED
 
 
 def test_two_from_the_start_are_unclear() -> None:
     authority = Authority(TIMEOUT)
-    assert authority.admit(100, 2, 0) is Verdict.LISTENING
-    assert authority.admit(9000, 2, MS) is Verdict.UNCLEAR
+    assert authority.admit(100, 2, 0) is Ruling.LISTENING
+    assert authority.admit(9000, 2, MS) is Ruling.UNCLEAR
 
 
 @pytest.mark.parametrize("behind", [0, 1, 100])
@@ -269,23 +269,23 @@ def test_two_whose_numbers_are_alike_are_unclear(behind: int) -> None:
     """The second one's number was taken for the first one's; the first one's own gives that away."""
     authority = Authority(TIMEOUT)
     last, now = hold(authority)
-    assert authority.admit(last - behind, 2, now + MS) is Verdict.UNCLEAR
+    assert authority.admit(last - behind, 2, now + MS) is Ruling.UNCLEAR
 
 
 def test_without_numbers_two_are_unclear() -> None:
     authority = Authority(TIMEOUT)
-    assert authority.admit(None, 1, 0) is Verdict.ACCEPTED
-    assert authority.admit(None, 2, MS) is Verdict.UNCLEAR
-    assert authority.admit(None, 1, 2 * MS) is Verdict.ACCEPTED
+    assert authority.admit(None, 1, 0) is Ruling.ACCEPTED
+    assert authority.admit(None, 2, MS) is Ruling.UNCLEAR
+    assert authority.admit(None, 1, 2 * MS) is Ruling.ACCEPTED
 
 
 def test_after_a_release_everybody_may_try_again() -> None:
     authority = Authority(TIMEOUT)
     last, now = hold(authority)
-    assert authority.admit(1, 2, now) is Verdict.REFUSED
+    assert authority.admit(1, 2, now) is Ruling.REFUSED
     authority.release()
-    assert authority.admit(2, 1, now + MS) is Verdict.ACCEPTED
-    assert authority.admit(last + 1, 2, now + 2 * MS) is Verdict.REFUSED
+    assert authority.admit(2, 1, now + MS) is Ruling.ACCEPTED
+    assert authority.admit(last + 1, 2, now + 2 * MS) is Ruling.REFUSED
 
 
 # ------------------------------------------------------------------------------------------------ references

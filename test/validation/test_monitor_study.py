@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.monitor_blocks import Finding
+from pam_antagonist.diagnosis.monitor_blocks import MonitorFinding
 from pam_antagonist.diagnosis.monitor_responses import hypotheses
 from validation import monitor_study as study
 from validation.monitored import Joint, faults, size_of
@@ -50,7 +50,9 @@ def test_a_fault_is_found_if_it_is_first_or_among_those_alike() -> None:
         next(item for item in hypotheses(RIG, False) if item.label == label)
         for label in ("leak 1, area", "valve offset 1, voltage", "valve lag 1, time")
     )
-    found = [Finding(item, 60.0, full, 0, 1.0, 1.0, 0.1) for item, full in ((offset, 60.0), (leak, 58.0), (lag, 30.0))]
+    found = [
+        MonitorFinding(item, 60.0, full, 0, 1.0, 1.0, 0.1) for item, full in ((offset, 60.0), (leak, 58.0), (lag, 30.0))
+    ]
     by_label = {fault.label: fault for fault in faults(RIG)}
     right = [study._named(by_label[item.label], found) for item in (offset, leak, lag)]
     assert right == [True, True, False]

@@ -15,7 +15,7 @@ from pam_antagonist.model import dynamics, equilibrium, flow, muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import course
 from pam_antagonist.rig import Rig
-from pam_antagonist.simulation.excitation import Span
+from pam_antagonist.simulation.excitation import DriveVoltages
 from validation.paper.virtual import START, Floats, VirtualRig
 
 LENGTHS, PRESSURES, FORCE_STD = 6, 11, 0.5
@@ -138,7 +138,7 @@ class Response(NamedTuple):
 
 def response(rig: Rig, factors: dict[str, float]) -> Response:
     """Steady state and transient time of the declared model with some parameters times a factor."""
-    period, span = rig.sample_period, Span()
+    period, span = rig.sample_period, DriveVoltages()
     end = np.array([_DRIVE, -_DRIVE])
     at = np.arange(round((_REST_S + _STAND_S) / period)) * period
     abrupt = (at >= _REST_S)[:, None] * end
