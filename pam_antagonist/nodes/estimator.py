@@ -236,7 +236,10 @@ class EstimatorNode(PamNode):
         finding = self._sources.report(steady_ns) if self._sources else SourceFinding(Level.OK, "")
         self._mixed = finding.is_mixed
         second, waits, lacks = several(self, [TOPICS["joint_estimate"].relative]), self._waits_for(), finding.words
-        some = f"{late} late and {incomplete} incomplete samples" + (f": {lacks}" if incomplete and lacks else "")
+        counted = f"{late} late and {incomplete} incomplete samples"
+        some = counted + (f": {lacks}" if incomplete and lacks else "")
+        # A publisher that is not gone yet must not hide what else is wrong.
+        found = f"{lacks}; {counted}" if late or incomplete else lacks
         return {
             **(self._encoder_health(filtered["angles_used"], filtered["angles_refused"]) if self._encoder else {}),
             "samples": judged(
@@ -244,7 +247,7 @@ class EstimatorNode(PamNode):
                 "running",
                 (second, Level.ERROR, second),
                 (self._mixed, Level.ERROR, f"every estimate is flagged LATE: {finding.words}"),
-                (finding.level is Level.ERROR, Level.ERROR, finding.words),
+                (finding.level is Level.ERROR, Level.ERROR, found),
                 (risen["jumps"], Level.WARN, "the stamps jumped backwards: the filter started again"),
                 (waits, Level.ERROR, f"the filter has not started: {waits}"),
                 (rate == 0.0 or self._published == 0, Level.WARN, finding.words or "no samples"),

@@ -204,7 +204,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("device deaf", "hears nothing for 0.4 s", at_device("deaf"), _SAFE,
           (Wanted("bridge: device", _WARN, "watchdog trips"),)),
     Fault("device stalls", "stands still for 50 ms", device_stalled(_STALL), _ON,
-          (Wanted("estimator: samples", _WARN, "late"),), lasts=0.0),
+          (Wanted("estimator: samples", _WARN, "late", counted=True),), lasts=0.0),
     Fault("device restarts", "begins anew, clock at 0", at_device("restart"), _SAFE,
           (Wanted("bridge: device", _ERROR, "devices lost", counted=True),), lasts=0.1),
     Fault("damaged frames", "1 % of the bytes, both ways, for 1 s", at_device("flip=0.01"), _ON,
