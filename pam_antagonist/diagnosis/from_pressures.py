@@ -24,7 +24,7 @@ from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.pipeline import verdicts
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared, Settings, Timings
 from pam_antagonist.diagnosis.result import FoundEffect, Judged
-from pam_antagonist.diagnosis.verdicts import UNEXPLAINED, Verdict, overall
+from pam_antagonist.diagnosis.verdicts import NONE, UNEXPLAINED, Verdict, overall
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.from_pressures import (
@@ -47,7 +47,7 @@ from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig import Rig
-from pam_antagonist.shown import Shown
+from pam_antagonist.shown import Shown, number, percent
 
 Floats = NDArray[np.float64]
 Place = Literal["joint and muscles", "chambers and valves"]
@@ -329,17 +329,51 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
     there = tuple(group for group in groups if group is not None)
     prepared = Prepared(rig, rig, (), tuple(group.experiments[0].trial for group in there), there, len(recordings))
     judged = tuple(verdicts(prepared, settings, Timings()))
-    if not any(one.effects for one in judged):
-        return FoundFromPressures(base, None, judged)
-    progress("all values once more, with the effects")
-    fits = {place_of(one): _with_effects(one) for one in judged if one.effects}
-    judged = tuple(_with_values(one, fits[place_of(one)]) if one.effects else one for one in judged)
-    joint, air = fits.get(JOINT, base.joint), fits.get(AIR, base.air)
-    # What met a bound before the effects were known has no part in the fits with them.
-    before = {JOINT: base.joint, AIR: base.air}
-    earlier = [text for place in fits if (fit := before[place]) is not None for text in put_back(fit)]
-    return FoundFromPressures(
-        base, concluded(recordings, ends, rig, joint, air, jobs, progress, earlier=earlier), judged
+    while places := [place_of(one) for one in judged if one.effects]:
+        progress("all values once more, with the effects")
+        fits = {place_of(one): _with_effects(one) for one in judged if one.effects}
+        found = tuple(_with_values(one, fits[place_of(one)]) if one.effects else one for one in judged)
+        joint, air = fits.get(JOINT, base.joint), fits.get(AIR, base.air)
+        # What met a bound before the effects were known has no part in the fits with them.
+        before = {JOINT: base.joint, AIR: base.air}
+        earlier = [text for place in fits if (fit := before[place]) is not None for text in put_back(fit)]
+        extended = concluded(recordings, ends, rig, joint, air, jobs, progress, earlier=earlier)
+        if not _contradicts(base, extended):
+            return FoundFromPressures(base, extended, found)
+        # What changes the pressures within the muscles acts on the joint too, which the air alone does not show.
+        doubted = AIR if AIR in places else JOINT
+        judged = tuple(_doubted(one, base, extended) if place_of(one) == doubted else one for one in judged)
+    return FoundFromPressures(base, None, judged)
+
+
+_OF_THE_WHOLE = {
+    "identified": "the filter errs",
+    "model_alone": "the model alone",
+    "pressures_alone": "the joint along the pressures",
+}
+
+
+def _contradicts(base: FromPressures, extended: FromPressures) -> bool:
+    """Whether a model with effects of its parts is worse in all that held-out data show of the whole joint."""
+    pairs = [(base.pooled(name), extended.pooled(name)) for name in _OF_THE_WHOLE]
+    return all(not after <= _AS_GOOD * before for before, after in pairs if math.isfinite(before))
+
+
+def _doubted(judged: Judged, base: FromPressures, extended: FromPressures) -> Judged:
+    """A verdict on a part of the model whose effects the whole joint contradicts."""
+    names = " and ".join(effect.name for effect in judged.effects)
+    errors = ", ".join(
+        f"{words} by {number(extended.pooled(name))}° in place of {number(base.pooled(name))}°"
+        for name, words in _OF_THE_WHOLE.items()
+        if math.isfinite(base.pooled(name))
+    )
+    note = (
+        f"{names} would explain {percent(judged.share)} of what is left in {place_of(judged)}. It is not the cause: "
+        f"with it {errors} on held-out data."
+    )
+    verdict: Verdict = UNEXPLAINED if judged.base.has_significant_excess else NONE
+    return replace(
+        judged, verdict=verdict, share=None, model=judged.base, effects=(), values={}, firmness={}, warnings=(note,)
     )
 
 

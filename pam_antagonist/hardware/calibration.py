@@ -231,7 +231,7 @@ class Converter:
         if drive == "regulator" and not self._regulators:
             raise BadInput(
                 f"calibration {name} has no regulators, but the rig has; expected regulator_1 and regulator_2, such as "
-                "{gain: 60.0e+3, offset: 0.0, reference: gauge}"
+                "{gain: 60.0e+3, offset: 0.0, reference: gauge}; with the device emulator: hardware example_regulators"
             )
         if drive == "valve" and not self._pressures:
             raise BadInput(

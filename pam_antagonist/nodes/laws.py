@@ -16,7 +16,7 @@ from pam_antagonist.control.pi import PUBLISHED_GAINS, Gains, PiController
 from pam_antagonist.control.reference import LOST
 from pam_antagonist.control.stiffness import LEAST_FORCE, SUPPLY_MARGIN, Box
 from pam_antagonist.errors import BadInput
-from pam_antagonist.nodes.parameters import JOINT_NAME, PRESSURE_SENSORS, RIG, SAFETY, Parameter
+from pam_antagonist.nodes.parameters import AUTO, JOINT_NAME, PRESSURE_SENSORS, RIG, SAFETY, Parameter
 from pam_antagonist.rig import Rig
 
 _MODEL = ModelGains()
@@ -43,9 +43,10 @@ PARAMETERS = (
         "T_P for the torque [V/(N m)]"
     ),
     Parameter("torque_integral", _TORQUE.integral, 0.0, 1e9, read_only=False).about("T_I for the torque [V/(N m s)]"),
-    Parameter("law", "pi", choices=LAWS, read_only=False).about(
-        "law of control: pi, the paper's, or model, which goes through the model's equations and has the modes "
-        "ANGLE_STIFFNESS, TORQUE_STIFFNESS and IMPEDANCE as well"
+    Parameter("law", AUTO, choices=(AUTO, *LAWS), read_only=False).about(
+        "law of control: pi, the paper's, which puts voltages on valves; model, which goes through the model's "
+        "equations and has the modes ANGLE_STIFFNESS, TORQUE_STIFFNESS and IMPEDANCE as well; auto: pi for a rig with "
+        "valves, model for one with pressure regulators"
     ),
     Parameter("pressure_bandwidth", _MODEL.bandwidth, 0.1, 200.0, read_only=False).about(
         "law model: rate at which a pressure's error is corrected [1/s]"

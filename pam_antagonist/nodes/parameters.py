@@ -165,14 +165,20 @@ PRESSURE_SENSORS = ("measured", "none")
 """Whether the pressures are measured. With ``none`` the estimator uses the regulators' commands."""
 
 
+AUTO = "auto"
+"""A law of control that is left to the rig file."""
+
+
 def by_rig(values: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
-    """Parameters, those filled in that are left to the rig file: -1 of a voltage, 0 of another quantity."""
+    """Parameters, those filled in that are left to the rig file: -1 of a voltage, 0 of another quantity, the law."""
     if values.get("pressure_sensors") == "none" and rig.drive == "valve":
         raise BadInput(
             f"pressure_sensors is none, but rig {rig.name} has valves, whose voltages do not determine the pressures; "
             "expected a rig with pressure regulators (drive: regulator), or pressure_sensors: measured"
         )
     out = dict(values)
+    if out.get("law") == AUTO:
+        out["law"] = "model" if rig.drive == "regulator" else "pi"
     makers: dict[str, tuple[float, Callable[[], Sequence[float]]]] = {
         "safe_voltage": (-1.0, lambda: rest_voltage(rig)),
         "vent_voltage": (-1.0, lambda: (rig.valves.voltage_min,) * 2),
