@@ -116,7 +116,7 @@ def test_a_leading_zero_is_refused_since_ros_reads_base_8(number: str, tmp_path:
 @pytest.mark.parametrize(
     ("name", "given", "words"),
     [
-        ("controller", {}, "law: pi puts voltages on valves.*set law to model"),
+        ("controller", {"law": "pi"}, "law: pi puts voltages on valves.*set law to model"),
         (
             "controller",
             {"law": "model", "safe_pressure": [5.5, 5.5]},

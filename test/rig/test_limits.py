@@ -105,6 +105,12 @@ def test_what_was_given_is_not_changed(rigs: dict[str, Rig]) -> None:
     assert by_rig(values, rigs["lever"]) == {**values, "safe_voltage": [5.0, 3.0]}
 
 
+def test_the_law_of_control_is_that_of_the_drive_unless_it_is_said(rigs: dict[str, Rig]) -> None:
+    drives = {rig.drive: by_rig({"law": "auto"}, rig)["law"] for rig in (*rigs.values(), load_rig("regulator_joint"))}
+    assert drives == {"valve": "pi", "regulator": "model"}
+    assert by_rig({"law": "model"}, rigs["lever"])["law"] == "model"
+
+
 def test_a_value_below_the_range_is_refused_unless_it_leaves_it_to_the_rig_file() -> None:
     (timeout,) = (parameter for parameter in plant.PARAMETERS if parameter.name == "command_timeout")
     assert timeout.check(0.0) == 0.0

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pam_antagonist import diagnose
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.unknowns import Fit, Unknown
@@ -68,6 +69,32 @@ def test_a_fit_that_begins_far_off_leaves_a_false_minimum_by_the_balance_of_torq
     assert not both.lost
     assert errors["both"] < 0.15
     assert errors["alone"] > 10.0 * errors["both"]
+
+
+@pytest.mark.thorough(14)
+def test_a_fit_that_explains_little_begins_again_near_its_best(monkeypatch) -> None:
+    """Two starts of this joint end at more than 2 % of the range, which is the mark of a fit that found nothing."""
+    lab = fresh.laboratory(743, seconds=60.0)
+    runs = [run for k in (0, 1, 3, 4) for run in runs_of(lab.fit[k], JointCondition("free", 0.0, "given"), f"fit_{k}")]
+
+    def error(fit: Fit) -> float:
+        (errors,) = joint_stage.errors_of(lab.typed, runs, fit.unknowns, [fit.values])
+        return math.degrees(np.sqrt(np.mean(np.concatenate([left for _, _, left in errors]) ** 2)))
+
+    found = joint_stage.fit_joint(lab.typed, runs, 20, 2)
+    monkeypatch.setattr(joint_stage, "_HOPS", 0)
+    before = joint_stage.fit_joint(lab.typed, runs, 20, 2)
+    assert before.lost and not found.lost
+    assert error(found) < 0.4 * error(before)
+
+
+@pytest.mark.thorough(60)
+def test_an_effect_of_the_air_that_the_whole_joint_contradicts_is_not_named() -> None:
+    """A line so narrow that the chambers hardly breathe explains the pressures of this rig, and no angle."""
+    lab = fresh.laboratory(742, seconds=60.0)
+    found = diagnose(list(lab.fit), lab.typed)
+    assert found.verdict == "none" and found.effects == ()
+    assert found.proposed is not None and found.proposed.pooled("identified") < 0.1
 
 
 LEAK: dict[str, Any] = {
