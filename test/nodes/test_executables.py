@@ -37,7 +37,7 @@ def test_help_names_topics_and_every_parameter(name: str, capsys: pytest.Capture
         (plant, ["-p", "mismatch:=0.5"], ["mismatch", "0.5", "from 0 to 0.29"]),
         (plant, ["-p", "seed:=one"], ["seed", "'one'", "an integer"]),
         (plant, ["-p", "joint_name:=left elbow"], ["joint_name", "without spaces"]),
-        (plant, ["-p", "safe_voltage:=[5.0, 11.0]"], ["safe_voltage", "11.0", "from 0 to 10"]),
+        (plant, ["-p", "safe_voltage:=[5.0, 11.0]"], ["safe_voltage", "11.0", "from -10 to 10"]),
         (plant, ["-p", "mismach:=0.01"], ["unknown parameter 'mismach'", "did you mean 'mismatch'"]),
         (plant, ["-p", "initial_pressure:=[349000.0, 90000.0]"], ["initial pressures", "absolute"]),
         (plant, ["-r", "__ns:=/1pam"], ["plant", "remap rule", "/1pam"]),

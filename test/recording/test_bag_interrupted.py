@@ -92,12 +92,12 @@ RECORDER = """
 import sys, time
 sys.path[:0] = {path!r}
 import pam_antagonist.recording.writer as writer
-from pam_antagonist.recording.bag_files import Limits
+from pam_antagonist.recording.bag_files import FileLimits
 from fake_bags import FakeRig
 writer._FLUSH_S = 0.02
 rig = FakeRig(3000)
 streams = rig.streams()
-bag = writer.BagWriter({bag!r}, limits=Limits({limits}), durable=True)
+bag = writer.BagWriter({bag!r}, limits=FileLimits({limits}), durable=True)
 for topic, stream in streams.items():
     bag.add_topic(topic, stream.type)
 try:
