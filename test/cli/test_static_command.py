@@ -228,6 +228,7 @@ def test_a_braided_form_does_not_make_a_known_rig_a_guess(tables, tmp_path):
 
 
 @pytest.mark.skipif(not MAP.exists(), reason="no ../shared/data/measured beside the project")
+@pytest.mark.slow(3)
 def test_the_measured_map_of_another_muscle(tables, tmp_path, capsys, refused):
     line = ["--force-map", str(MAP), "--rig", "shin2022", "--no-figures"]
     at = "measured at 222 to 296 mm, but rig shin2022 with L_0 = 0.165 m uses 149.6 to 180.4 mm"

@@ -135,6 +135,7 @@ def diagnosed(recording: Recording, rig: Rig) -> Diagnosis:
     return diagnose([recording], rig, joint="locked", jobs=1, profiles=False, estimator=False)
 
 
+@pytest.mark.slow(4)
 def test_a_sensor_that_jumps_in_the_held_out_part_is_found_at_250_hz(recorded, rig) -> None:
     found = diagnosed(thinned(recorded(seconds=20.0), 4, 5e3, 15.0), rig)
     (effect,) = found.effects
