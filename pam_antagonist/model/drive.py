@@ -141,8 +141,10 @@ def _settled(first, start, command, signals, p):
     p, parts = p.copy(), first.shape[0] - 1
     u, out = np.zeros(max(command.shape[1], 2)), np.empty((parts, int(p[STATES])))
     for e in range(parts):
-        for i in range(command.shape[1]):
-            u[i] = command[first[e], i]
+        # Compiled code does not check indices: a command that is not given has no rows.
+        if command.shape[0] > 0:
+            for i in range(command.shape[1]):
+                u[i] = command[first[e], i]
         for j in range(signals.shape[1]):
             p[SIGNAL + j] = signals[first[e], j]
         out[e] = _initial_state(start[e, 0], start[e, 2], start[e, 3], u, p)
@@ -235,6 +237,7 @@ class Inputs:
             keeps: whether a part goes on from the one before (E,); none by default.
         """
         keeps = np.zeros(len(start), bool) if keeps is None else keeps
+        assert self.motion is not None or not wanted & (NEEDED | IMBALANCE)  # compiled code does not check indices
         mask, start = self._given | wanted, np.ascontiguousarray(start)
         return drive(  # type: ignore[no-any-return]
             mask, self.first, start, keeps, self.length, *self._columns, self.vector(p), self.longest
@@ -249,6 +252,7 @@ class Inputs:
         `starts`: of each model (E, n); n may differ. `vectors`: parameter vector (P,) of each.
         """
         keeps = np.zeros(len(self.first) - 1, bool) if keeps is None else keeps
+        assert self.motion is not None or not wanted & (NEEDED | IMBALANCE)
         out: list[Any] = [None] * len(vectors)
         vectors = [self.vector(p) for p in vectors]
         mask, rows = self._given | wanted, len(self.length)

@@ -118,6 +118,16 @@ def test_many_models_side_by_side_have_the_bits_of_each_alone(p, moved, given) -
     assert lanes.driver() is not None
 
 
+def test_a_joint_without_commands_rests_as_under_commands_of_zero() -> None:
+    """A regulator's states are those of its command: what is not given must not be read from anywhere."""
+    p = load_rig("shin2022_regulators", regulators=True).parameters()
+    pressure = np.full((3, 2), 4e5)
+    alone = Inputs.even(3, PERIOD, pressure=pressure)
+    beside = Inputs.even(3, PERIOD, pressure=pressure, command=np.zeros((3, 2)))
+    rested = [one.settled(np.array([0.1]), pressure[:1], p) for one in (alone, beside)]
+    assert rested[0].shape[1] > 4 and np.array_equal(*rested)
+
+
 def test_a_recording_at_uneven_times_takes_steps_that_are_short_enough(p, moved) -> None:
     """Rows left out where a joint rests change nothing but the rounding."""
     command, states, _ = moved
