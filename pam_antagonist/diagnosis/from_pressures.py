@@ -183,9 +183,9 @@ class _Part(Experiment):
     def vector(self) -> Floats:
         return self.rig.parameters("free" if self.place == JOINT else "locked")
 
-    def vectors(self, points: Sequence[Point]) -> dict[str, list[Floats]]:
-        """Parameter vectors of several models for each recording, by its name."""
-        known, off = [self.values(point) for point in points], NO_REGULATORS if self.place == JOINT else {}
+    def vectors(self, points: Sequence[Point], known: Sequence[Mapping[str, float]]) -> dict[str, list[Floats]]:
+        """Parameter vectors of several models for each recording, by its name. `known`: :meth:`values` of each."""
+        off = NO_REGULATORS if self.place == JOINT else {}
         return {
             name: [
                 par.changed(
@@ -198,8 +198,8 @@ class _Part(Experiment):
 
     @override
     def simulated_each(self, points: Sequence[Point], whole: bool = False) -> list[Floats]:
-        vectors = self.vectors(points)
         known = [self.values(point) for point in points]
+        vectors = self.vectors(points, known)
         encoders = [(one.get(joint_stage.ZERO, 0.0), -one.get(joint_stage.DELAY, 0.0)) for one in known]
         shown = [self.run_shown(run, vectors[run.name], encoders) for run in self.runs]
         return [_laid(self.place, of_each) for of_each in zip(*shown, strict=True)]
