@@ -215,7 +215,7 @@ def diagnose(
         _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed,
         progress=progress or silent, profiles=profiles, estimator=estimator, store=store or ResumeFolder(),
     )  # fmt: skip
-    diagnosis = with_laws(run, fitted, kept, chosen, holdout, joint, lock_angle, progress or silent)
+    diagnosis = with_laws(run, fitted, kept, chosen, progress or silent)
     return widened(
         DiagnoseResult,
         diagnosis,

@@ -41,7 +41,7 @@ from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, FreeEffectParameter
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
-from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial, continued
+from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial
 from pam_antagonist.inference.unknowns import Fit, Unknown, fitted, within_bounds
 from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
@@ -235,11 +235,6 @@ class _Part(Experiment):
         # The angle of a locked joint is neither simulated nor compared.
         angle = np.where(np.isnan(angle), held, angle)
         return np.column_stack([angle, velocity, *pressures]), torque
-
-    @override
-    def signals(self, point: Point) -> dict[str, Floats]:
-        course = continued(self.trial.blocks(self.states(point)[0]))
-        return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
 
     @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:

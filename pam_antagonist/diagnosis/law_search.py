@@ -1,211 +1,359 @@
-"""The missing law: first its place, then what it depends on, then a table; a simulation decides."""
+"""The missing law of a model: every table at every place, by derivatives of the model.
+
+A law is first fitted to first order, beside the base parameters, and judged on stretches of the fitted part that its
+values were not fitted to. The best laws of the best places are then fitted to the recordings and judged so again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import law_regression
-from pam_antagonist.diagnosis.law_regression import LawForm, LikelyPlace, Regression, Whitened, grams, regression
-from pam_antagonist.diagnosis.law_simulation import Simulated, Simulation, Subject, misread, smoothed
-from pam_antagonist.diagnosis.residual_equations import Equations, equations
-from pam_antagonist.recording import Recording
+from pam_antagonist.diagnosis import law_forms, thresholds
+from pam_antagonist.diagnosis.law_arguments import arguments
+from pam_antagonist.diagnosis.law_evidence import acting, parts, with_it
+from pam_antagonist.diagnosis.law_forms import SMOOTH, LawForm, hats, nodes_of, roughness
+from pam_antagonist.diagnosis.models import Model, likelier, without
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, continued
+from pam_antagonist.model.effects import parameter_path
+from pam_antagonist.model.effects.places import SENSORS, TABLE
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, with_law
+from pam_antagonist.rig.learned import Law, numbers_of, with_law
 
 Floats = NDArray[np.float64]
 
-LEAST_GAIN = 40.0
-"""Least gain of a law on held-out blocks [nats]."""
-LEAST_SHARE = 0.08
-"""Least share of what the base leaves that a law removes in a simulation."""
-_PLACES, _ARGUMENTS, _FINALISTS = 5, 2, 4
-"""How many laws are simulated: so many places, arguments of each, and of these so many further."""
-_ROUNDS, _LAST_ROUNDS = 4, 8
-"""Steps of Gauss and Newton of a base without a law, and of the best law."""
-_AS_GOOD = 0.1
-"""A law without memory may leave so much more, on the logarithmic scale."""
-_RATES = {"length": "length_rate", "angle": "velocity"}
-_TIE = 0.03
-"""Laws that remove so nearly as much cannot be told apart."""
+_FOLDS = 8
+"""Stretches of the fitted part, each judged by values that were fitted to the others."""
+_FINER = 8
+"""So many of the best laws are tried with a finer table."""
+_WITH_MEMORY = 5
+"""At so many of the best places laws with memory are tried."""
+_FINALISTS, _IN_REACH = 4, 0.3
+"""Most places whose laws are fitted to the recordings, and their least evidence as a share of the best one's."""
+_ROUNDS = 2
+"""Solutions of a law, each weighed by what the one before leaves."""
+_STEPS, _STEP_LENGTHS = 3, (1.0, 0.3, 0.1)
+"""Most steps of a finalist's fit, and shares of a step that are tried."""
+_ENOUGH = 1.0
+"""A step is the last one that lowers −2 log posterior by less."""
+_MOST_ALTERNATIVES = 3
+_FIRST = ("angle", "velocity", "speed", "length", "length_rate", "time")
+"""Of arguments that move together, those that are named first."""
+
+
+class LikelyPlace(NamedTuple):
+    """A place, and the evidence for the best law there."""
+
+    name: str
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLaw:
+    """A law with its evidence."""
+
+    group: LawForm
+    law: Law
+    gain: float  # on stretches that it was not fitted to, twice the log likelihood ratio
+    covariance: Floats  # of its values (N, N)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it has no memory."""
+        return self.group.operator == "none"
 
 
 @dataclass(frozen=True, eq=False)
 class LawSearch:
     """What was found."""
 
-    places: tuple[LikelyPlace, ...]  # by the likelihood of an unknown input there, the likeliest first
-    without: Simulated  # the base model, recalibrated
-    found: Simulated | None  # the law; None if none is taken
-    alternatives: tuple[Simulated, ...]  # laws that simulate as well
-    gain: float  # of the taken law, or of the best one, on held-out blocks [nats]
-    share: float  # of what the base leaves that it removes in the simulation
-    least_gain: float = LEAST_GAIN  # that says something
+    places: tuple[LikelyPlace, ...]  # the likeliest first
+    found: FittedLaw | None = None  # the law; None if none is taken
+    alternatives: tuple[Law, ...] = ()  # laws that do as well
 
     @property
     def law(self) -> Law | None:
         """The law that is taken, with the standard deviations of its values."""
-        if self.found is None or self.found.law is None:
+        if self.found is None:
             return None
         variances = np.maximum(np.diag(self.found.covariance), 0.0)
         return replace(self.found.law, std=tuple(map(float, np.sqrt(variances))))
 
     def in_rig(self, rig: Rig) -> Rig:
         """A rig with the law; as it is, where none was taken or it is an error of readings."""
-        law = self.law
-        if self.found is None or law is None or law.is_of_readings:
+        if self.found is None or self.law is None or self.law.is_of_readings:
             return rig
-        return with_law(rig, law, covariance=self.found.covariance)
-
-    def corrected(self, recordings: Sequence[Recording]) -> list[Recording]:
-        """Recordings without the error of readings that was found; as they are, if it is another law."""
-        law, out = self.law, []
-        for one in recordings if law is not None and law.is_of_readings else ():
-            pressure, angle = (np.nan_to_num(values) for values in (one.pressure, one.angle))  # type: ignore[arg-type]
-            seen = [smoothed(values, one.sample_period_s) for values in (pressure, angle)]
-            raised, turned = misread(law, seen[0], seen[1], one.sample_period_s)
-            out.append(replace(one, pressure=one.pressure - raised, angle=one.angle - turned))  # type: ignore[operator]
-        return out or list(recordings)
+        return with_law(rig, self.law, covariance=self.found.covariance)
 
 
-def law_search(subjects: Sequence[Subject], rig: Rig, progress: Callable[[str], None], number: int = 1) -> LawSearch:
-    """Look for one law that a rig lacks in recordings of it; it gets a number in the rig."""
-    progress("recalibrating the base parameters")
-    simulation = Simulation(rig, subjects, number)
-    as_it_is = simulation.evaluated(None, [np.zeros(len(simulation.groups))] * len(subjects))
-    without = simulation.fitted(as_it_is, _ROUNDS, anew=True)
-    progress("residual equations")
-    each = [
-        equations(rig, simulation.point(r, None, own), one.stretches, one.period, one.locked, own)
-        for r, (one, own) in enumerate(zip(subjects, without.amounts, strict=True))
-    ]
-    progress("place")
-    places = law_regression.place_search(each)
-    progress("what it depends on")
-    ranked = _regressions(each, places)
-    progress("simulation")
-    tried = _simulated(simulation, ranked, without.amounts)
-    if not tried:
-        return LawSearch(tuple(places), without, None, (), 0.0, 0.0)
-    best = tried[0]
-    share = 1.0 - best.left / max(without.left, 1e-9)
-    gain = max((gain for gain, one in ranked if best.regression and one.group == best.regression.group), default=0.0)
-    if share < LEAST_SHARE or gain < LEAST_GAIN:
-        return LawSearch(tuple(places), without, None, (), gain, share)
-    others = tuple(
-        one for one in tried[1:]
-        if one.left - best.left < _TIE * without.left and one.law and best.law
-        and (one.law.at, one.law.argument) != (best.law.at, best.law.argument)
-    )  # fmt: skip
-    return LawSearch(tuple(places), without, best, others, gain, share)
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """A recording about a model of it."""
+
+    experiment: Experiment
+    fitted: Fitted
+    base: Floats  # derivatives of the residual by the base coordinates (B, C, K)
+    sampled: Mapping[str, Floats]  # what a law may depend on, at each sample (N,), by name
+    seen: Mapping[str, Floats]  # its means over the blocks that are fitted (B,)
+
+    @classmethod
+    def of(cls, experiment: Experiment, fitted: Fitted) -> _Recording:
+        """A recording with its derivatives."""
+        sampled, count = arguments(experiment, fitted.point), len(fitted.residual)
+        means = _means(experiment, np.column_stack(list(sampled.values())))[:count]
+        base = experiment.jacobian(fitted.point, fitted.residual)
+        return cls(experiment, fitted, base, sampled, dict(zip(sampled, means.T, strict=True)))
+
+    def weight(self, left: Floats) -> Floats:
+        """Of each channel (C,): one over the variance of what is left (B, C) and the blocks of a counted value."""
+        scale = self.fitted.scale
+        return np.asarray(1.0 / (scale.variances(left) * scale.blocks_per_error))
+
+    @property
+    def folds(self) -> NDArray[np.int64]:
+        """Number of the stretch that a block belongs to (B,)."""
+        return np.arange(len(self.fitted.residual)) * _FOLDS // len(self.fitted.residual)
+
+    def argument_of(self, group: LawForm, muscle: int) -> Floats:
+        """What a law depends on at a muscle (B,), with its memory."""
+        return group.argument_of(self.seen, muscle, self.experiment.trial.block_s)
+
+    def columns(self, group: LawForm, law: Law, number: int) -> Floats:
+        """Derivatives of the residual by a law's values, in units of its place, at its values (B, C, N)."""
+        unit, nodes = TABLE[group.kind].step, np.array(law.nodes)
+        if TABLE[group.kind].part == SENSORS:
+            return self._columns_of_readings(group, nodes) * unit
+
+        def with_values(values: Floats) -> Point:
+            numbers = numbers_of(replace(law, values=tuple(values)), number).items()
+            effects = {parameter_path("learned", name): value for name, value in numbers}
+            return Point(self.fitted.point.theta, {**self.fitted.point.effects, **effects})
+
+        def slopes(unit: float, rows: Floats) -> Floats:
+            moved = [with_values(np.array(law.values) + unit * row) for row in rows]
+            return np.stack(self.experiment.differences(self.fitted.point, self.fitted.residual, moved), axis=2)
+
+        rows = np.eye(len(nodes))
+        out = slopes(unit, rows)
+        # Air flows towards the lower pressure only: a flow the other way shows nothing.
+        hidden = ~out.any(axis=(0, 1))
+        if hidden.any() and not hidden.all():
+            out[:, :, hidden] = -slopes(-unit, rows[hidden])
+        if group.rests_at_zero:
+            out = out - out.sum(axis=2, keepdims=True) * hats(np.zeros(1), nodes)[:, 0]
+        return np.asarray(out)
+
+    def _columns_of_readings(self, group: LawForm, nodes: Floats) -> Floats:
+        """Likewise of a law by which a sensor reads too high, per SI unit."""
+        out = np.zeros((*self.fitted.residual.shape, len(nodes)))
+        for _, muscle in group.sides:
+            channel = ANGLE if group.muscle is None else PRESSURE_1 + muscle - 1
+            if channel in self.experiment.channels:
+                # A table is not linear: its mean over a block is not its value at a mean.
+                each = hats(group.argument_of(self.sampled, muscle, self.experiment.trial.dt), nodes).T
+                out[:, self.experiment.channels.index(channel)] -= _means(self.experiment, each)[: len(out)]
+        return out
 
 
-_Ranked = Sequence[tuple[float, Regression]]
+def _means(experiment: Experiment, columns: Floats) -> Floats:
+    """Means of columns (N, C) over the blocks that may be fitted (B, C)."""
+    return experiment.fitted_rows(continued(experiment.trial.blocks(columns)))
 
 
-def _regressions(each: Sequence[Equations], places: Sequence[LikelyPlace]) -> _Ranked:
-    """Laws by their gain on held-out blocks, each with and without a random walk beside it."""
-    recordings = [Whitened(one) for one in each]
-    products = grams(recordings, None)
-    assert products is not None
-    without = {level: regression(products, level) for level in (False, True)}
-    found: list[tuple[float, Regression]] = []
+class _Part:
+    """A part of a model, as laws are judged: about the model without a further law."""
 
-    def tried(group: LawForm) -> None:
-        made = grams(recordings, group)
-        for level, nothing in without.items() if made is not None else ():
-            one = regression(made, level)  # type: ignore[arg-type]
-            found.append((one.gain(nothing), one))
+    def __init__(self, model: Model, number: int) -> None:
+        self.model, self.number = model, number
+        self.recordings = [_Recording.of(*pair) for pair in model.pairs]
 
-    def by_gain() -> list[LawForm]:
-        found.sort(key=lambda item: -item[0])
-        return [one.group for _, one in found if one.group is not None]
+    @cached_property
+    def left(self) -> list[Floats]:
+        """What each recording's stretches leave (B, C)."""
+        return _solved(self.recordings, [np.zeros((*one.fitted.residual.shape, 0)) for one in self.recordings])[2]
 
-    for group in law_regression.plain_groups([place.name for place in places if place.gain > 0.0]):
-        tried(group)
-    for group in dict.fromkeys(by_gain()[: 2 * _PLACES]):
-        if group.argument != "none":
-            tried(replace(group, number=law_regression.FINE))
-    # Memory is tried at the places of the best laws, and at the likeliest ones.
-    pairs = zip(dict.fromkeys(group.place for group in by_gain()), (place.name for place in places), strict=False)
-    leading = list(dict.fromkeys(name for pair in pairs for name in pair))[: _PLACES + 1]
-    for group in law_regression.groups_with_memory(leading, lambda group: float(np.ptp(group.nodes(each)))):
-        tried(group)
-    by_gain()
-    return found
+    def gain(self, left: Sequence[Floats]) -> float:
+        """Evidence of what a law's stretches leave, of each recording (B, C)."""
+        return sum(likelier(one.fitted.scale, b, a) for one, b, a in zip(self.recordings, self.left, left, strict=True))
+
+    def span(self, group: LawForm) -> float:
+        """Range of the argument of a law."""
+        return float(max(np.ptp(one.argument_of(group, side)) for one in self.recordings for _, side in group.sides))
+
+    def fitted(self, group: LawForm) -> FittedLaw | None:
+        """A law to first order; None if its argument does not move, or it shows nowhere."""
+        seen = np.concatenate([one.argument_of(group, side) for one in self.recordings for _, side in group.sides])
+        nodes = np.zeros(1) if group.argument == "none" else nodes_of(seen, group.number)
+        if len(nodes) == 1 and group.argument != "none":
+            return None
+        zero = group.law(nodes, np.zeros(len(nodes)))
+        if not zero.is_of_readings and replace(zero, values=tuple(np.ones(len(nodes)))).complaint():
+            return None
+        columns = [one.columns(group, zero, self.number) for one in self.recordings]
+        if not any(item.any() for item in columns):
+            return None
+        values, covariance, left = _solved(self.recordings, columns)
+        if not values.any():
+            return None
+        unit = TABLE[group.kind].step
+        return FittedLaw(group, group.law(nodes, values * unit), self.gain(left), covariance * unit**2)
+
+    def every_law(self) -> list[FittedLaw]:
+        """All laws to first order, the best first; those with a memory at the best places."""
+        places = self.model.experiments[0].law_places
+        found = [one for group in law_forms.plain_groups(places) if (one := self.fitted(group))]
+        found.sort(key=lambda one: -one.gain)
+        # What rubs or engages somewhere on the way does so within a short part of it.
+        finer = [one.group for k, one in enumerate(found) if k < _FINER or one.group.argument == "angle"]
+        groups = [replace(group, number=law_forms.FINE) for group in finer if group.argument != "none"]
+        likely = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
+        groups += law_forms.groups_with_memory(likely, self.span)
+        found += [one for group in groups if (one := self.fitted(group))]
+        return sorted(found, key=lambda one: -one.gain)
+
+    def refined(self, one: FittedLaw) -> FittedLaw:
+        """A law fitted to the recordings, as far as that makes it likelier; it is judged about that fit."""
+        if one.law.is_of_readings:
+            return one
+        now = [(law := _scaled(one.law, share), with_it(self.model, law)) for share in _STEP_LENGTHS]
+        law, model = min(now, key=lambda pair: _cost(pair[1]))
+        for _ in range(_STEPS):
+            step, covariance, left = self._step(one.group, law, model)
+            moved = next(
+                ((there, after) for share in _STEP_LENGTHS
+                 if _cost(after := with_it(self.model, there := _moved(law, share * step))) < _cost(model)), None,
+            )  # fmt: skip
+            if moved is None:
+                break
+            gained = _cost(model) - _cost(moved[1])
+            law, model = moved
+            if gained < _ENOUGH:
+                break
+        _, covariance, left = self._step(one.group, law, model)
+        return FittedLaw(one.group, law, self.gain(left), covariance)
+
+    def _step(self, group: LawForm, law: Law, model: Model) -> tuple[Floats, Floats, list[Floats]]:
+        """Step of a law's values (N,), their covariance (N, N), and what each recording's stretches leave (B, C)."""
+        here = [_Recording.of(*pair) for pair in model.pairs]
+        step, covariance, left = _solved(here, [one.columns(group, law, self.number) for one in here])
+        unit = TABLE[group.kind].step
+        return step * unit, covariance * unit**2, left
 
 
-def _simulated(simulation: Simulation, ranked: _Ranked, begin: Sequence[Floats]) -> list[Simulated]:
-    """The best laws, simulated and fitted there, in rounds of fewer and fewer; what is left decides."""
-    starts: dict[LawForm, Simulated] = {}
-    for group in _chosen(ranked):
-        for one in (one for _, one in ranked if one.group == group and one.law is not None):
-            near = [a + b for a, b in zip(begin, one.base, strict=True)]
-            made = simulation.evaluated(one.law, near, one)
-            if group not in starts or made.left < starts[group].left:
-                starts[group] = made
-    standing = _best_of_places(list(starts.values()))
-    for most, rounds in ((len(standing), 1), (_FINALISTS, 2), (1, _LAST_ROUNDS)):
-        fitted = [simulation.fitted(one, rounds, anew=most == 1) for one in standing[:most]]
-        standing = sorted([*fitted, *standing[most:]], key=lambda one: one.left)
-    return _simplest(simulation, standing, ranked) if standing else standing
+def _scaled(law: Law, share: float) -> Law:
+    return replace(law, values=tuple(share * value for value in law.values))
 
 
-def _best_of_places(tried: Sequence[Simulated]) -> list[Simulated]:
-    """Of each place the laws that leave least before they are fitted, one more than it has arguments."""
-    by_place: dict[str, list[Simulated]] = {}
-    for one in sorted(tried, key=lambda one: one.left):
-        assert one.law is not None
-        by_place.setdefault(one.law.at, []).append(one)
-    return sorted((one for own in by_place.values() for one in own[: _ARGUMENTS + 1]), key=lambda one: one.left)
+def _moved(law: Law, step: Floats) -> Law:
+    return replace(law, values=tuple(map(float, np.array(law.values) + step)))
 
 
-def _chosen(ranked: _Ranked) -> list[LawForm]:
-    """Laws to simulate: of the places with the best ones, with and without a walk, those by the best arguments."""
-    chosen: dict[LawForm, None] = {}
-    for level in (False, True):
-        by_place: dict[str, dict[tuple[str, bool], LawForm]] = {}
-        for gain, one in ranked:
-            law, group = one.law, one.group
-            if gain < LEAST_GAIN or one.level is not level or law is None or group is None:
-                continue
-            if law.complaint() and not law.is_of_readings:
-                continue
-            if group.place in by_place or len(by_place) < _PLACES:
-                own = by_place.setdefault(group.place, {})
-                if len(own) < _ARGUMENTS:
-                    own.setdefault((group.argument, group.operator == "none"), group)
-        chosen.update(dict.fromkeys(group for own in by_place.values() for group in own.values()))
-    return list(chosen)
+def _cost(model: Model) -> float:
+    return sum(fit.cost for fit in model.fits)
 
 
-def _simplest(simulation: Simulation, done: list[Simulated], ranked: _Ranked) -> list[Simulated]:
-    """The same, and the best law without its memory where that simulates as well.
+def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
+    """Look for one law that a model lacks; it gets a number in the rig.
 
-    What fades at once is a rate, and what fades within the recording's length is the argument itself.
+    `model`: all parts of all recordings, with what was found so far.
     """
-    best = done[0]
-    assert best.regression is not None and best.regression.group is not None and best.law is not None
-    if best.law.operator == "none" or best.law.argument == "draw":
-        return done
-    bare = [replace(best.regression.group, operator="none", amount=0.0)]
-    if best.law.operator == "high_pass" and best.law.argument in _RATES:
-        bare.append(replace(bare[0], argument=_RATES[best.law.argument]))
-    laws = [(bare[0], best.law)] if best.law.operator in ("lag", "play") else []
-    for group in bare:
-        known = [one.law for _, one in ranked if one.group == group and one.law is not None]
-        laws += [(group, law) for law in known[: 2 // len(bare)]]
-    plain = [
-        simulation.fitted(
-            simulation.evaluated(
-                replace(law, operator="none", time=0.0, width=0.0), best.amounts, replace(best.regression, group=group)
-            ),
-            _ROUNDS,
-        )
-        for group, law in laws[:2]
-    ]
-    first = min(plain, key=lambda one: one.left, default=best)
-    return [first, *done[1:]] if first.left <= best.left + _AS_GOOD else done
+    progress("a law that nobody wrote: every place of the model")
+    own = [_Part(part, number) for part in parts(model) if part.has_significant_excess]
+    every = sorted(((one, part) for part in own for one in part.every_law()), key=lambda pair: -pair[0].gain)
+    places: dict[str, float] = {}
+    for one, _ in every:
+        places.setdefault(one.group.place, one.gain)
+    found = LawSearch(tuple(LikelyPlace(*item) for item in places.items()))
+    least = max(thresholds.STRONG, _IN_REACH * every[0][0].gain) if every else 0.0
+    standing = [pair for pair in every if pair[0].gain >= least]
+    if not standing:
+        return found
+    progress("a law that nobody wrote: the best of them, fitted to the recordings")
+    fitted = sorted((part.refined(one) for one, part in _finalists(standing)), key=lambda one: -one.gain)
+    along_motion = model.experiments[0].along_motion
+    best = _as_good(fitted, fitted[0], along_motion)[0]
+    if best.gain < thresholds.STRONG:
+        return found
+    near = _as_good([*fitted, *(one for one, _ in standing)], best, along_motion)
+    others = {(one.law.at, one.law.argument): one.law for one in reversed(near)}
+    others.pop((best.law.at, best.law.argument), None)
+    alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES])
+    return replace(found, found=_with_friction(best, model, number), alternatives=alternatives)
+
+
+def _finalists(standing: Sequence[tuple[FittedLaw, _Part]]) -> list[tuple[FittedLaw, _Part]]:
+    """Of the best places the best law each, and the best one without a memory: what remembers imitates much."""
+    out: dict[int, tuple[FittedLaw, _Part]] = {}
+    for place in list(dict.fromkeys(one.group.place for one, _ in standing))[:_FINALISTS]:
+        own = [pair for pair in standing if pair[0].group.place == place]
+        for pair in (own[0], next((pair for pair in own if pair[0].is_plain), own[0])):
+            out[id(pair[0])] = pair
+    return list(out.values())
+
+
+def _as_good(tried: Sequence[FittedLaw], best: FittedLaw, along_motion: bool) -> list[FittedLaw]:
+    """Laws that data cannot tell from one, none of them with more of a memory, the simplest first.
+
+    `along_motion`: whether the motion is an input, so that what it tells best comes first.
+    """
+
+    def order(one: FittedLaw) -> tuple[bool, int, float]:
+        argument = one.group.argument
+        rank = _FIRST.index(argument) if along_motion and argument in _FIRST else len(_FIRST)
+        return not one.is_plain, rank, -one.gain
+
+    near = [one for one in tried if abs(best.gain - one.gain) < thresholds.STRONG]
+    return sorted((one for one in near if one.is_plain or not best.is_plain), key=order)
+
+
+def _with_friction(best: FittedLaw, model: Model, number: int) -> FittedLaw:
+    """A law of friction with the constant friction that was found: a friction below zero would be none."""
+    if best.law.place != "friction" or "friction" not in model.effects:
+        return best
+    return _Part(acting(best.law, without(model, "effects.friction.")), number).fitted(best.group) or best
+
+
+def _solved(here: Sequence[_Recording], columns: Sequence[Floats]) -> tuple[Floats, Floats, list[Floats]]:
+    """Step of a law's values in units (N,), their covariance (N, N), and what each recording's stretches leave (B, C).
+
+    A stretch is left by values and base parameters that were fitted to the others.
+    """
+    count = columns[0].shape[2]
+    ends = np.cumsum([0, *(one.base.shape[2] for one in here)])
+    total = int(ends[-1]) + count
+    wheres = [np.r_[begin:end, total - count : total] for begin, end in itertools.pairwise(ends)]
+    each = [np.concatenate([one.base, own], axis=2) for one, own in zip(here, columns, strict=True)]
+    left = [one.fitted.residual for one in here]
+    for _ in range(_ROUNDS):
+        gram, right = np.zeros((_FOLDS, total, total)), np.zeros((_FOLDS, total))
+        prior, pulled = np.zeros((total, total)), np.zeros(total)
+        for one, both, where, now in zip(here, each, wheres, left, strict=True):
+            weighted = both * one.weight(now)[None, :, None]
+            for fold in range(_FOLDS):
+                rows = one.folds == fold
+                gram[fold][np.ix_(where, where)] += np.einsum("bcn,bcm->nm", weighted[rows], both[rows])
+                right[fold][where] -= np.einsum("bcn,bc->n", weighted[rows], one.fitted.residual[rows])
+            own = where[: len(where) - count]
+            prior[own, own] = one.experiment.prior
+            pulled[own] = -one.experiment.prior * one.fitted.point.theta
+        if count:
+            known = float(np.trace(gram.sum(axis=0)[-count:, -count:])) / count
+            prior[-count:, -count:] = SMOOTH * known * roughness(count) + 1e-6 * max(known, 1e-30) * np.eye(count)
+        matrix = gram.sum(axis=0) + prior
+        step = np.linalg.solve(matrix, right.sum(axis=0) + pulled)
+        left = [one.fitted.residual + both @ step[where] for one, both, where in zip(here, each, wheres, strict=True)]
+    for fold in range(_FOLDS):
+        other = np.linalg.solve(matrix - gram[fold], (right.sum(axis=0) - right[fold]) + pulled)
+        for one, both, where, now in zip(here, each, wheres, left, strict=True):
+            rows = one.folds == fold
+            now[rows] = one.fitted.residual[rows] + both[rows] @ other[where]
+    return step[total - count :], np.linalg.inv(matrix)[total - count :, total - count :], left

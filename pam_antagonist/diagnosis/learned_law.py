@@ -1,97 +1,46 @@
 """What the catalogue does not explain gets a learned law: its place, what it depends on, and a table in the rig.
 
-The search (:mod:`~pam_antagonist.diagnosis.law_search`) works on the recordings as they are. The rig that has its law
-is then diagnosed like any other. Held-out data decide between both diagnoses, by the rules of a further effect.
+The rig that has the law of the search (:mod:`~pam_antagonist.diagnosis.law_search`) is diagnosed like any other.
+Held-out data decide between both diagnoses, by the rules of a further effect.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
-from pam_antagonist.diagnosis import calibrations, driven_law, thresholds
+from pam_antagonist.diagnosis import law_evidence, thresholds
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
-from pam_antagonist.diagnosis.law_regression import LawForm
-from pam_antagonist.diagnosis.law_search import LawSearch, law_search
-from pam_antagonist.diagnosis.law_simulation import Subject
+from pam_antagonist.diagnosis.law_evidence import all_acting, parts, with_it
+from pam_antagonist.diagnosis.law_forms import LawForm
+from pam_antagonist.diagnosis.law_search import LawSearch, search
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED
 from pam_antagonist.errors import BadInput
-from pam_antagonist.estimation.stamps import LONGEST_GAP_NS
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.recording import Recording
-from pam_antagonist.recording.joint import joint_condition
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law, laws_of, with_law
 
 Floats = NDArray[np.float64]
 
 MOST_LAWS = 2
-_SHORTEST_S, _SHORTEST_PART_S = 10.0, 1.0
-"""[s] Least length of a recording in which a law is looked for, and of a stretch without holes."""
-_SLOWEST_S = 25e-3
-"""[s] With fewer samples the acceleration is too blurred to tell friction from inertia."""
-
-
-def refusal(recordings: Sequence[Recording], rig: Rig) -> str:
-    """Why no law can be looked for; empty if one can."""
-    if any(one.sample_period_s > _SLOWEST_S for one in recordings):
-        return f"a law is looked for in recordings with {1.0 / _SLOWEST_S:g} samples a second at least"
-    if rig.units.pressure != "pascal":
-        return "a law is looked for where pressures are known in pascals only"
-    if any(one.angle is None or not np.isfinite(one.angle).any() for one in recordings):
-        return "a law is looked for where the angle was measured only"
-    return ""
-
-
-def stretches(recording: Recording, end_s: float = math.inf) -> list[dict[str, Floats]]:
-    """The stretches of a recording without holes, up to a time [s], as the search takes them."""
-    time = recording.time_s
-    none = np.full(len(time), np.nan)
-    columns = {
-        "time": time, "pressure": recording.pressure, "command": recording.voltage,
-        "angle": none if recording.angle is None else recording.angle,
-        "torque": none if recording.torque is None else recording.torque,
-    }  # fmt: skip
-    known = [np.isfinite(v).reshape(len(time), -1).all(axis=1) for name, v in columns.items() if name != "torque"]
-    rows = np.flatnonzero(np.all(known, axis=0) & (time < end_s))
-    longest = max(LONGEST_GAP_NS, 2.5e9 * recording.sample_period_s)
-    holes = np.flatnonzero(np.diff(recording.stamp_ns[rows]) > longest) + 1
-    return [{key: values[part] for key, values in columns.items()} for part in np.split(rows, holes) if len(part) > 1]
-
-
-def learn(
-    recordings: Sequence[Recording], rig: Rig, share: float = 1.0, joint: str = "auto",
-    lock_angle: float | None = None, progress: Callable[[str], None] = lambda text: None,
-) -> LawSearch:  # fmt: skip
-    """Look for a law that a rig lacks, in a share at the begin of recordings; joint and angle as of a diagnosis."""
-    if reason := refusal(recordings, rig):
-        raise BadInput(reason)
-    subjects = []
-    for one in recordings:
-        parts = stretches(one, end_s=one.duration_s * share if share < 1.0 else math.inf)
-        seen = [part for part in parts if np.ptp(part["time"]) >= _SHORTEST_PART_S]
-        if sum(float(np.ptp(part["time"])) for part in seen) >= _SHORTEST_S:
-            locked = joint_condition(one, joint, lock_angle).condition == "locked"
-            subjects.append(Subject(seen, one.sample_period_s, locked, rig.parameters()))
-    if not subjects:
-        raise BadInput(f"a law is looked for in recordings of {_SHORTEST_S:g} s at least")
-    number = len(laws_of(rig)) + 1
-    return law_search(subjects, rig, lambda text: progress(f"a law that nobody wrote: {text}"), number)
+_SMOOTHED_S = 0.010
+"""[s] Time over which readings are averaged before an error of other readings is worked out from them."""
 
 
 def with_laws(
     diagnose: Callable[..., Diagnosis], recordings: Sequence[Recording], kept: Sequence[Recording], rig: Rig,
-    holdout: float, joint: str, lock_angle: float | None, progress: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> Diagnosis:  # fmt: skip
     """A diagnosis; where it leaves a clear excess, with the law that is missing, and then perhaps with a second one.
 
@@ -99,7 +48,6 @@ def with_laws(
     """
     now = diagnose(recordings, rig, held_out=kept)
     fitted, others = list(recordings), list(kept)
-    share = 1.0 if kept else 1.0 - holdout
     for _ in range(MOST_LAWS):
         if not leaves_excess(now):
             break
@@ -108,19 +56,19 @@ def with_laws(
                 return _along_the_motion(now, diagnose, fitted, others, rig, progress)
             except BadInput:  # a rig with the law that no command would take: the catalogue's diagnosis stands
                 return now
-        zeros = calibrations.corrections({item.name: item.value for item in now.calibrations})
+        if rig.units.pressure != "pascal":
+            return _saying(now, "No law was looked for: pressures are not known in pascals.")
         learned = None
         try:
             if rig.valves.sealed:
                 _refuse_few_sweeps(now)
-                found = driven_law.search(now.extended, len(laws_of(rig)) + 1, progress)
-            else:
-                found = learn([zeros.applied(one) for one in fitted], rig, share, joint, lock_angle, progress)
-            own, learned = found.in_rig(rig), found
-            corrected, also = learned.corrected(fitted), learned.corrected(others)
-            after = now
+            # Effects of the catalogue imitate a law that is missing; on a sealed joint few of them can.
+            about = now.extended if rig.valves.sealed else now.recalibrated
+            learned = search(about, len(laws_of(rig)) + 1, progress)
+            own, after = learned.in_rig(rig), now
+            right, also = (corrected(some, learned.law) for some in (fitted, others))
             if may_be_better(now, learned):
-                after = diagnose(corrected, own, held_out=also, first=now.recalibrated)
+                after = diagnose(right, own, held_out=also, first=now.recalibrated)
         except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             if learned is None or learned.law is None:
@@ -131,7 +79,7 @@ def with_laws(
         if after is now or not is_better(now, after.extended, learned.law):
             words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
             return _saying(now, f"{place_in_words(learned)} {words}".strip())
-        now, rig, fitted, others = joined(now, after, learned), own, corrected, also
+        now, rig, fitted, others = joined(now, after, learned), own, right, also
     return now
 
 
@@ -144,12 +92,12 @@ def _along_the_motion(
     Held-out data decide along the measured motion: a free run of a joint that sticks says little of any model.
     """
     for before in (now.recalibrated, now.extended):
-        learned = driven_law.search(before, len(laws_of(rig)) + 1, progress)
+        learned = search(before, len(laws_of(rig)) + 1, progress)
         own = learned.in_rig(rig)
         if learned.law is None or learned.found is None:
             continue
-        model = driven_law.with_it(before, learned.law, learned.found.covariance)
-        if driven_law.is_better(now.recalibrated, now.extended, model, learned.law):
+        model = with_it(before, learned.law, learned.found.covariance)
+        if law_evidence.is_better(now.recalibrated, now.extended, model, learned.law):
             after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
             return joined(now, after, learned, model)
     return now
@@ -163,6 +111,26 @@ def _refuse_few_sweeps(found: Diagnosis) -> None:
             raise BadInput(
                 f"in {words} the joint slides {count} times to or fro, expected at least {thresholds.FEW_SWEEPS} times"
             )
+
+
+def corrected(recordings: Sequence[Recording], law: Law | None) -> list[Recording]:
+    """Recordings without the error of readings that a law is; as they are, if it is another one."""
+    if law is None or not law.is_of_readings:
+        return list(recordings)
+    group, out = LawForm.of(law), []
+    for one in recordings:
+        assert one.angle is not None  # the law was found in its error, or depends on what was read
+        columns, period = np.nan_to_num(np.column_stack([one.pressure, one.angle])), one.sample_period_s
+        size = 2 * int(0.5 * _SMOOTHED_S / period) + 1
+        first, second, angle = uniform_filter1d(columns, size, axis=0, mode="nearest").T
+        seen = {"pressure_1": first, "pressure_2": second, "pressure_difference": first - second, "angle": angle,
+                "time": one.time_s}  # fmt: skip
+        high = np.zeros(columns.shape)
+        for _, muscle in group.sides:
+            column = 2 if group.muscle is None else muscle - 1
+            high[:, column] += np.interp(group.argument_of(seen, muscle, period), law.nodes, law.values)
+        out.append(replace(one, pressure=one.pressure - high[:, :2], angle=one.angle - high[:, 2]))
+    return out
 
 
 def _saying(found: Diagnosis, why: str) -> Diagnosis:
@@ -182,8 +150,8 @@ def leaves_excess(found: Diagnosis) -> bool:
         return False
     if _is_a_torque_alone(found):
         return True
-    if any(one.law_places for one in found.experiments):
-        return any(part.has_significant_excess for part in driven_law.parts(found.extended))
+    if any(one.along_motion for one in found.experiments):
+        return any(part.has_significant_excess for part in parts(found.extended))
     left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
     return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
 
@@ -198,14 +166,12 @@ def may_be_better(before: Diagnosis, learned: LawSearch) -> bool:
     assert learned.found is not None
     covariance = learned.found.covariance
 
-    def with_it(model: Model) -> Model:
-        own = (one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in model.experiments)
-        return replace(model, experiments=tuple(own))
-
-    if is_better(before, recalibrated(with_it(before.recalibrated).experiments, before.recalibrated), law):
+    base = before.recalibrated
+    own = [one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in base.experiments]
+    if is_better(before, recalibrated(own, base), law):
         return True
     beside = bool(before.effects) and not _is_a_torque_alone(before)
-    return beside and is_better(before, driven_law.with_it(before.extended, law, covariance), law)
+    return beside and is_better(before, with_it(before.extended, law, covariance), law)
 
 
 def is_better(before: Diagnosis, model: Model, law: Law) -> bool:
@@ -217,7 +183,7 @@ def is_better(before: Diagnosis, model: Model, law: Law) -> bool:
         before = replace(before, extended=before.recalibrated)
         if share_of_all(before.recalibrated, model) < thresholds.EXPLAINED:
             return False
-    return driven_law.is_better(before.recalibrated, before.extended, model, law)
+    return law_evidence.is_better(before.recalibrated, before.extended, model, law)
 
 
 def _is_a_torque_alone(found: Diagnosis) -> bool:
@@ -228,7 +194,7 @@ def _is_a_torque_alone(found: Diagnosis) -> bool:
 def place_in_words(found: LawSearch, reason: str = "") -> str:
     """Where the model errs most likely, with a reason; empty if that is not known."""
     place = found.places[0] if found.places else None
-    if place is None or place.gain < found.least_gain:
+    if place is None or place.gain < thresholds.STRONG:
         return ""
     group = LawForm(place.name)
     return f"The model errs most likely in {Law(group.kind, (), (), group.muscle).where}{reason}."
@@ -254,7 +220,7 @@ def law_effect(
     """
     law = learned.law
     assert law is not None
-    base, model = driven_law.all_acting(law, base, model)
+    base, model = all_acting(law, base, model)
     pairs = list(zip(base.fits, model.fits, strict=True))
     gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
     gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
@@ -265,7 +231,7 @@ def law_effect(
     return FoundEffect(
         "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, held_share(base, model),
         tuple(names), law=law, like=like(law, ranking),
-        alternatives=tuple(one.law.in_words() for one in learned.alternatives if one.law is not None),
+        alternatives=tuple(law.in_words() for law in learned.alternatives),
     )  # fmt: skip
 
 
@@ -285,8 +251,8 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     earlier = [one for one in before.effects if one.law is not None or one.name in namers]
     others = [one for one in before.effects if one not in earlier and one.name not in again]
     # One law has one name: a second effect there only imitates what its form leaves.
-    acting = (one for one in others if one.name in effect.like and one.muscle in (None, effect.muscle))
-    named = sorted(acting, key=lambda one: -one.delta_bic)[:1]
+    like_it = (one for one in others if one.name in effect.like and one.muscle in (None, effect.muscle))
+    named = sorted(like_it, key=lambda one: -one.delta_bic)[:1]
     entries = tuple(
         replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
@@ -295,11 +261,11 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     assert errors is not None
     taken = {one.name for one in (*named, *earlier)}
     ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
-    shown = [one.trial.name for one in driven_law.acting(learned.law, model).experiments]
+    shown = [one.trial.name for one in law_evidence.acting(learned.law, model).experiments]
     here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
     with_law = zip(after.parts, here, strict=True)
     parts = [replace(part, verdict=EFFECT, share_explained=share) if acts else part for part, acts in with_law]
-    in_part = share_of_all(*driven_law.all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
+    in_part = share_of_all(*all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if in_part else ()
     return replace(
         after, verdict=EFFECT, sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,

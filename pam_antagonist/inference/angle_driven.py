@@ -25,8 +25,7 @@ from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model.drive import NEEDED, Inputs
-from pam_antagonist.model.effects import CATALOGUE
-from pam_antagonist.model.effects.places import by_derivatives
+from pam_antagonist.model.effects import CATALOGUE, places
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -34,7 +33,7 @@ Floats = NDArray[np.float64]
 AIR, BALANCE = "air", "balance"
 """Parts of a driven joint. The catalogue has for each effect which part shows it."""
 
-JOINT_PLACES, AIR_PLACES = by_derivatives("angle"), by_derivatives("air")
+JOINT_PLACES, AIR_PLACES = places.of_parts([places.JOINT]), places.of_parts([places.AIR])
 """Where laws may stand in joint and muscles, and in their chambers."""
 _CORNER_HZ = 3.0
 _STEP_S = 4e-3
@@ -208,11 +207,6 @@ class AngleDriven(Experiment):
         return False
 
     @override
-    def signals(self, point: Point) -> dict[str, Floats]:
-        course = self.trial.blocks(self.states(point)[0][:, :4])
-        return {name: course[:, k] for k, name in ((2, "pressure 1"), (3, "pressure 2"), (0, "angle"), (1, "velocity"))}
-
-    @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         present = {path.split(".")[1] for path in taken}
         return tuple(
@@ -274,6 +268,11 @@ class AngleDriven(Experiment):
     @override
     def judged_channels(self) -> tuple[int, ...]:
         return (ANGLE, TORQUE, PRESSURE_1, PRESSURE_2) if self.trial.has(TORQUE) else (PRESSURE_1, PRESSURE_2)
+
+    @property
+    @override
+    def along_motion(self) -> bool:
+        return True
 
     @property
     @override

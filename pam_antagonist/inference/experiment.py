@@ -22,7 +22,7 @@ from pam_antagonist.inference.driven import Driven
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.likelihood import ERROR_S, LinearProblem, Scale, in_decibels
 from pam_antagonist.inference.point import THROUGHOUT, Channel, Point, Span
-from pam_antagonist.inference.trial import Split, Trial
+from pam_antagonist.inference.trial import Split, Trial, continued
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 
@@ -104,14 +104,6 @@ class Experiment(Driven):
         return self.trial.blocks(self.trial.measured[:, list(self.channels)])
 
     @abstractmethod
-    def signals(self, point: Point) -> dict[str, Floats]:
-        """What a residual may go with, by name: block means over the whole recording (B,) each.
-
-        Pressures and motion are the model's, which have no noise in common with a residual. A joint without valves has
-        no voltages; a locked one has no motion.
-        """
-
-    @abstractmethod
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
         """Effects that this recording can show, beside those that a model has already.
 
@@ -173,8 +165,13 @@ class Experiment(Driven):
         return self.channels
 
     @property
+    def along_motion(self) -> bool:
+        """Whether the measured motion is an input, which keeps the model near."""
+        return False
+
+    @property
     def law_places(self) -> tuple[str, ...]:
-        """Where a law may stand that measured inputs show by derivatives; none of a model that runs by itself."""
+        """Where a law may stand that this recording can show; none if laws are not looked for."""
         return ()
 
     @property
@@ -192,6 +189,16 @@ class Experiment(Driven):
     def simulated(self, point: Point, whole: bool = False) -> Floats:
         """:meth:`simulated_each` of one model."""
         return self.simulated_each([point], whole)[0]
+
+    def signals(self, point: Point) -> dict[str, Floats]:
+        """What a residual may go with, by name: block means over the whole recording (B,) each.
+
+        Pressures and motion are the model's, which have no noise in common with a residual. A locked joint has no
+        motion.
+        """
+        course = continued(self.trial.blocks(self.states(point)[0][:, :4]))
+        out = {"pressure 1": course[:, 2], "pressure 2": course[:, 3]}
+        return out if self.trial.joint == "locked" else out | {"angle": course[:, 0], "velocity": course[:, 1]}
 
     @cached_property
     def prior(self) -> Floats:

@@ -148,6 +148,11 @@ class MeasuredMotion(ValveDriven):
 
     @property
     @override
+    def along_motion(self) -> bool:
+        return True
+
+    @property
+    @override
     def law_places(self) -> tuple[str, ...]:
         return JOINT_PLACES
 

@@ -32,9 +32,11 @@ from pam_antagonist.inference.free_run import (
     stride_blocks,
 )
 from pam_antagonist.inference.point import Channel, Point
-from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, Trial, continued
+from pam_antagonist.inference.trial import ANGLE, CHANNELS, Trial
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import small_signal_lags
+from pam_antagonist.model.effects import places
+from pam_antagonist.model.effects.places import AIR, JOINT, SENSORS, VALVES
 from pam_antagonist.model.joint import quickest_lag
 
 Floats = NDArray[np.float64]
@@ -108,13 +110,14 @@ class ValveDriven(Experiment):
 
     @override
     def signals(self, point: Point) -> dict[str, Floats]:
-        model, voltage = (self.trial.blocks(v) for v in (self.simulated(point, whole=True), self.trial.voltage))
-        model = continued(model)
-        out = {f"voltage {i + 1}": voltage[:, i] for i in (0, 1)}
-        out |= {f"pressure {i + 1}": model[:, PRESSURE_1 + i] for i in (0, 1)}
-        if self.trial.joint == "free":
-            out |= {"angle": model[:, ANGLE], "velocity": np.gradient(model[:, ANGLE], self.trial.block_s)}
-        return {name: np.asarray(values, dtype=np.float64) for name, values in out.items()}
+        voltage = self.trial.blocks(self.trial.voltage)
+        return {f"voltage {i + 1}": voltage[:, i] for i in (0, 1)} | super().signals(point)
+
+    @property
+    @override
+    def law_places(self) -> tuple[str, ...]:
+        regulated = self.rig.drive == "regulator"
+        return places.of_parts([AIR, JOINT, SENSORS] if regulated else [AIR, JOINT, VALVES, SENSORS])
 
     @override
     def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:

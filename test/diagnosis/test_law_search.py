@@ -11,13 +11,15 @@ import pytest
 
 from pam_antagonist import diagnose, load_rig, simulate
 from pam_antagonist.api import diagnose as api
-from pam_antagonist.diagnosis import Diagnosis, driven_law, learned_law
-from pam_antagonist.diagnosis.law_regression import LawForm
-from pam_antagonist.diagnosis.law_search import LawSearch
-from pam_antagonist.diagnosis.law_simulation import Simulation, Subject
-from pam_antagonist.diagnosis.learned_law import is_better, joined, learn, leaves_excess, refusal
+from pam_antagonist.diagnosis import Diagnosis, law_evidence, learned_law
+from pam_antagonist.diagnosis.law_forms import LawForm
+from pam_antagonist.diagnosis.law_search import LawSearch, search
+from pam_antagonist.diagnosis.learned_law import is_better, joined, leaves_excess
+from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.trial import make_trial
+from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.report import html
 from pam_antagonist.report.close_loop import DiagnoseResult
@@ -30,7 +32,6 @@ EXCHANGE = Law(
 )
 COGGING = Law("torque", (-0.2, -0.1, 0.0, 0.1, 0.2), (0.05, -0.05, 0.05, -0.05, 0.05), None, "angle")
 ENGAGING = Law("torque", (-0.3, 0.05, 0.3), (0.0, 0.0, -0.25), None, "angle")
-SEEN = 2.0 / 3.0
 
 
 def rig() -> Rig:
@@ -43,6 +44,17 @@ def recorded(*laws: Law, duration: float = 36.0) -> Recording:
     for law in laws:
         own = with_law(own, law)
     return simulate(own, profile("steps", duration, 0.004, seed=5), mismatch=0.01, seed=8)
+
+
+def recalibrated_on(recording: Recording, own: Rig) -> Model:
+    """The model of a rig, recalibrated on the first two thirds of a recording of a free joint."""
+    trial = make_trial(recording, own, "free", 0.0, "free")
+    return recalibrated([ValveDriven(own, trial, 2 * len(trial) // 3)])
+
+
+def learned_from(recording: Recording, own: Rig, number: int = 1) -> LawSearch:
+    """What the search finds in a recording of a free joint."""
+    return search(recalibrated_on(recording, own), number, lambda text: None)
 
 
 @dataclasses.dataclass
@@ -62,13 +74,13 @@ class Course:
 @pytest.fixture(scope="module")
 def exchange() -> Course:
     """What ``diagnose`` makes of two chambers that exchange air."""
-    seen: dict[str, list[Any]] = {"_diagnose": [], "learn": []}
+    seen: dict[str, list[Any]] = {"_diagnose": [], "search": []}
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in ((api, "_diagnose"), (learned_law, "learn")):
+        for module, name in ((api, "_diagnose"), (learned_law, "search")):
             patch.setattr(module, name, _noting(getattr(module, name), seen[name]))
         found = diagnose(recorded(EXCHANGE), rig(), profiles=False, estimator=False)
     assert isinstance(found, DiagnoseResult)
-    return Course(found, seen["_diagnose"], seen["learn"])
+    return Course(found, seen["_diagnose"], seen["search"])
 
 
 def _noting(function: Any, results: list[Any]) -> Any:
@@ -87,14 +99,6 @@ def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange:
     assert law is not None
     assert (law.place, law.argument, law.operator) == ("exchange", "pressure_difference", "none")
     assert law.value(1e5) == pytest.approx(1.2e-6, rel=0.1)
-
-
-@pytest.mark.thorough(1)
-def test_the_simulation_with_the_law_leaves_little_but_noise(exchange: Course) -> None:
-    search = exchange.learned[0]
-    assert search.found is not None
-    assert np.all(search.without.excess[0, :2] > 20.0)
-    assert np.all(search.found.excess[0, :2] < 1.2)
 
 
 @pytest.mark.thorough(1)
@@ -150,21 +154,14 @@ def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, model = exchange.diagnoses[0], exchange.diagnoses[1].extended
-    assert driven_law.largest_share_of_a_channel(before.recalibrated, model) > 0.8
-    assert driven_law.largest_share_of_a_channel(before.recalibrated, before.recalibrated) == 0.0
+    assert law_evidence.largest_share_of_a_channel(before.recalibrated, model) > 0.8
+    assert law_evidence.largest_share_of_a_channel(before.recalibrated, before.recalibrated) == 0.0
     assert is_better(before, model, EXCHANGE)
-    monkeypatch.setattr(driven_law, "largest_share_of_a_channel", lambda *_models: 0.05)
+    monkeypatch.setattr(law_evidence, "largest_share_of_a_channel", lambda *_models: 0.05)
     assert not is_better(before, model, EXCHANGE)
 
 
-def test_a_law_of_a_rate_leaves_a_held_joint_as_it_is() -> None:
-    held = simulate(rig(), profile("steps", 8.0, 0.004, seed=5), joint="locked", seed=8)
-    subject = Subject(learned_law.stretches(held), held.sample_period_s, True, rig().parameters())
-    simulation = Simulation(rig(), [subject], 1)
-    law = Law("force", (-2e-4, 0.0, 2e-4), (-20.0, 0.0, 20.0), "both", "length_rate")
-    amounts = [np.zeros(len(simulation.groups))]
-    without, with_it = (simulation.evaluated(each, amounts).excess[0, 2] for each in (None, law))
-    assert with_it == pytest.approx(without, rel=1e-6)
+def test_a_law_of_a_rate_is_none_at_rest() -> None:
     # At rest there is nothing to damp, so no constant stands for a force of the base.
     assert LawForm("force_1", "length_rate").law(np.array([-1.0, 1.0]), np.array([2.0, 6.0])).value(0.0) == 0.0
 
@@ -195,9 +192,9 @@ def test_a_law_has_the_name_of_one_effect(exchange: Course, monkeypatch: pytest.
 def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learned_law, "learn", lambda *_args: exchange.learned[0])
+    monkeypatch.setattr(learned_law, "search", lambda *_args: exchange.learned[0])
     first = exchange.diagnoses[0]
-    found = learned_law.with_laws(lambda *_a, **_b: first, [recorded()], [], rig(), 1.0 / 3.0, "auto", None, print)
+    found = learned_law.with_laws(lambda *_a, **_b: first, [recorded()], [], rig(), print)
     assert (found.verdict, found.effects) == ("unexplained", ())
     assert "does not hold on data that no fit used" in found.sentence
 
@@ -211,8 +208,8 @@ def test_a_law_that_cannot_be_tried_is_said(exchange: Course, monkeypatch: pytes
             raise BadInput("too short with it")
         return first
 
-    monkeypatch.setattr(learned_law, "learn", lambda *_: exchange.learned[0])
-    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), 1.0 / 3.0, "auto", None, print)
+    monkeypatch.setattr(learned_law, "search", lambda *_: exchange.learned[0])
+    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), print)
     assert "A law was learned" in found.sentence and "cannot be tried: too short with it." in found.sentence
     assert found.verdict == first.verdict == "unexplained"
 
@@ -221,20 +218,20 @@ def test_a_law_that_cannot_be_tried_is_said(exchange: Course, monkeypatch: pytes
 def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learned_law, "learn", lambda *_args: exchange.learned[0])
+    monkeypatch.setattr(learned_law, "search", lambda *_args: exchange.learned[0])
     before: list[Any] = []
 
     def diagnosis(*_args: Any, first: Any = None, **_options: Any) -> Diagnosis:
         before.append(first)
         return exchange.diagnoses[len(before) - 1]
 
-    learned_law.with_laws(diagnosis, [recorded()], [], rig(), 1.0 / 3.0, "auto", None, print)
+    learned_law.with_laws(diagnosis, [recorded()], [], rig(), print)
     assert before == [None, exchange.diagnoses[0].recalibrated]
 
 
 @pytest.mark.thorough(5)
 def test_a_second_law_is_found_beside_the_first() -> None:
-    law = learn([recorded(EXCHANGE, COGGING, duration=24.0)], with_law(rig(), EXCHANGE), SEEN).law
+    law = learned_from(recorded(EXCHANGE, COGGING, duration=24.0), with_law(rig(), EXCHANGE), 2).law
     assert law is not None
     assert (law.place, law.argument) == ("torque", "angle")
     assert law.value(0.0) - law.value(0.1) == pytest.approx(0.1, rel=0.2)
@@ -244,7 +241,7 @@ def test_a_second_law_is_found_beside_the_first() -> None:
 def test_a_law_is_found_with_regulators_and_without_a_torque_meter() -> None:
     known = load_rig("shin2022_regulators", regulators=True).replaced(sample_period=0.004)
     true = simulate(with_law(known, ENGAGING), duration=24.0, mismatch=0.01, seed=8)
-    found = learn([dataclasses.replace(true, torque=None)], known, SEEN).law
+    found = learned_from(dataclasses.replace(true, torque=None), known).law
     assert found is not None
     assert (found.place, found.argument) == ("torque", "angle")
     assert found.value(0.05) - found.value(0.25) == pytest.approx(ENGAGING.value(0.05) - ENGAGING.value(0.25), rel=0.3)
@@ -255,21 +252,24 @@ def test_recordings_are_corrected_by_the_error_of_an_encoder() -> None:
     true = recorded(duration=24.0)
     assert true.angle is not None
     wrong = 4e-3 * np.interp(true.angle, COGGING.nodes, np.sign(COGGING.values))
-    found = learn([dataclasses.replace(true, angle=true.angle + wrong)], rig(), SEEN)
-    assert found.law is not None
-    assert (found.law.place, found.law.argument) == ("encoder", "angle")
-    corrected = found.corrected([dataclasses.replace(true, angle=true.angle + wrong)])[0].angle
+    read = dataclasses.replace(true, angle=true.angle + wrong)
+    law = learned_from(read, rig()).law
+    assert law is not None
+    assert (law.place, law.argument) == ("encoder", "angle")
+    corrected = learned_law.corrected([read], law)[0].angle
     assert corrected is not None
-    assert np.std(corrected - true.angle) < 0.3 * np.std(wrong)
+    # In the part that it was learned from: later the joint turns further.
+    seen = slice(2 * len(true) // 3)
+    assert np.std((corrected - true.angle)[seen]) < 0.2 * np.std(wrong[seen])
 
 
 def test_no_law_is_added_where_nothing_is_wrong() -> None:
-    nothing = learn([recorded()], rig(), SEEN)
+    nothing = learned_from(recorded(), rig())
     assert nothing.law is None
-    assert nothing.gain < 40.0
 
 
-def test_a_joint_without_a_measured_angle_is_refused_in_a_sentence() -> None:
-    recording = simulate(rig(), profile("steps", 2.0, 0.004, seed=1), seed=1)
-    assert refusal([recording], rig()) == ""
-    assert "the angle was measured" in refusal([dataclasses.replace(recording, angle=None)], rig())
+@pytest.mark.slow(6)
+def test_a_law_of_the_air_is_found_without_a_measured_angle() -> None:
+    law = learned_from(dataclasses.replace(recorded(EXCHANGE, duration=24.0), angle=None), rig()).law
+    assert law is not None
+    assert (law.place, law.argument) == ("exchange", "pressure_difference")

@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
-from pam_antagonist.diagnosis import driven_law, judgement
+from pam_antagonist.diagnosis import judgement, law_evidence
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
+from pam_antagonist.diagnosis.law_search import search
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
@@ -56,7 +57,7 @@ def test_cogging_is_learned_as_a_torque_by_the_angle(recorded, experiment_of) ->
     experiment = along_motion(experiment_of(recorded("cogging", None, "cogging", 16.0, "free", 40.0), "free"))
     assert isinstance(experiment, MeasuredMotion)
     base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
-    found = driven_law.search(base, 1, lambda text: None)
+    found = search(base, 1, lambda text: None)
     assert found.found is not None and found.found.law is not None
     law = found.found.law
     assert (law.place, law.argument, law.operator) == ("torque", "angle", "none")
@@ -65,4 +66,4 @@ def test_cogging_is_learned_as_a_torque_by_the_angle(recorded, experiment_of) ->
     swings = [a * b < 0.0 for a, b in itertools.pairwise(law.values)]
     assert sum(swings) >= 3
     # A law that held-out data do not show is not taken.
-    assert not driven_law.is_better(base, base, base, law)
+    assert not law_evidence.is_better(base, base, base, law)

@@ -1,0 +1,88 @@
+"""Whether a law is worth taking: the part of a model in which it acts, and evidence where nothing was fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.law_forms import LawForm
+from pam_antagonist.diagnosis.models import Model, further_share, likelier, share_of_all
+from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import Fitted, held_residual, refit
+from pam_antagonist.rig.learned import Law, with_law
+
+Floats = NDArray[np.float64]
+
+
+def with_it(model: Model, law: Law, covariance: Floats | None = None) -> Model:
+    """A model with a law, everything else fitted anew."""
+    # A sealed joint is diagnosed about what was identified of it, and not about the rig as configured.
+    own = tuple(one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in model.experiments)
+    return replace(model, experiments=own).map(lambda experiment, fitted: refit(experiment, fitted.point, fitted.free))
+
+
+def evidence_held_out(before: Model, after: Model) -> float:
+    """Twice the log likelihood ratio of two models of the same recordings where nothing was fitted."""
+    pairs = zip(before.pairs, after.pairs, strict=True)
+    return sum(likelier(old.scale, held_residual(a, old), held_residual(b, new)) for (a, old), (b, new) in pairs)
+
+
+def parts(model: Model) -> list[Model]:
+    """The parts of a model, as laws are judged."""
+    out = []
+    for places in dict.fromkeys(one.law_places for one in model.experiments if one.law_places):
+        pairs = [_for_laws(e, f) for e, f in model.pairs if e.law_places == places]
+        out.append(Model(tuple(one for one, _ in pairs), tuple(fit for _, fit in pairs), model.effects))
+    return out
+
+
+def _for_laws(experiment: Experiment, fitted: Fitted) -> tuple[Experiment, Fitted]:
+    clear = experiment.for_laws
+    return clear, fitted if clear is experiment else refit(clear, fitted.point, fitted.free)
+
+
+def is_better(base: Model, before: Model, after: Model, law: Law) -> bool:
+    """Whether a model with a law does better where nothing was fitted, by the rules of a further effect.
+
+    `base`: without effects. `before`: with what was found without the law.
+    """
+    base, before, after = all_acting(law, base, before, after)
+    if after.experiments[0].along_motion:
+        # What drives such a model keeps it near, and most of the excess of a sealed joint is its Coulomb friction.
+        removes_enough = share_of_all(before, after) >= thresholds.EXPLAINED
+    else:
+        removes_enough = further_share(base, before, after) >= thresholds.FURTHER_SHARE
+    takes_enough = largest_share_of_a_channel(before, after) >= thresholds.SHARE_OF_CHANNEL
+    return evidence_held_out(before, after) >= thresholds.STRONG and removes_enough and takes_enough
+
+
+def largest_share_of_a_channel(before: Model, after: Model) -> float:
+    """Share of the error over noise that is gone on held-out data, in the channel where that is most."""
+    left = [_errors_over_noise(model) for model in (before, after)]
+    return max((1.0 - left[1][name] / value for name, value in left[0].items() if value > 0.0), default=0.0)
+
+
+def _errors_over_noise(model: Model) -> dict[str, float]:
+    """Root mean square of what a model leaves of held-out data, less the noise, by channel and in its noise."""
+    found: dict[str, list[Floats]] = {}
+    for experiment, fitted in model.pairs:
+        parts = held_residual(experiment, fitted) / experiment.noise
+        for channel, values in zip(experiment.titles, parts.T, strict=True):
+            found.setdefault(channel.title, []).append(values)
+    squares = {name: np.concatenate(parts) ** 2 for name, parts in found.items()}
+    return {name: max(float(np.mean(each)) - 1.0, 0.0) ** 0.5 for name, each in squares.items() if len(each)}
+
+
+def acting(law: Law, model: Model) -> Model:
+    """The part in which a law acts, as laws are judged; all of a model that runs by itself."""
+    here = [one for one in parts(model) if any(LawForm(at).kind == law.place for at in one.experiments[0].law_places)]
+    return here[0] if here else model
+
+
+def all_acting(law: Law, *models: Model) -> list[Model]:
+    """Likewise of several models; all of each where they do not judge the same recordings alike."""
+    alike = len({tuple(one.law_places for one in model.experiments) for model in models}) == 1
+    return [acting(law, model) for model in models] if alike else list(models)
