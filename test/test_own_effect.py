@@ -85,6 +85,7 @@ from pam_antagonist._jit import COMPILING
 from pam_antagonist.cli.first_start import FITS, REPLAY, compile_first
 from pam_antagonist.estimation import Estimator, simulate_model
 from pam_antagonist.model import lanes
+from pam_antagonist.model.drive import Inputs
 from pam_antagonist.rig import load_rig
 
 rig = load_rig("shin2022")
@@ -93,8 +94,8 @@ assert set(REPLAY) <= set(FITS)
 compile_first(FITS, rig)
 Estimator(rig)
 simulate_model(rig, np.full((2, 2), 5.0), np.full(2, 4e5))
-starts, vectors = [np.array([0.0, 0.0, 4e5, 4e5])] * lanes.LANES, [rig.parameters("free")] * lanes.LANES
-lanes.courses(starts, np.full((2, 2), 5.0), vectors, 1e-3, 1)
+starts, vectors = [np.array([[0.0, 0.0, 4e5, 4e5]])] * lanes.LANES, [rig.parameters("free")] * lanes.LANES
+Inputs.even(2, 1e-3, command=np.full((2, 2), 5.0)).driven_each(starts, vectors)
 print(COMPILING.kernels - before)
 """
 

@@ -14,6 +14,7 @@ from typing_extensions import override
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Place
 from pam_antagonist.diagnosis.pipeline import in_words, left
+from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.splits import Firmness
@@ -248,7 +249,7 @@ class ClosedTrials(FoundFromPressures):
             out = what[0].upper() + what[1:] + "."
         elif self.unexplained:
             out = f"No effect of the catalogue explains what is left in {' and in '.join(self.unexplained)}. "
-            out += "No other law was looked for: the base of such a rig is not known well enough."
+            out += "No law that was learned does."
         else:
             out = "The model explains the recordings; no effect is missing."
         if now is None:
@@ -268,6 +269,11 @@ class ClosedTrials(FoundFromPressures):
     def effects(self) -> tuple[FoundEffect, ...]:
         """The detected effects."""
         return tuple(effect for _, effect in self.placed)
+
+    @cached_property
+    def remaining(self) -> tuple[RemainingResidual, ...]:
+        """What is not explained, described."""
+        return tuple(item for one in self.judged for item in left(one))
 
     @property
     def next_rig(self) -> str | None:
@@ -302,7 +308,8 @@ class ClosedTrials(FoundFromPressures):
             **picked(self, "verdict", "sentence"),
             "effects": [
                 {**picked(item, "name", "muscle"), "place": place,
-                 **picked(item, "parameters", "delta_bic", "holdout_gain", "onset_s", "splits")}
+                 **picked(item, "parameters", "delta_bic", "holdout_gain", "onset_s", "splits"),
+                 **({} if item.law is None else {"at": item.law.at, **picked(item.law, "argument", "nodes", "values")})}
                 for place, item in self.placed
             ],
             "ambiguous_with": self.ambiguous_with,
@@ -323,7 +330,7 @@ class ClosedTrials(FoundFromPressures):
                 for place, item in self.tried
             ],
             UNEXPLAINED: self.unexplained,
-            "left": [item for one in self.judged if one.verdict == UNEXPLAINED for item in left(one)],
+            "left": self.remaining,
             "next_rig": self.next_rig,
             "rig": base.start.name,
             "recordings_sha256": self.hashes,

@@ -9,6 +9,7 @@ the verdict are those of all other joints.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,6 +22,7 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis.ambiguity import not_told_apart
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
+from pam_antagonist.diagnosis.learned_law import of_part
 from pam_antagonist.diagnosis.pipeline import verdicts
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared, Settings, Timings
 from pam_antagonist.diagnosis.result import FoundEffect, Judged
@@ -45,7 +47,7 @@ from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1,
 from pam_antagonist.inference.unknowns import Fit, Unknown, fitted, within_bounds
 from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.model.effects import CATALOGUE, parameter_path, places
 from pam_antagonist.rig import Rig
 from pam_antagonist.shown import Shown, number, percent
 
@@ -178,6 +180,18 @@ class _Part(Experiment):
     def runs_by_itself(self) -> bool:
         return False
 
+    @property
+    @override
+    def in_one_piece(self) -> bool:
+        return False
+
+    @property
+    @override
+    def law_places(self) -> tuple[str, ...]:
+        if self.place == JOINT:
+            return places.of_parts([places.JOINT])
+        return places.of_parts([places.AIR] if self.rig.drive == "regulator" else [places.AIR, places.VALVES])
+
     @cached_property
     @override
     def vector(self) -> Floats:
@@ -220,8 +234,8 @@ class _Part(Experiment):
             for one, angle in zip(out, joint_stage.simulated_each(run, vectors, encoders), strict=True):
                 one[:, ANGLE] = angle
         if np.isfinite(run.torque).any():
-            for one, p, encoder in zip(out, vectors, encoders, strict=True):
-                one[np.isfinite(run.angle), TORQUE] = joint_stage.torques(run, p, *encoder)
+            for one, torque in zip(out, joint_stage.torques_each(run, vectors, encoders), strict=True):
+                one[np.isfinite(run.angle), TORQUE] = torque
         return out
 
     @override
@@ -323,8 +337,10 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
         groups.append(group_of(AIR, own, base.air.moved, corrected, ends, settings))
     there = tuple(group for group in groups if group is not None)
     prepared = Prepared(rig, rig, (), tuple(group.experiments[0].trial for group in there), there, len(recordings))
-    judged = tuple(verdicts(prepared, settings, Timings()))
-    while places := [place_of(one) for one in judged if one.effects]:
+    with_laws = [of_part(one, progress) for one in verdicts(prepared, settings, Timings())]
+    judged = tuple(one for one, _ in with_laws)
+    laws = {place_of(one): learned for one, learned in with_laws if learned is not None}
+    while places_found := [place_of(one) for one in judged if one.effects]:
         progress("all values once more, with the effects")
         fits = {place_of(one): _with_effects(one) for one in judged if one.effects}
         found = tuple(_with_values(one, fits[place_of(one)]) if one.effects else one for one in judged)
@@ -332,11 +348,13 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
         # What met a bound before the effects were known has no part in the fits with them.
         before = {JOINT: base.joint, AIR: base.air}
         earlier = [text for place in fits if (fit := before[place]) is not None for text in put_back(fit)]
-        extended = concluded(recordings, ends, rig, joint, air, jobs, progress, earlier=earlier)
+        own = functools.reduce(lambda known, learned: learned.in_rig(known), laws.values(), rig)
+        extended = concluded(recordings, ends, own, joint, air, jobs, progress, earlier=earlier)
         if not _contradicts(base, extended):
             return FoundFromPressures(base, extended, found)
         # What changes the pressures within the muscles acts on the joint too, which the air alone does not show.
-        doubted = AIR if AIR in places else JOINT
+        doubted = AIR if AIR in places_found else JOINT
+        laws.pop(doubted, None)
         judged = tuple(_doubted(one, base, extended) if place_of(one) == doubted else one for one in judged)
     return FoundFromPressures(base, None, judged)
 

@@ -41,8 +41,9 @@ def arguments(experiment: Experiment, point: Point) -> dict[str, Floats]:
     out = {
         "pressure_1": first, "pressure_2": second, "pressure_difference": first - second,
         "pressure_sum": first + second, "angle": angle, "velocity": velocity, "speed": np.abs(velocity),
-        "time": np.arange(len(states)) * experiment.trial.dt,
     }  # fmt: skip
+    if experiment.in_one_piece:
+        out["time"] = np.arange(len(states)) * experiment.trial.dt
     if experiment.rig.drive == "valve" and not experiment.rig.valves.sealed:
         voltage = np.ascontiguousarray(experiment.trial.voltage)
         out |= zip(_VALVES, _through_valves(np.ascontiguousarray(states[:, 2:]), voltage, p).T, strict=True)

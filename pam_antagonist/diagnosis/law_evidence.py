@@ -50,8 +50,8 @@ def is_better(base: Model, before: Model, after: Model, law: Law) -> bool:
     `base`: without effects. `before`: with what was found without the law.
     """
     base, before, after = all_acting(law, base, before, after)
-    if after.experiments[0].along_motion:
-        # What drives such a model keeps it near, and most of the excess of a sealed joint is its Coulomb friction.
+    if after.experiments[0].is_kept_near:
+        # The motion keeps such a model near, and most of the excess of a sealed joint is its Coulomb friction.
         removes_enough = share_of_all(before, after) >= thresholds.EXPLAINED
     else:
         removes_enough = further_share(base, before, after) >= thresholds.FURTHER_SHARE

@@ -73,8 +73,8 @@ class LawForm:
         """
         number = 3 - muscle if self.argument == "other_pressure" else muscle
         name = self.argument.replace("other_", "")
-        # What a drive does not have stays: regulators show no open rate.
-        values = seen.get(f"{name}_{number}", seen.get(name, np.zeros(len(seen["time"]))))
+        # What a recording does not show stays: regulators have no open rate, and trials no time since the start.
+        values = seen.get(f"{name}_{number}", seen.get(name, np.zeros(len(seen["angle"]))))
         return operated(values, self.operator, self.amount, step)
 
     def law(self, nodes: Floats, values: Floats) -> Law:

@@ -216,6 +216,8 @@ class _Part:
         finer = [one.group for k, one in enumerate(found) if k < _FINER or one.group.argument == "angle"]
         groups = [replace(group, number=law_forms.FINE) for group in finer if group.argument != "none"]
         likely = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
+        # A sensor may be late and read right at rest; its columns need no simulation.
+        likely += [place for place in places if TABLE[LawForm(place).kind].part == SENSORS and place not in likely]
         groups += law_forms.groups_with_memory(likely, self.span)
         found += [one for group in groups if (one := self.fitted(group))]
         return sorted(found, key=lambda one: -one.gain)
@@ -278,37 +280,41 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
     if not standing:
         return found
     progress("a law that nobody wrote: the best of them, fitted to the recordings")
-    fitted = sorted((part.refined(one) for one, part in _finalists(standing)), key=lambda one: -one.gain)
-    along_motion = model.experiments[0].along_motion
-    best = _as_good(fitted, fitted[0], along_motion)[0]
+    kept_near = model.experiments[0].is_kept_near
+    fitted = sorted((part.refined(one) for one, part in _finalists(standing, kept_near)), key=lambda one: -one.gain)
+    best = _as_good(fitted, fitted[0], kept_near)[0]
     if best.gain < thresholds.STRONG:
         return found
-    near = _as_good([*fitted, *(one for one, _ in standing)], best, along_motion)
+    near = _as_good([*fitted, *(one for one, _ in standing)], best, kept_near)
     others = {(one.law.at, one.law.argument): one.law for one in reversed(near)}
     others.pop((best.law.at, best.law.argument), None)
     alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES])
     return replace(found, found=_with_friction(best, model, number), alternatives=alternatives)
 
 
-def _finalists(standing: Sequence[tuple[FittedLaw, _Part]]) -> list[tuple[FittedLaw, _Part]]:
-    """Of the best places the best law each, and the best one without a memory: what remembers imitates much."""
-    out: dict[int, tuple[FittedLaw, _Part]] = {}
+def _finalists(standing: Sequence[tuple[FittedLaw, _Part]], kept_near: bool) -> list[tuple[FittedLaw, _Part]]:
+    """Of the best places the best law each, the simplest as good one, and the best one without a memory.
+
+    What remembers imitates much.
+    """
+    out: dict[FittedLaw, _Part] = {}
     for place in list(dict.fromkeys(one.group.place for one, _ in standing))[:_FINALISTS]:
-        own = [pair for pair in standing if pair[0].group.place == place]
-        for pair in (own[0], next((pair for pair in own if pair[0].is_plain), own[0])):
-            out[id(pair[0])] = pair
-    return list(out.values())
+        own = {one: part for one, part in standing if one.group.place == place}
+        best = next(iter(own))
+        for one in (best, _as_good(list(own), best, kept_near)[0], next((one for one in own if one.is_plain), best)):
+            out[one] = own[one]
+    return list(out.items())
 
 
-def _as_good(tried: Sequence[FittedLaw], best: FittedLaw, along_motion: bool) -> list[FittedLaw]:
+def _as_good(tried: Sequence[FittedLaw], best: FittedLaw, kept_near: bool) -> list[FittedLaw]:
     """Laws that data cannot tell from one, none of them with more of a memory, the simplest first.
 
-    `along_motion`: whether the motion is an input, so that what it tells best comes first.
+    `kept_near`: whether measured inputs keep the model near; then what the motion tells best comes first.
     """
 
     def order(one: FittedLaw) -> tuple[bool, int, float]:
         argument = one.group.argument
-        rank = _FIRST.index(argument) if along_motion and argument in _FIRST else len(_FIRST)
+        rank = _FIRST.index(argument) if kept_near and argument in _FIRST else len(_FIRST)
         return not one.is_plain, rank, -one.gain
 
     near = [one for one in tried if abs(best.gain - one.gain) < thresholds.STRONG]

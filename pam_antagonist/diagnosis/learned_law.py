@@ -21,7 +21,7 @@ from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, search
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
 from pam_antagonist.diagnosis.pipeline import change_in_words
-from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Size
+from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Judged, Size
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.measured_motion import MeasuredMotion
@@ -113,6 +113,24 @@ def _refuse_few_sweeps(found: Diagnosis) -> None:
             )
 
 
+def of_part(judged: Judged, progress: Callable[[str], None]) -> tuple[Judged, LawSearch | None]:
+    """The verdict on a part of a model with a law that takes what effects leave; as it is, where none does."""
+    base, before = judged.base, judged.base if judged.verdict == UNEXPLAINED else judged.model
+    if judged.verdict == NONE or not before.has_significant_excess:
+        return judged, None
+    learned = search(before, len(laws_of(before.experiments[0].rig)) + 1, progress)
+    if learned.law is None or learned.found is None:
+        return judged, None
+    model = with_it(before, learned.law, learned.found.covariance)
+    if not law_evidence.is_better(base, before, model, learned.law):
+        return judged, None
+    names = [one.trial.name for one in base.experiments]
+    effect = law_effect(base, model, learned, names, judged.ranking.tried)
+    effects = (*(judged.effects if before is judged.model else ()), effect)
+    share = held_share(base, model)
+    return replace(judged, verdict=EFFECT, model=model, effects=effects, share=share), learned
+
+
 def corrected(recordings: Sequence[Recording], law: Law | None) -> list[Recording]:
     """Recordings without the error of readings that a law is; as they are, if it is another one."""
     if law is None or not law.is_of_readings:
@@ -150,7 +168,7 @@ def leaves_excess(found: Diagnosis) -> bool:
         return False
     if _is_a_torque_alone(found):
         return True
-    if any(one.along_motion for one in found.experiments):
+    if any(one.is_kept_near for one in found.experiments):
         return any(part.has_significant_excess for part in parts(found.extended))
     left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
     return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess

@@ -86,11 +86,22 @@ def torques(run: Run, p: Floats, zero: float = 0.0, delay: float = 0.0) -> Float
 
     `zero`: reading of the encoder at ψ = 0 [rad]. `delay`: by how much the reading is late [s].
     """
+    return torques_each(run, [p], [(zero, delay)])[0]
+
+
+def torques_each(run: Run, vectors: Sequence[Floats], encoders: Sequence[tuple[float, float]]) -> list[Floats]:
+    """:func:`torques` of several models side by side. `encoders`: zero and delay of each."""
     known = np.isfinite(run.angle)
-    speed = run.velocity[known]
-    at, pressure = run.angle[known] - zero + delay * speed, run.pressure[known]
-    along = Inputs.at(run.time[known], _LONGEST_STEP, pressure=pressure, motion=np.column_stack([at, speed]))
-    return along.driven(along.settled(at[:1], pressure[:1], p), p, TORQUE)[1][0]
+    speed, pressure, out = run.velocity[known], run.pressure[known], dict[int, Floats]()
+    # Models that run side by side have one motion.
+    for zero, delay in dict.fromkeys(encoders):
+        alike = [k for k, encoder in enumerate(encoders) if encoder == (zero, delay)]
+        at, those = run.angle[known] - zero + delay * speed, [vectors[k] for k in alike]
+        along = Inputs.at(run.time[known], _LONGEST_STEP, pressure=pressure, motion=np.column_stack([at, speed]))
+        starts = [along.settled(at[:1], pressure[:1], p) for p in those]
+        found = along.driven_each(starts, those, TORQUE)
+        out |= {k: shown[0] for k, (_, shown) in zip(alike, found, strict=True)}
+    return [out[k] for k in range(len(vectors))]
 
 
 @kernel
@@ -319,8 +330,8 @@ def errors_of(
                 found.append(("angle", [(run.angle - one)[seen] for one in shown]))
             known = np.isfinite(muscle_torque(run, stop)[seen])
             if known.any():
-                of_torque = [(run.torque[seen] - torques(run, p, *encoder))[known] for p, encoder in models]
-                found.append(("torque", of_torque))
+                made = torques_each(run, vectors, encoders)
+                found.append(("torque", [(run.torque[seen] - one)[known] for one in made]))
             for kind, lefts in found:
                 for one, left in zip(out, lefts, strict=True):
                     one.append((kind, run, left))

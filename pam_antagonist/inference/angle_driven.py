@@ -271,7 +271,7 @@ class AngleDriven(Experiment):
 
     @property
     @override
-    def along_motion(self) -> bool:
+    def is_kept_near(self) -> bool:
         return True
 
     @property

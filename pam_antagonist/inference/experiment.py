@@ -165,9 +165,14 @@ class Experiment(Driven):
         return self.channels
 
     @property
-    def along_motion(self) -> bool:
-        """Whether the measured motion is an input, which keeps the model near."""
+    def is_kept_near(self) -> bool:
+        """Whether the measured motion is an input of all that is compared, so that the model does not drift away."""
         return False
+
+    @property
+    def in_one_piece(self) -> bool:
+        """Whether its rows follow each other in time."""
+        return True
 
     @property
     def law_places(self) -> tuple[str, ...]:

@@ -148,7 +148,7 @@ class MeasuredMotion(ValveDriven):
 
     @property
     @override
-    def along_motion(self) -> bool:
+    def is_kept_near(self) -> bool:
         return True
 
     @property

@@ -12,6 +12,7 @@ from pam_antagonist.diagnosis import FoundEffect, thresholds
 from pam_antagonist.diagnosis.closed_loop import ClosedLoop, ClosedTrials
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
+from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import Relation
 from pam_antagonist.diagnosis.result import Residuals
 from pam_antagonist.diagnosis.verdicts import TITLES, Verdict
@@ -34,6 +35,7 @@ from pam_antagonist.report.document import (
     page,
     warn,
 )
+from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.identify import held_out_figures
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.units import assumption, readable
@@ -98,13 +100,9 @@ class DiagnoseResult(ClosedLoop, Result):
             parts.append(Section("More residuals before and after", tuple(others), 2, "residual"))
         if self.calibrations:
             parts.append(Section("Calibration", (calibration_table(self),), 2, "calibration", brief=True))
-        if self.effects:
-            shapes = (*said.laws(self.effects), *said.profiles(self.profiles)) if figures else ()
-            sizes = (sizes_table(self.effects), *_laws(self), *shapes)
-            parts.append(Section("Size of the effect", sizes, 2, "parameters", brief=True))
+        parts += _about_effects(self.effects, said.profiles(self.profiles), figures)
         parts.append(Section("All candidates", (ranking_table(self),), 2, "candidates", brief=True))
-        if self.remaining:
-            parts.append(Section("What is left", said.left(self.remaining, figures), 2, "left"))
+        parts += _about_rest(self.remaining, figures)
         about = Text(_STATISTICS_DRIVEN if self.driven else _STATISTICS)
         models = ("recalibrated", "extended") if self.effects else ("recalibrated",)
         tables = (_statistics(one.recording, one.residuals, models) for one in self.recordings if one.residuals)
@@ -118,6 +116,21 @@ class DiagnoseResult(ClosedLoop, Result):
     def to_dataframe(self) -> DataFrame:
         """A row for each parameter of each detected effect (needs pandas)."""
         return effects_frame(self.effects)
+
+
+def _about_effects(effects: Sequence[FoundEffect], profiles: Sequence[Figure], figures: bool) -> list[Section]:
+    """What was found, with its law and its size; nothing where nothing was."""
+    if not effects:
+        return []
+    named = [CATALOGUE[name] for name in dict.fromkeys(effect.name for effect in effects) if name in CATALOGUE]
+    rows = tuple((item.name, f"{item.law} ({item.source}). {item.signature}") for item in named)
+    shapes = (*said.laws(effects), *profiles) if figures else ()
+    blocks = (sizes_table(effects), *((Definitions(rows),) if rows else ()), *shapes)
+    return [Section("Size of the effect", blocks, 2, "parameters", brief=True)]
+
+
+def _about_rest(remaining: Sequence[RemainingResidual], figures: bool) -> list[Section]:
+    return [Section("What is left", said.left(remaining, figures), 2, "left")] if remaining else []
 
 
 def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
@@ -270,12 +283,6 @@ def _change(
     return [Tile(label, channel.write(after.rmse), f"{was}{more}")]
 
 
-def _laws(result: ClosedLoop) -> tuple[Block, ...]:
-    named = [CATALOGUE[name] for name in dict.fromkeys(e.name for e in result.effects) if name in CATALOGUE]
-    rows = tuple((item.name, f"{item.law} ({item.source}). {item.signature}") for item in named)
-    return (Definitions(rows),) if rows else ()
-
-
 def _statistics(recording: str, shown: Residuals, models: Sequence[str]) -> Table:
     rows: list[tuple[str, ...]] = []
     last, kind = models[-1], ""
@@ -346,7 +353,7 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         items += [warn(text) for one in found.judged for text in one.warnings]
         for place in found.unexplained if found.effects else ():
             items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
-        tables = [table for table in (_errors_of_trials(found), sizes_table(self.effects), _tried(found)) if table.rows]
+        tables = [table for table in (_errors_of_trials(found),) if table.rows]
         was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
         now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
         tiles = Tiles((Tile("Error of the angle, held out", now, was),))
@@ -354,7 +361,11 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
         made = [("Rig", rig), *(("Recording", text) for text in self.hashes)]
-        blocks: list[Block] = [tiles, Findings(tuple(items)), *tables, *drawn]
+        blocks: list[Block] = [tiles, Findings(tuple(items)), *tables]
+        blocks += _about_effects(self.effects, (), figures)
+        if found.tried:
+            blocks.append(Section("All candidates", (_tried(found),), 2, "candidates", brief=True))
+        blocks += [*_about_rest(self.remaining, figures), *drawn]
         lede = f"Rig {rig}: which effect its model lacks."
         return page(_KICKER, title, blocks, "close_loop of trials", made, lede, self.sentence)
 

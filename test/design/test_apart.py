@@ -53,6 +53,7 @@ def test_a_rival_imitates_the_effect_in_its_steady_pressures(rig: Rig) -> None:
     assert any(abs(value) > 1e-3 for value in other.effects["valve_offset"].values())
 
 
+@pytest.mark.slow(4)
 def test_a_rival_that_can_do_nothing_of_an_effect_is_still_a_question() -> None:
     slow = load_rig("shin2022").replaced(effects={"valve_lag": {"time_1": 0.02, "time_2": 0.02}})
     other = imitation(slow, "valve_lag", "line_resistance")
