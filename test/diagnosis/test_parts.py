@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,16 +10,21 @@ import pytest
 
 from pam_antagonist import load_rig, simulate
 from pam_antagonist.diagnosis.from_pressures import JOINT, group_of
+from pam_antagonist.diagnosis.law_evidence import is_better, with_it
+from pam_antagonist.diagnosis.law_search import search
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Settings
 from pam_antagonist.diagnosis.remaining import surroundings
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
-from pam_antagonist.inference.unknowns import Fit
+from pam_antagonist.inference.unknowns import Fit, Unknown
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.learned import Law, with_law
 
 LOCKED_AT = 0.1
 
@@ -41,12 +47,12 @@ def locked(rig: Rig) -> Recording:
     return replace(made, angle=np.full(len(made), LOCKED_AT), torque=10.0 * made.torque)
 
 
-def part(rig: Rig, *recordings: Recording) -> Experiment:
+def part(rig: Rig, *recordings: Recording, free: Sequence[Unknown] = ()) -> Experiment:
     given = [
         (one, JointCondition(str(one.path), LOCKED_AT if str(one.path) == "locked" else 0.0, "given"), str(one.path))
         for one in recordings
     ]
-    start = Fit((), np.zeros(0), np.zeros((0, 0)), 0.0)
+    start = Fit(tuple(free), np.zeros(len(free)), np.eye(len(free)), 0.0)
     group = group_of(JOINT, rig, start, given, [8.0] * len(given), Settings(jobs=1))
     assert group is not None
     return group.experiments[0]
@@ -94,3 +100,19 @@ def test_an_effect_that_takes_energy_does_not_give_it(rig, free) -> None:
     for name in ("friction", "hysteresis"):
         assert all(free.bounded(-1.0) == 0.0 for free in offered[name].sizes)
     assert any(free.bounded(-1e-3) < 0.0 for one in offered.values() for free in one.sizes)
+
+
+@pytest.mark.slow(5)
+def test_what_the_muscles_lack_at_low_pressures_is_learned_as_a_law_of_their_strength(rig) -> None:
+    weak = Law("strength", (2e5, 4e5, 6e5), (-0.2, -0.02, 0.0), "both", "pressure")
+    inertia = Unknown("joint.inertia", ("joint.inertia",), rig.joint.inertia, 0.05, True)
+    experiment = part(rig, simulate(with_law(rig, weak), duration=12.0, seed=3, path="free"), free=[inertia])
+    base = Model((experiment,), (refit(experiment, experiment.origin),))
+    found = search(base, 1, lambda text: None)
+    assert found.law is not None and found.found is not None
+    assert (found.law.place, found.law.argument) == ("strength", "pressure")
+    low, high = (found.law.value(pressure) - weak.value(pressure) for pressure in (3e5, 5e5))
+    assert low == pytest.approx(high, abs=0.02)
+    with_law_of_part = with_it(base, found.law, found.found.covariance)
+    assert is_better(base, base, with_law_of_part, found.law)
+    assert not is_better(base, with_law_of_part, with_law_of_part, found.law)

@@ -135,6 +135,23 @@ def test_the_torque_of_a_locked_joint_creeps_as_the_law_says() -> None:
     assert late[50:] == pytest.approx(-share * np.exp(-(time[50:] - 0.495) / constant), abs=0.002)
 
 
+def test_torques_of_several_models_are_those_of_each_alone() -> None:
+    """Models whose encoders have other zeros or delays have another motion, so they do not run side by side."""
+    time = np.arange(0.0, 2.0, 0.01)
+    angle = np.where(time < 0.2, np.nan, 0.1 * np.sin(3.0 * time))
+    pressure = np.column_stack([4e5 + 5e4 * np.sin(2.0 * time), 3e5 + 5e4 * np.cos(2.0 * time)])
+    velocity = 0.3 * np.cos(3.0 * time)
+    run = Run("", time, pressure, pressure, angle, np.full(len(time), np.nan), velocity, False, ())
+    shares = [0.02 * k for k in range(1, 11)]
+    rigs = [RIG.replaced(effects={**RIG.effects, "creep": {"share_1": share, "time": 0.5}}) for share in shares]
+    encoders = [(0.0, 0.0), (0.02, 0.0), (0.0, 0.0), (0.02, 0.01), *[(0.0, 0.0)] * 6]
+    vectors = [rig.parameters() for rig in rigs]
+    each = joint_stage.torques_each(run, vectors, encoders)
+    for p, encoder, found in zip(vectors, encoders, each, strict=True):
+        np.testing.assert_array_equal(found, joint_stage.torques(run, p, *encoder))
+    assert not np.array_equal(each[0], each[2])
+
+
 @pytest.mark.parametrize(("seed", "within", "off"), [(5, 0.9, 0.5), (7, 0.5, 0.05)])
 def test_rows_at_the_stop_do_not_widen_the_interval_elsewhere(seed: int, within: float, off: float) -> None:
     """There the filter is sure of the angle whatever the torque, although the true stop is off by so many degrees.
