@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 
 NODES, FINE = 8, 15
 """Nodes of a table, and of one for a law that is steep somewhere."""
-SMOOTH = 1e-4
-"""Precision of the second differences of a table, as a share of what the data know of its values."""
+SMOOTH = (1e-4, 1e-2)
+"""Precisions of the second differences of a table that are tried, as a share of what the data know of its values."""
 _TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)
 _SHORT = (0.03, 0.1, 0.3)
 """[s] Times of lag and high-pass, and those of a sensor."""

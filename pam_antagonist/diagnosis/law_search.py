@@ -65,6 +65,7 @@ class FittedLaw:
     law: Law
     gain: float  # on stretches that it was not fitted to, twice the log likelihood ratio
     covariance: Floats  # of its values (N, N)
+    smooth: float  # precision of the table's second differences, as a share of what the data know of its values
 
     @property
     def is_plain(self) -> bool:
@@ -179,7 +180,8 @@ class _Part:
     @cached_property
     def left(self) -> list[Floats]:
         """What each recording's stretches leave (B, C)."""
-        return _solved(self.recordings, [np.zeros((*one.fitted.residual.shape, 0)) for one in self.recordings])[2]
+        nothing = [np.zeros((*one.fitted.residual.shape, 0)) for one in self.recordings]
+        return _solved(self.recordings, nothing, 0.0)[2]
 
     def gain(self, left: Sequence[Floats]) -> float:
         """Evidence of what a law's stretches leave, of each recording (B, C)."""
@@ -201,11 +203,13 @@ class _Part:
         columns = [one.columns(group, zero, self.number) for one in self.recordings]
         if not any(item.any() for item in columns):
             return None
-        values, covariance, left = _solved(self.recordings, columns)
-        if not values.any():
-            return None
-        unit = TABLE[group.kind].step
-        return FittedLaw(group, group.law(nodes, values * unit), self.gain(left), covariance * unit**2)
+        unit, found = TABLE[group.kind].step, []
+        for smooth in SMOOTH if len(nodes) > 1 else SMOOTH[:1]:
+            values, covariance, left = _solved(self.recordings, columns, smooth)
+            if values.any():
+                law = group.law(nodes, values * unit)
+                found.append(FittedLaw(group, law, self.gain(left), covariance * unit**2, smooth))
+        return max(found, key=lambda one: one.gain, default=None)
 
     def every_law(self) -> list[FittedLaw]:
         """All laws to first order, the best first; those with a memory at the best places."""
@@ -229,7 +233,7 @@ class _Part:
         now = [(law := _scaled(one.law, share), with_it(self.model, law)) for share in _STEP_LENGTHS]
         law, model = min(now, key=lambda pair: _cost(pair[1]))
         for _ in range(_STEPS):
-            step, covariance, left = self._step(one.group, law, model)
+            step, _, _ = self._step(one, law, model)
             moved = next(
                 ((there, after) for share in _STEP_LENGTHS
                  if _cost(after := with_it(self.model, there := _moved(law, share * step))) < _cost(model)), None,
@@ -240,14 +244,15 @@ class _Part:
             law, model = moved
             if gained < _ENOUGH:
                 break
-        _, covariance, left = self._step(one.group, law, model)
-        return FittedLaw(one.group, law, self.gain(left), covariance)
+        _, covariance, left = self._step(one, law, model)
+        return FittedLaw(one.group, law, self.gain(left), covariance, one.smooth)
 
-    def _step(self, group: LawForm, law: Law, model: Model) -> tuple[Floats, Floats, list[Floats]]:
+    def _step(self, one: FittedLaw, law: Law, model: Model) -> tuple[Floats, Floats, list[Floats]]:
         """Step of a law's values (N,), their covariance (N, N), and what each recording's stretches leave (B, C)."""
         here = [_Recording.of(*pair) for pair in model.pairs]
-        step, covariance, left = _solved(here, [one.columns(group, law, self.number) for one in here])
-        unit = TABLE[group.kind].step
+        columns = [each.columns(one.group, law, self.number) for each in here]
+        step, covariance, left = _solved(here, columns, one.smooth)
+        unit = TABLE[one.group.kind].step
         return step * unit, covariance * unit**2, left
 
 
@@ -328,7 +333,9 @@ def _with_friction(best: FittedLaw, model: Model, number: int) -> FittedLaw:
     return _Part(acting(best.law, without(model, "effects.friction.")), number).fitted(best.group) or best
 
 
-def _solved(here: Sequence[_Recording], columns: Sequence[Floats]) -> tuple[Floats, Floats, list[Floats]]:
+def _solved(
+    here: Sequence[_Recording], columns: Sequence[Floats], smooth: float
+) -> tuple[Floats, Floats, list[Floats]]:
     """Step of a law's values in units (N,), their covariance (N, N), and what each recording's stretches leave (B, C).
 
     A stretch is left by values and base parameters that were fitted to the others.
@@ -353,7 +360,7 @@ def _solved(here: Sequence[_Recording], columns: Sequence[Floats]) -> tuple[Floa
             pulled[own] = -one.experiment.prior * one.fitted.point.theta
         if count:
             known = float(np.trace(gram.sum(axis=0)[-count:, -count:])) / count
-            prior[-count:, -count:] = SMOOTH * known * roughness(count) + 1e-6 * max(known, 1e-30) * np.eye(count)
+            prior[-count:, -count:] = smooth * known * roughness(count) + 1e-6 * max(known, 1e-30) * np.eye(count)
         matrix = gram.sum(axis=0) + prior
         step = np.linalg.solve(matrix, right.sum(axis=0) + pulled)
         left = [one.fitted.residual + both @ step[where] for one, both, where in zip(here, each, wheres, strict=True)]
