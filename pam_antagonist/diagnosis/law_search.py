@@ -1,7 +1,8 @@
 """The missing law of a model: every table at every place, by derivatives of the model.
 
 A law is first fitted to first order, beside the base parameters, and judged on stretches of the fitted part that its
-values were not fitted to. The best laws of the best places are then fitted to the recordings and judged so again.
+values were not fitted to. The best laws of the best places are then fitted to the recordings. They are judged so again,
+and on what was held out.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import law_forms, thresholds
 from pam_antagonist.diagnosis.law_arguments import arguments
-from pam_antagonist.diagnosis.law_evidence import acting, parts, with_it
+from pam_antagonist.diagnosis.law_evidence import acting, evidence_held_out, parts, with_it
 from pam_antagonist.diagnosis.law_forms import SMOOTH, LawForm, hats, nodes_of, roughness
 from pam_antagonist.diagnosis.models import Model, likelier, without
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted
+from pam_antagonist.inference.gauss_newton import Fitted, held_residual
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, continued
 from pam_antagonist.model.effects import parameter_path
@@ -66,6 +67,12 @@ class FittedLaw:
     gain: float  # on stretches that it was not fitted to, twice the log likelihood ratio
     covariance: Floats  # of its values (N, N)
     smooth: float  # precision of the table's second differences, as a share of what the data know of its values
+    held_out: float = 0.0  # evidence on what was held out; 0 of a law to first order
+
+    @property
+    def evidence(self) -> float:
+        """All evidence."""
+        return self.gain + self.held_out
 
     @property
     def is_plain(self) -> bool:
@@ -229,7 +236,9 @@ class _Part:
     def refined(self, one: FittedLaw) -> FittedLaw:
         """A law fitted to the recordings, as far as that makes it likelier; it is judged about that fit."""
         if one.law.is_of_readings:
-            return one
+            # No rig can hold it. The diagnosis of corrected recordings will tell; till then it is taken to hold.
+            held = sum(len(held_residual(*pair)) for pair in self.model.pairs)
+            return replace(one, held_out=one.gain * held / sum(len(fit.residual) for fit in self.model.fits))
         now = [(law := _scaled(one.law, share), with_it(self.model, law)) for share in _STEP_LENGTHS]
         law, model = min(now, key=lambda pair: _cost(pair[1]))
         for _ in range(_STEPS):
@@ -245,7 +254,8 @@ class _Part:
             if gained < _ENOUGH:
                 break
         _, covariance, left = self._step(one, law, model)
-        return FittedLaw(one.group, law, self.gain(left), covariance, one.smooth)
+        held_out = evidence_held_out(self.model, model)
+        return FittedLaw(one.group, law, self.gain(left), covariance, one.smooth, held_out)
 
     def _step(self, one: FittedLaw, law: Law, model: Model) -> tuple[Floats, Floats, list[Floats]]:
         """Step of a law's values (N,), their covariance (N, N), and what each recording's stretches leave (B, C)."""
@@ -286,8 +296,8 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
         return found
     progress("a law that nobody wrote: the best of them, fitted to the recordings")
     kept_near = model.experiments[0].is_kept_near
-    fitted = sorted((part.refined(one) for one, part in _finalists(standing, kept_near)), key=lambda one: -one.gain)
-    best = _as_good(fitted, fitted[0], kept_near)[0]
+    fitted = [part.refined(one) for one, part in _finalists(standing, kept_near)]
+    best = _as_good(fitted, max(fitted, key=lambda one: one.evidence), kept_near, lambda one: one.evidence)[0]
     if best.gain < thresholds.STRONG:
         return found
     near = _as_good([*fitted, *(one for one, _ in standing)], best, kept_near)
@@ -311,18 +321,22 @@ def _finalists(standing: Sequence[tuple[FittedLaw, _Part]], kept_near: bool) -> 
     return list(out.items())
 
 
-def _as_good(tried: Sequence[FittedLaw], best: FittedLaw, kept_near: bool) -> list[FittedLaw]:
+def _as_good(
+    tried: Sequence[FittedLaw], best: FittedLaw, kept_near: bool,
+    of: Callable[[FittedLaw], float] = lambda one: one.gain,
+) -> list[FittedLaw]:  # fmt: skip
     """Laws that data cannot tell from one, none of them with more of a memory, the simplest first.
 
-    `kept_near`: whether measured inputs keep the model near; then what the motion tells best comes first.
+    `kept_near`: whether measured inputs keep the model near; then what the motion tells best comes first. `of`: the
+    evidence that is compared.
     """
 
     def order(one: FittedLaw) -> tuple[bool, int, float]:
         argument = one.group.argument
         rank = _FIRST.index(argument) if kept_near and argument in _FIRST else len(_FIRST)
-        return not one.is_plain, rank, -one.gain
+        return not one.is_plain, rank, -of(one)
 
-    near = [one for one in tried if abs(best.gain - one.gain) < thresholds.STRONG]
+    near = [one for one in tried if abs(of(best) - of(one)) < thresholds.STRONG]
     return sorted((one for one in near if one.is_plain or not best.is_plain), key=order)
 
 
