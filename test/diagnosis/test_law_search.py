@@ -270,6 +270,8 @@ def test_no_law_is_added_where_nothing_is_wrong() -> None:
 
 @pytest.mark.slow(6)
 def test_a_law_of_the_air_is_found_without_a_measured_angle() -> None:
-    law = learned_from(dataclasses.replace(recorded(EXCHANGE, duration=24.0), angle=None), rig()).law
-    assert law is not None
-    assert (law.place, law.argument) == ("exchange", "pressure_difference")
+    found = learned_from(dataclasses.replace(recorded(EXCHANGE, duration=24.0), angle=None), rig())
+    assert found.law is not None
+    # Without the angle little tells it from a flow into both muscles by their lengths: then both are said.
+    as_good = {(law.at, law.argument) for law in (found.law, *found.alternatives)}
+    assert ("exchange", "pressure_difference") in as_good
