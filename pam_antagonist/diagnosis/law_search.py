@@ -177,7 +177,7 @@ def _means(experiment: Experiment, columns: Floats) -> Floats:
     return experiment.fitted_rows(continued(experiment.trial.blocks(columns)))
 
 
-class _Part:
+class _ModelPart:
     """A part of a model, as laws are judged: about the model without a further law."""
 
     def __init__(self, model: Model, number: int) -> None:
@@ -284,7 +284,7 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
     `model`: all parts of all recordings, with what was found so far.
     """
     progress("a law that nobody wrote: every place of the model")
-    own = [_Part(part, number) for part in parts(model) if part.has_significant_excess]
+    own = [_ModelPart(part, number) for part in parts(model) if part.has_significant_excess]
     every = sorted(((one, part) for part in own for one in part.every_law()), key=lambda pair: -pair[0].gain)
     places: dict[str, float] = {}
     for one, _ in every:
@@ -307,12 +307,12 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
     return replace(found, found=_with_friction(best, model, number), alternatives=alternatives)
 
 
-def _finalists(standing: Sequence[tuple[FittedLaw, _Part]], kept_near: bool) -> list[tuple[FittedLaw, _Part]]:
+def _finalists(standing: Sequence[tuple[FittedLaw, _ModelPart]], kept_near: bool) -> list[tuple[FittedLaw, _ModelPart]]:
     """Of the best places the best law each, the simplest as good one, and the best one without a memory.
 
     What remembers imitates much.
     """
-    out: dict[FittedLaw, _Part] = {}
+    out: dict[FittedLaw, _ModelPart] = {}
     for place in list(dict.fromkeys(one.group.place for one, _ in standing))[:_FINALISTS]:
         own = {one: part for one, part in standing if one.group.place == place}
         best = next(iter(own))
@@ -344,7 +344,7 @@ def _with_friction(best: FittedLaw, model: Model, number: int) -> FittedLaw:
     """A law of friction with the constant friction that was found: a friction below zero would be none."""
     if best.law.place != "friction" or "friction" not in model.effects:
         return best
-    return _Part(acting(best.law, without(model, "effects.friction.")), number).fitted(best.group) or best
+    return _ModelPart(acting(best.law, without(model, "effects.friction.")), number).fitted(best.group) or best
 
 
 def _solved(
