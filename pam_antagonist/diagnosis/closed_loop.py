@@ -307,9 +307,7 @@ class ClosedTrials(FoundFromPressures):
         return {
             **picked(self, "verdict", "sentence"),
             "effects": [
-                {**picked(item, "name", "muscle"), "place": place,
-                 **picked(item, "parameters", "delta_bic", "holdout_gain", "onset_s", "splits"),
-                 **({} if item.law is None else {"at": item.law.at, **picked(item.law, "argument", "nodes", "values")})}
+                {**item.to_json(), "place": place, **({} if item.law is None else {"at": item.law.at})}
                 for place, item in self.placed
             ],
             "ambiguous_with": self.ambiguous_with,
