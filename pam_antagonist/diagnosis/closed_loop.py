@@ -343,6 +343,8 @@ class ClosedTrials(FoundFromPressures):
 
 def _in_words(place: Place, effect: FoundEffect) -> str:
     share = percent(effect.holdout_gain or 0.0)
+    if effect.law is not None:
+        return f"{in_words(effect)}; with it {share} of the excess over noise of {place} is explained on held-out data"
     return f"{in_words(effect, False)}, which explains {share} of the excess over noise of {place} on held-out data"
 
 

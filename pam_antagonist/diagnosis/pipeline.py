@@ -330,6 +330,8 @@ def _own_rigs(
 
 def in_words(effect: FoundEffect, sealed: bool = False) -> str:
     """An effect in words."""
+    if effect.law is not None:
+        return f"{effect.law.in_words()} (a learned law)"
     values = {name: value for name, (value, _, _) in effect.parameters.items()}
     words = about(effect.name).sentence(effect.name, effect.muscle, values, sealed)
     begin, end = (

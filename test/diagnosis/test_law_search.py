@@ -11,7 +11,7 @@ import pytest
 
 from pam_antagonist import diagnose, load_rig, simulate
 from pam_antagonist.api import diagnose as api
-from pam_antagonist.diagnosis import Diagnosis, law_evidence, learned_law
+from pam_antagonist.diagnosis import Diagnosis, law_evidence, learned_law, pipeline
 from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, search
 from pam_antagonist.diagnosis.learned_law import is_better, joined, leaves_excess
@@ -159,6 +159,12 @@ def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
     assert is_better(before, model, EXCHANGE)
     monkeypatch.setattr(law_evidence, "largest_share_of_a_channel", lambda *_models: 0.05)
     assert not is_better(before, model, EXCHANGE)
+
+
+def test_a_law_is_said_by_its_place_and_argument() -> None:
+    effect = FoundEffect("learned", None, {}, 20.0, 0.6, law=EXCHANGE)
+    said = "the flow from muscle 1 to muscle 2 depends on P1 - P2, seen from -300 kPa to 300 kPa (a learned law)"
+    assert pipeline.in_words(effect) == said
 
 
 def test_a_law_of_a_rate_is_none_at_rest() -> None:

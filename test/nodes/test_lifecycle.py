@@ -20,6 +20,9 @@ SAFE = (5.0, 5.2)
 SECOND = 10**9
 COMMON = {"use_sim_time": True, "safe_voltage": list(SAFE), "diagnostics_period": 0.2}
 
+RUNS = 20.0
+"""[1/s] Messages of a node that runs, at least: of a thousand, 49 came beside other work. Of one that stopped none come."""
+
 
 class Clock:
     """``/clock`` at the pace of the real one, from a time of its own that can be set."""
@@ -116,7 +119,7 @@ def test_without_autostart_a_node_waits_for_its_transitions(pipeline: tuple[Proc
     assert probe.state("controller") == "inactive"
     assert rate(probe, "valve_command") == 0
     assert probe.transition("controller", "activate")
-    assert rate(probe, "valve_command") > 50
+    assert rate(probe, "valve_command") > RUNS
     refer(probe, 10.0)
 
 
@@ -138,7 +141,7 @@ def test_inactive_controller_leaves_safe_voltages_and_is_silent(pipeline: tuple[
     assert rate(probe, "valve_command") == 0
     assert {tuple(message.voltage) for _, message in probe.seen["valve_state"]} == {SAFE}
     assert probe.transition("controller", "activate")
-    assert rate(probe, "valve_command") > 50
+    assert rate(probe, "valve_command") > RUNS
     # Whoever wanted something before is not obeyed again without being asked.
     assert {tuple(message.voltage) for _, message in probe.seen["valve_state"]} == {SAFE}
 
@@ -169,7 +172,7 @@ def test_a_node_can_be_cleaned_up_and_started_again(pipeline: tuple[Processes, A
     assert rate(probe, topic) == 0
     for label in ("configure", "activate"):
         assert probe.transition(node, label), label
-    assert rate(probe, topic, 0.4) > 50
+    assert rate(probe, topic, 0.4) > RUNS
     processes.check()
 
 
@@ -192,7 +195,7 @@ def test_estimator_is_reset_and_set(pipeline: tuple[Processes, Any, Clock]) -> N
     for wrong in ({"angle": math.nan}, {"angle": 2.0}, {"velocity": math.inf}, {"pressure": [350.0, 450e3]}):
         answer = probe.call(SetState, "estimator/set_state", **{**state, **wrong})
         assert not answer.success and "expected" in answer.message
-    assert rate(probe, "joint_estimate") > 50
+    assert rate(probe, "joint_estimate") > RUNS
 
 
 def test_another_tuning_is_taken_and_an_unknown_one_is_refused_with_the_reason(
