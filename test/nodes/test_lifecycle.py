@@ -21,7 +21,7 @@ SECOND = 10**9
 COMMON = {"use_sim_time": True, "safe_voltage": list(SAFE), "diagnostics_period": 0.2}
 
 RUNS = 20.0
-"""[1/s] Messages of a node that runs, at least: of a thousand, 49 came beside other work. Of one that stopped none come."""
+"""[1/s] Messages of a node that runs, at least: of a thousand, 49 came beside other work. A stopped one sends none."""
 
 
 class Clock:
