@@ -77,7 +77,7 @@ def _errors_over_noise(model: Model) -> dict[str, float]:
 
 
 def acting(law: Law, model: Model) -> Model:
-    """The part in which a law acts, as laws are judged; all of a model that runs by itself."""
+    """The part in which a law acts, as laws are judged; all of a model that has no such place."""
     here = [one for one in parts(model) if any(LawForm(at).kind == law.place for at in one.experiments[0].law_places)]
     return here[0] if here else model
 

@@ -54,11 +54,11 @@ class LawForm:
         return int(end) if end in ("1", "2") else "both" if end == "both" else None
 
     @property
-    def sides(self) -> list[tuple[str, int]]:
-        """Places and muscles: of a law of both, each has it by its own argument."""
+    def muscles(self) -> tuple[int, ...]:
+        """Muscles by which it is seen: of a law of both, each has it by its own argument; of the joint, the first."""
         if self.muscle == "both":
-            return [(f"{self.kind}_{i}", i) for i in (1, 2)]
-        return [(self.place, self.muscle if isinstance(self.muscle, int) else 1)]
+            return (1, 2)
+        return (self.muscle if isinstance(self.muscle, int) else 1,)
 
     @property
     def rests_at_zero(self) -> bool:

@@ -8,6 +8,7 @@ and on what was held out.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -163,7 +164,7 @@ class _Recording:
     def _columns_of_readings(self, group: LawForm, nodes: Floats) -> Floats:
         """Likewise of a law by which a sensor reads too high, per SI unit."""
         out = np.zeros((*self.fitted.residual.shape, len(nodes)))
-        for _, muscle in group.sides:
+        for muscle in group.muscles:
             channel = ANGLE if group.muscle is None else PRESSURE_1 + muscle - 1
             if channel in self.experiment.channels:
                 # A table is not linear: its mean over a block is not its value at a mean.
@@ -196,11 +197,11 @@ class _ModelPart:
 
     def span(self, group: LawForm) -> float:
         """Range of the argument of a law."""
-        return float(max(np.ptp(one.argument_of(group, side)) for one in self.recordings for _, side in group.sides))
+        return float(max(np.ptp(one.argument_of(group, side)) for one in self.recordings for side in group.muscles))
 
     def fitted(self, group: LawForm) -> FittedLaw | None:
         """A law to first order; None if its argument does not move, or it shows nowhere."""
-        seen = np.concatenate([one.argument_of(group, side) for one in self.recordings for _, side in group.sides])
+        seen = np.concatenate([one.argument_of(group, side) for one in self.recordings for side in group.muscles])
         nodes = np.zeros(1) if group.argument == "none" else nodes_of(seen, group.number)
         if len(nodes) == 1 and group.argument != "none":
             return None
@@ -241,8 +242,11 @@ class _ModelPart:
             return replace(one, held_out=one.gain * held / sum(len(fit.residual) for fit in self.model.fits))
         now = [(law := _scaled(one.law, share), with_it(self.model, law)) for share in _STEP_LENGTHS]
         law, model = min(now, key=lambda pair: _cost(pair[1]))
-        for _ in range(_STEPS):
-            step, _, _ = self._step(one, law, model)
+        gained = math.inf
+        for number in range(_STEPS + 1):
+            step, covariance, left = self._step(one, law, model)
+            if number == _STEPS or gained < _ENOUGH:
+                break
             moved = next(
                 ((there, after) for share in _STEP_LENGTHS
                  if _cost(after := with_it(self.model, there := _moved(law, share * step))) < _cost(model)), None,
@@ -251,9 +255,6 @@ class _ModelPart:
                 break
             gained = _cost(model) - _cost(moved[1])
             law, model = moved
-            if gained < _ENOUGH:
-                break
-        _, covariance, left = self._step(one, law, model)
         held_out = evidence_held_out(self.model, model)
         return FittedLaw(one.group, law, self.gain(left), covariance, one.smooth, held_out)
 

@@ -144,7 +144,7 @@ def corrected(recordings: Sequence[Recording], law: Law | None) -> list[Recordin
         seen = {"pressure_1": first, "pressure_2": second, "pressure_difference": first - second, "angle": angle,
                 "time": one.time_s}  # fmt: skip
         high = np.zeros(columns.shape)
-        for _, muscle in group.sides:
+        for muscle in group.muscles:
             column = 2 if group.muscle is None else muscle - 1
             high[:, column] += np.interp(group.argument_of(seen, muscle, period), law.nodes, law.values)
         out.append(replace(one, pressure=one.pressure - high[:, :2], angle=one.angle - high[:, 2]))

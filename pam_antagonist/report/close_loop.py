@@ -353,7 +353,7 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         items += [warn(text) for one in found.judged for text in one.warnings]
         for place in found.unexplained if found.effects else ():
             items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
-        tables = [table for table in (_errors_of_trials(found),) if table.rows]
+        errors = _errors_of_trials(found)
         was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
         now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
         tiles = Tiles((Tile("Error of the angle, held out", now, was),))
@@ -361,7 +361,7 @@ class PressuresDiagnoseResult(ClosedTrials, Result):
         drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
         made = [("Rig", rig), *(("Recording", text) for text in self.hashes)]
-        blocks: list[Block] = [tiles, Findings(tuple(items)), *tables]
+        blocks: list[Block] = [tiles, Findings(tuple(items)), *((errors,) if errors.rows else ())]
         blocks += _about_effects(self.effects, (), figures)
         if found.tried:
             blocks.append(Section("All candidates", (_tried(found),), 2, "candidates", brief=True))
