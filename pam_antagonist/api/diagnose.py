@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
 from pam_antagonist.api.ways import DATA_SHEET, EPISODES, SEALED, TRIALS, way
@@ -24,7 +25,7 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.recording.notes import sealed_muscles
-from pam_antagonist.report.close_loop import DiagnoseResult, PressuresDiagnoseResult
+from pam_antagonist.report.close_loop import DiagnoseResult
 from pam_antagonist.report.episodes import EpisodesDiagnoseResult
 from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.report.identify_episodes import EpisodesIdentifyResult
@@ -36,12 +37,11 @@ __all__ = [
     "EpisodesDiagnoseResult",
     "EpisodesIdentifyResult",
     "IdentifyResult",
-    "PressuresDiagnoseResult",
     "diagnose",
     "identify",
 ]
 
-Result = DiagnoseResult | EpisodesDiagnoseResult | PressuresDiagnoseResult
+Result = DiagnoseResult | EpisodesDiagnoseResult
 _Named = tuple[Recording, JointCondition, str]
 _Progress = Callable[[str], None] | None
 
@@ -197,11 +197,6 @@ def diagnose(
     kind.refuse("diagnose", {
         "joint": joint, "lock_angle": lock_angle, "seed": seed, "store": store, "also": also,
     })  # fmt: skip
-    if kind in (TRIALS, DATA_SHEET):
-        given = named(every, chosen, joint, lock_angle)
-        settings = Settings(joint, lock_angle, holdout, jobs, seed, progress or silent)
-        found = _from_pressures(given, chosen, settings, len(kept))
-        return widened(PressuresDiagnoseResult, found, start=chosen, hashes=hashes)
     if kind is EPISODES:
         if len(fitted) > 1 or len(kept) > 1:
             expected = "expected one recording, and one to hold out at most"
@@ -209,19 +204,19 @@ def diagnose(
         first = PressureDriven.of(fitted[0], chosen, also, jobs)
         later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
         return EpisodesDiagnoseResult(_of_episodes(first, holdout, later, progress or silent), first, hashes)
-    for recording in every:
-        recording.in_one_piece()
-    run = partial(
-        _diagnose, joint=joint, lock_angle=lock_angle, holdout=holdout, jobs=jobs, seed=seed,
-        progress=progress or silent, profiles=profiles, estimator=estimator, store=store or ResumeFolder(),
-    )  # fmt: skip
-    diagnosis = with_laws(run, fitted, kept, chosen, progress or silent)
+    settings: dict[str, Any] = {
+        "joint": joint, "lock_angle": lock_angle, "holdout": holdout, "jobs": jobs, "seed": seed,
+        "progress": progress or silent, "profiles": profiles, "estimator": estimator, "store": store or ResumeFolder(),
+    }  # fmt: skip
+    if kind in (TRIALS, DATA_SHEET):
+        given = named(every, chosen, joint, lock_angle)
+        diagnosis = _from_pressures(given, chosen, Settings(**settings), len(kept))
+    else:
+        for recording in every:
+            recording.in_one_piece()
+        diagnosis = with_laws(partial(_diagnose, **settings), fitted, kept, chosen, progress or silent)
+    whole = tuple(part.recording for part in diagnosis.by_recording if part.role == "held out")
     return widened(
-        DiagnoseResult,
-        diagnosis,
-        start=chosen,
-        hashes=hashes,
-        seed=seed,
-        kept=tuple(bag_name(recording.path) for recording in kept) or holdout,
+        DiagnoseResult, diagnosis, start=chosen, hashes=hashes, seed=seed, kept=whole or holdout,
         typed=corrections(recordings, chosen),
-    )
+    )  # fmt: skip

@@ -43,8 +43,8 @@ class Way:
 
 
 COURSE = Way("a joint that valves or regulators drive for long", _FIT, _SEARCH)
-TRIALS = Way("short trials of a joint", _FIT, _STATE)
-DATA_SHEET = Way("a rig file that data sheets and a ruler made", _FIT, _STATE)
+TRIALS = Way("short trials of a joint", _FIT, _SEARCH)
+DATA_SHEET = Way("a rig file that data sheets and a ruler made", _FIT, _SEARCH)
 EPISODES = Way("many episodes of a joint with pressure regulators", frozenset(), frozenset({"also"}))
 SEALED = Way("a joint whose muscles are sealed", _STATE, _SEARCH)
 

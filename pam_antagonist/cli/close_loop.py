@@ -84,7 +84,8 @@ def _held_out(text: str) -> float | Path:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from pam_antagonist.api.ways import DATA_SHEET, EPISODES, TRIALS, way
+    from pam_antagonist.api.given import calibration
+    from pam_antagonist.api.ways import EPISODES, way
     from pam_antagonist.cli.first_start import FITS
 
     rig = given.begun(arguments, FITS)
@@ -94,30 +95,36 @@ def _run(arguments: argparse.Namespace) -> int:
     kind.refuse("diagnose", {
         name: getattr(arguments, name) for name in ("joint", "lock_angle", "seed", "also", "resume", "dask")
     }, "--")  # fmt: skip
-    if kind in (TRIALS, DATA_SHEET, EPISODES):
-        return _in_one_go(arguments, rig, share, recordings, says_next=kind is not EPISODES)
-    return _resumable(arguments, rig, share, recordings)
-
-
-def _in_one_go(
-    arguments: argparse.Namespace, rig: Rig, share: float, recordings: Sequence[Recording], says_next: bool
-) -> int:
-    """Diagnose a joint of many short episodes or trials, or one of data sheets: in a minute or two, nothing is kept."""
-    found = _diagnosed(arguments, rig, recordings, share)
+    if kind is EPISODES:
+        found = _diagnosed(arguments, rig, recordings, share)
+        given.announce(arguments, found, found.next_rig)
+        _note_down(arguments, recordings, rig, found)
+        return common.DONE
+    found = _resumable(arguments, rig, share, recordings)
+    corrected = corrections.from_options(arguments, calibration(rig))
+    damage = given.damage(arguments, recordings)
+    found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
     given.announce(arguments, found, found.next_rig)
     _note_down(arguments, recordings, rig, found)
-    if says_next and found.next_rig is not None:
-        print(given.next_on_bags(arguments, "replay", None, arguments.out / found.next_rig))
+    shutil.rmtree(_kept(arguments), ignore_errors=True)
+    if (proposed := found.choice.proposed) is not None:
+        own = None if found.held else arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
+        print(given.next_on_bags(arguments, "replay", own, arguments.out / proposed.name))
     return common.DONE
 
 
-def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> int:
+def _kept(arguments: argparse.Namespace) -> Path:
+    """Folder of what an interrupted run has finished."""
+    folder: Path = arguments.out.parent / f"{arguments.out.name}.part"
+    return folder
+
+
+def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings: list[Recording]) -> Any:
     """Diagnose a joint, and keep what is finished where that is interrupted."""
-    from pam_antagonist.api.given import calibration
     from pam_antagonist.diagnosis.hypotheses import ResumeFolder
     from pam_antagonist.recording import bag_hash, bag_name
 
-    kept = arguments.out.parent / f"{arguments.out.name}.part"
+    kept = _kept(arguments)
     if kept.exists() and not arguments.resume:
         raise BadInput(f"{kept}: left by an interrupted run; give --resume to go on with it, or remove it")
     hashes = [bag_hash(recording.path) for recording in recordings]
@@ -134,7 +141,7 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
     })  # fmt: skip
     try:
         with given.connected(arguments.dask):
-            found = _diagnosed(arguments, rig, recordings, share, store)
+            return _diagnosed(arguments, rig, recordings, share, store)
     except KeyboardInterrupt:
         again = [*(word for word in arguments.words if word != "--resume"), "--resume"]
         print(
@@ -142,21 +149,11 @@ def _resumable(arguments: argparse.Namespace, rig: Rig, share: float, recordings
             f"  {typed('close_loop')} {shlex.join(again)}",
             file=sys.stderr,
         )
-        return INTERRUPTED
+        raise SystemExit(INTERRUPTED) from None
     except BadInput:
         if not store.finished():
             shutil.rmtree(kept, ignore_errors=True)
         raise
-    damage = given.damage(arguments, recordings)
-    corrected = corrections.from_options(arguments, calibration(rig))
-    found = replace(found, warnings=(*damage, *found.warnings), typed=corrected)
-    given.announce(arguments, found, found.next_rig)
-    _note_down(arguments, recordings, rig, found)
-    shutil.rmtree(kept, ignore_errors=True)
-    if (proposed := found.choice.proposed) is not None:
-        own = arguments.bags if proposed.number is None else [arguments.bags[proposed.number]]
-        print(given.next_on_bags(arguments, "replay", own, arguments.out / proposed.name))
-    return common.DONE
 
 
 def _note_down(arguments: argparse.Namespace, recordings: Sequence[Recording], rig: Rig, result: Any) -> None:

@@ -19,8 +19,8 @@ All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data
 
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
 :mod:`pam_antagonist.inference.episode_search` for its effects. A rig of data sheets, and short trials of any valves,
-differ in what is prepared and what is concluded: :mod:`from_pressures` identifies the rig and makes an experiment of
-each of its parts. Search and rules are the same.
+differ in what is prepared and what is concluded: :mod:`from_pressures` identifies the rig, and :mod:`model_parts` makes
+an experiment of each of its parts. Search, rules and result are the same.
 
 Where the catalogue leaves a clear excess, :mod:`learned_law` measures the law that is missing. :mod:`law_search` finds
 it by derivatives of the model. :mod:`law_forms` says what it may be, :mod:`law_arguments` what it may depend on, and

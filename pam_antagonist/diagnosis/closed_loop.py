@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,18 +11,12 @@ from typing import Any
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import calibrations, thresholds
-from pam_antagonist.diagnosis.from_pressures import FoundFromPressures, Place
-from pam_antagonist.diagnosis.pipeline import in_words, left
-from pam_antagonist.diagnosis.remaining import RemainingResidual
-from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, RecordingEntry, Size
+from pam_antagonist.diagnosis.result import Diagnosis, RecordingEntry, Size
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.verdicts import EFFECT, UNEXPLAINED
 from pam_antagonist.diagnosis.warnings import like_a_curve
 from pam_antagonist.errors import BadInput
-from pam_antagonist.identification.joint_stage import DELAY, ZERO
-from pam_antagonist.identification.result import FromPressures
-from pam_antagonist.identification.said import CLEAR
 from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
@@ -33,7 +26,7 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal, write_rig
 from pam_antagonist.rig.schema import Calibration
 from pam_antagonist.rig.units import assumption
-from pam_antagonist.shown import error_in_words, number, percent
+from pam_antagonist.shown import error_in_words
 from pam_antagonist.strict_json import picked
 
 
@@ -59,7 +52,7 @@ class ClosedLoop(Diagnosis):
     @cached_property
     def choice(self) -> RigChoice:
         """The rig files that :meth:`save` writes, and the one to use."""
-        return choose(self, self.start.name, self._refusal)
+        return self.decided or choose(self, self.start.name, self._refusal)
 
     @property
     def next_rig(self) -> str | None:
@@ -82,7 +75,8 @@ class ClosedLoop(Diagnosis):
             each = f" {', '.join(own)} {have}." if own else ""
             out.append(f"There is no rig_extended.yaml, since {choice.no_common}.{each}")
         rivals = [name for name in self.ambiguous_with if name in CATALOGUE]
-        if self.effects and rivals and "rig_extended.yaml" in files and rig.drive == "valve" and not rig.valves.sealed:
+        can_excite = rig.drive == "valve" and not rig.valves.sealed and not self.held
+        if self.effects and rivals and "rig_extended.yaml" in files and can_excite:
             either = " and ".join(name.replace("_", " ") for name in (self.effects[0].name, *rivals))
             out.append(
                 f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
@@ -141,11 +135,13 @@ class ClosedLoop(Diagnosis):
             "experiments": self.experiment,
             "ambiguities": self.ambiguities,
             "share_explained": self.share,
-            **picked(self, "parts", "reference", "base_friction_removed", "errors", "recordings"),
+            **picked(self, "parts", "reference", "base_friction_removed", "errors"),
+            "filter_errors": {name: one.ukf for name, one in self.of_one_rig.items()},
+            "recordings": self.recordings,
             "ranking": [
                 {
                     "name": item.effect,
-                    **picked(item, "round", "score", "delta_bic"),
+                    **picked(item, "part", "round", "score", "delta_bic", "held_out_evidence"),
                     "holdout_gain": None if item.shares is None else item.shares[0],
                     "taken": item.taken,
                     "score_by_muscle": item.muscles,
@@ -155,7 +151,7 @@ class ClosedLoop(Diagnosis):
             "profiles": self.profiles,
             "remaining": [item.line() for item in self.remaining],
             "left": self.remaining,
-            **picked(self, "unseen", "warnings"),
+            **picked(self, "unseen", "warnings", "notes"),
             "settings": {
                 "rig": self.start.name,
                 "rig_source": " ".join(self.start.source.split()),
@@ -190,7 +186,7 @@ class ClosedLoop(Diagnosis):
         about = [
             f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}",
             "Recordings (SHA-256):",
-            *(f"  {own}: {value}" for (own, _), value in zip(self.own, self.hashes, strict=False)),
+            *(f"  {part.recording}: {part.sha256}" for part in self.recordings if part.role != "held out"),
             *(f"Attention: {warning}." for warning in self.warnings),
         ]
         remarks = [line for text in about for line in textwrap.wrap(text, 110, subsequent_indent="  ")]
@@ -200,6 +196,8 @@ class ClosedLoop(Diagnosis):
 
     def _written(self, file: RigFile) -> Rig:
         """The content of a rig file: with its source, and with the calibration of its recordings."""
+        if self.decided is not None:
+            return file.rig
         names = ", ".join(own for own, _ in self.own)
         source = f"extended by close_loop from {names}; started from: {self.start.source}"
         found = {item.name: item.value for item in self.shared}
@@ -226,148 +224,3 @@ class ClosedLoop(Diagnosis):
             return refusal(self._written(file))
         except (BadInput, ValueError) as error:
             return " ".join(str(error).split())
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ClosedTrials(FoundFromPressures):
-    """An effect that the model of a rig lacks, from measured pressures."""
-
-    start: Rig
-    hashes: tuple[str, ...]  # SHA-256 of the recordings
-
-    @override
-    def _brief(self) -> str:
-        return f"{self.verdict}; {self.sentence}"
-
-    @property
-    def sentence(self) -> str:
-        """The result in words."""
-        now = self.proposed
-        before = self.recalibrated.pooled("as_configured")
-        if self.placed:
-            what = "; ".join(_in_words(*item) for item in self.placed)
-            out = what[0].upper() + what[1:] + "."
-        elif self.unexplained:
-            out = f"No effect of the catalogue explains what is left in {' and in '.join(self.unexplained)}. "
-            out += "No law that was learned does."
-        else:
-            out = "The model explains the recordings; no effect is missing."
-        if now is None:
-            why = (self.extended or self.recalibrated).rejected
-            return f"{out} Keep the rig file that you have: {why or 'no other is better on held-out data.'}"
-        values, after = self.recalibrated.pooled("identified"), now.pooled("identified")
-        by = "with these values"
-        if now is self.extended and math.isfinite(values):
-            by = f"with {'these effects' if len(self.placed) > 1 else 'this effect'}"
-            by += f", {number(values)}° with recalibrated values alone"
-        return (
-            f"{out} The filter's angle error on held-out data is {number(before)}° as configured and {number(after)}° "
-            f"{by}."
-        )
-
-    @property
-    def effects(self) -> tuple[FoundEffect, ...]:
-        """The detected effects."""
-        return tuple(effect for _, effect in self.placed)
-
-    @cached_property
-    def remaining(self) -> tuple[RemainingResidual, ...]:
-        """What is not explained, described."""
-        return tuple(item for one in self.judged for item in left(one))
-
-    @property
-    def next_rig(self) -> str | None:
-        """Name of the rig file to use; None: keep the one that there is."""
-        best = self.proposed
-        if best is None or refusal(best.rig):
-            return None
-        return "rig_extended.yaml" if best is self.extended else "rig_recalibrated.yaml"
-
-    @property
-    def rig_extended(self) -> Rig:
-        """The rig to use: with the effects, recalibrated, or as configured, whichever is best on held-out data."""
-        best = self.proposed
-        if best is None:
-            return self.start
-        names = ", ".join(name for name, _ in best.fitted)
-        source = " ".join(f"extended by close_loop from {names}; started from: {self.start.source.strip()}".split())
-        name = f"{self.start.name.removesuffix('_identified')}_extended"
-        fitted = {**self.start.fitted, **best.saw}
-        return best.rig.replaced(name=name, source=source, identified=names, fitted=fitted)
-
-    def to_json(self) -> dict[str, Any]:
-        """The content of ``report.json``."""
-        base, best = self.recalibrated, self.extended or self.recalibrated
-        values, stds = base.final[0].values, base.final[0].stds
-        muscles = {effect.name: effect.muscle for effect in self.effects}
-        three = {
-            "as_configured": (base, "as_configured"), "recalibrated": (base, "identified"),
-            "extended": (best, "identified"),
-        }  # fmt: skip
-        return {
-            **picked(self, "verdict", "sentence"),
-            "effects": [
-                {**item.to_json(), "place": place, **({} if item.law is None else {"at": item.law.at})}
-                for place, item in self.placed
-            ],
-            "ambiguous_with": self.ambiguous_with,
-            "calibration": [
-                {"name": name, "value": value, "std": std, "unit": unit, "recording": None}
-                for name, value, std, unit in (
-                    ("encoder_zero", values.get(ZERO, 0.0), stds.get(ZERO, 0.0), "rad"),
-                    ("delay_angle", values.get(DELAY, 0.0), stds.get(DELAY, 0.0), "s"),
-                )
-                if abs(value) > CLEAR * std
-            ],
-            "errors": {name: _model_errors(one, rig) for name, (one, rig) in three.items()},
-            "filter_errors_deg": {name: one.pooled(rig) for name, (one, rig) in three.items()},
-            "candidates": [
-                {"name": item.effect, "muscle": muscles.get(item.effect), "place": place, "round": item.round,
-                 "holdout_gain": None if item.shares is None else item.shares[0], "delta_bic": item.delta_bic,
-                 "held_out_evidence": item.held_out_evidence}
-                for place, item in self.tried
-            ],
-            UNEXPLAINED: self.unexplained,
-            "left": self.remaining,
-            "next_rig": self.next_rig,
-            "rig": base.start.name,
-            "recordings_sha256": self.hashes,
-        }  # fmt: skip
-
-    def write_rigs(self, folder: Path) -> None:
-        """Write the rig file into a folder that exists, if there is one to use."""
-        about = textwrap.wrap(f"By pam_antagonist close_loop, from rig {self.start.name}. {self.sentence}", 110)
-        if self.next_rig is not None:
-            write_rig(self.rig_extended, folder / self.next_rig, about)
-
-
-def _in_words(place: Place, effect: FoundEffect) -> str:
-    share = percent(effect.holdout_gain or 0.0)
-    if effect.law is not None:
-        return f"{in_words(effect)}; with it {share} of the excess over noise of {place} is explained on held-out data"
-    return f"{in_words(effect, False)}, which explains {share} of the excess over noise of {place} on held-out data"
-
-
-def _model_errors(found: FromPressures, rig: str) -> dict[str, Any]:
-    """Errors of the model alone on all held-out data: RMS over rows, and the largest."""
-    reports = [(getattr(item, rig).model_alone, item.rows) for item in found.held]
-    total = sum(rows for _, rows in reports)
-
-    def pooled(name: str, unit: str) -> dict[str, float] | None:
-        known = [(one, rows) for report, rows in reports if (one := getattr(report, name)) is not None]
-        if not known:
-            return None
-        count = sum(rows for _, rows in known)
-        return {
-            f"rmse_{unit}": math.sqrt(sum(rows * item.rmse**2 for item, rows in known) / count),
-            f"max_{unit}": max(item.largest for item, _ in known),
-            "q": max(item.ratio for item, _ in known),
-        }
-
-    pressures = [math.sqrt(sum(rows * one.pressure.rmse_pa[k] ** 2 for one, rows in reports) / total) for k in (0, 1)
-                 ] if reports else None  # fmt: skip
-    return {
-        "angle": pooled("angle", "deg"),
-        "torque": pooled("torque", "nm"),
-        "pressure": None if pressures is None else {"rmse_pa": pressures},
-    }

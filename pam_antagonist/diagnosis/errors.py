@@ -93,6 +93,7 @@ class Errors:
     mean_rmse_pa: float | None = None  # of the mean of both pressures [Pa]; None where it was not judged
     sliding: Sliding | None = None  # of the torque; None where sliding and sticking were not separated
     innovation: Innovations | None = None
+    along_pressures_deg: float | None = None  # of the angle where the measured pressures drive the joint; None likewise
     noise: Noise = Noise()  # of the readings that were compared
 
     def to_json(self) -> dict[str, Any]:
@@ -104,7 +105,8 @@ class Errors:
             "torque": None if self.torque is None else {**self.torque.to_json(), **sliding},
             "pressure": {"rmse_pa": self.rmse_pa, **mean},
         }
-        return out if self.innovation is None else {**out, "innovation": self.innovation}
+        further = {"along_pressures_deg": self.along_pressures_deg, "innovation": self.innovation}
+        return {**out, **{name: value for name, value in further.items() if value is not None}}
 
 
 @dataclass(frozen=True)
@@ -231,12 +233,15 @@ def total_of(parts: Sequence[Errors], samples: Sequence[int]) -> Errors:
             return None
         items, counts = zip(*known, strict=True)
         largest, ratio = max(item.largest for item in items), max(item.ratio for item in items)
-        return ChannelErrors(items[0].unit, mean([item.rmse for item in items], counts), largest, ratio)
+        inside = [(item.coverage95, count) for item, count in known if item.coverage95 is not None]
+        every = sum(count for _, count in inside)
+        covered = sum(share * count for share, count in inside) / every if every else None
+        return ChannelErrors(items[0].unit, mean([item.rmse for item in items], counts), largest, ratio, covered)
 
     return Errors(
         channel([part.angle for part in parts]),
         channel([part.torque for part in parts]),
         (mean([part.rmse_pa[0] for part in parts], samples), mean([part.rmse_pa[1] for part in parts], samples)),
-        mean([part.mean_rmse_pa or 0.0 for part in parts], samples),
+        None if None in (means := [part.mean_rmse_pa for part in parts]) else mean(means, samples),  # type: ignore[arg-type]
         noise=Noise(*(mean(values, samples) for values in zip(*(part.noise for part in parts), strict=True))),
     )

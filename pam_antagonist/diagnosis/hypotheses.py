@@ -145,6 +145,7 @@ class TriedCandidate:
     base: Model | None = None
     # of a calibration that cannot be the same in all recordings: value and standard deviation in each of them, by name.
     apart: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    part: str = ""  # of the joint in which it was tried; empty while a search goes on
 
     @property
     def standing(self) -> float:

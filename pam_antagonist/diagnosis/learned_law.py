@@ -281,7 +281,8 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
     shown = [one.trial.name for one in law_evidence.acting(learned.law, model).experiments]
     here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
-    with_law = zip(after.parts, here, strict=True)
+    with_law = list(zip(after.parts, here, strict=True))
+    effect = replace(effect, part=next((part.name for part, acts in with_law if acts), ""))
     parts = [replace(part, verdict=EFFECT, share_explained=share) if acts else part for part, acts in with_law]
     in_part = share_of_all(*all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
     notes = ("the law explains the recordings in part only",) if in_part else ()

@@ -128,10 +128,9 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     timings.end("errors")
     remaining = tuple(item for j in judged for item in left(j))
     timings.end("remaining residual")
-    shares = [j.share for j in judged if j.effects] or [j.share for j in judged]
     as_prepared = sorted(judged, key=lambda j: [group.name for group in prepared.groups].index(j.group.name))
-    extended = _all(j.model for j in as_prepared)
-    ranking = tuple(_ranked(j, tried) for j in judged for tried in j.ranking.tried)
+    extended = all_of(j.model for j in as_prepared)
+    ranking = tuple(ranked(j, tried) for j in judged for tried in j.ranking.tried)
     # The models without effects, of recordings in which all effects act throughout.
     throughout = [replace(j.base, experiments=tuple(replace(e, spans={}) for e in j.model.experiments)) for j in judged]
     found = Diagnosis(
@@ -148,8 +147,8 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         ),
         ambiguities=rivals,
         ranking=ranking,
-        share=min((share for share in shares if share is not None), default=None),
-        parts=tuple(PartVerdict(j.group.name, j.verdict, j.share) for j in judged),
+        share=share_of_found(judged),
+        parts=parts_of(judged),
         errors=totals,
         of_one_rig=of_one_rig,
         by_recording=entries,
@@ -170,10 +169,13 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
         rig_extended=rigs["extended"],
         own=_own_rigs(prepared, compared, tunings),
         base_friction_removed=prepared.friction_removed,
-        recalibrated=_all(j.base for j in as_prepared),
+        recalibrated=all_of(j.base for j in as_prepared),
         extended=extended,
         compared=compared,
         seconds=timings.seconds,
+        notes=(),
+        held=(),
+        decided=None,
     )
     firm = splits.in_words({name: firm for j in judged for name, firm in j.firmness.items()})
     return replace(found, sentence=_sentence(found, _in_words(prepared, judged, effects), firm))
@@ -201,7 +203,18 @@ def _with_held_out_end(judged: Judged) -> tuple[Group, Model, Model]:
     return group, again(judged.base), again(judged.model)
 
 
-def _all(models: Iterable[Model]) -> Model:
+def share_of_found(judged: Sequence[Judged]) -> float | None:
+    """The smallest share of a held-out excess that effects explain; of all groups where none has effects."""
+    shares = [j.share for j in judged if j.effects] or [j.share for j in judged]
+    return min((share for share in shares if share is not None), default=None)
+
+
+def parts_of(judged: Sequence[Judged]) -> tuple[PartVerdict, ...]:
+    """The verdict on each group."""
+    return tuple(PartVerdict(j.group.name, j.verdict, j.share) for j in judged)
+
+
+def all_of(models: Iterable[Model]) -> Model:
     """The models of all groups as one."""
     columns = zip(*((model.experiments, model.fits, model.effects) for model in models), strict=True)
     return Model(*(tuple(itertools.chain(*each)) for each in columns))
@@ -212,7 +225,8 @@ def _effects(prepared: Prepared, judged: Sequence[Judged], rivals: Sequence[Ambi
     out = []
     for j in judged:
         for effect in j.effects:
-            known = replace(effect, recordings=tuple(_own_names(prepared, j.group, dict.fromkeys(effect.recordings))))
+            names = tuple(_own_names(prepared, j.group, dict.fromkeys(effect.recordings)))
+            known = replace(effect, recordings=names, part=j.group.name)
             out.append(ambiguity.with_compared_size(known, rivals))
     return tuple(out)
 
@@ -233,11 +247,12 @@ def _in_words(prepared: Prepared, judged: Sequence[Judged], effects: Sequence[Fo
     ]
 
 
-def _ranked(judged: Judged, tried: TriedCandidate) -> TriedCandidate:
-    """A candidate that says whether it is in the final model."""
+def ranked(judged: Judged, tried: TriedCandidate) -> TriedCandidate:
+    """A candidate that says in which part it was tried, and whether it is in the final model."""
     chosen = judged.ranking.model.effects
     selected = tried.model is not None and tried.model.effects == chosen[: tried.round]
-    return replace(tried, taken=judged.verdict == "effect" and selected and tried.effect in judged.model.effects)
+    taken = judged.verdict == EFFECT and selected and tried.effect in judged.model.effects
+    return replace(tried, taken=taken, part=judged.group.name)
 
 
 def _either_muscle(judged: Sequence[Judged]) -> list[str]:

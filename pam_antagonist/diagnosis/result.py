@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from pam_antagonist.inference.point import Point
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law
 from pam_antagonist.shown import Shown
+
+if TYPE_CHECKING:
+    from pam_antagonist.diagnosis.rig_choice import RigChoice
+    from pam_antagonist.identification.result import HeldRecording
 
 MODELS = ("as_configured", "recalibrated", "extended")
 _STAMPED = ("late", "early")
@@ -89,6 +93,7 @@ class FoundEffect:
         holdout_gain: share of the held-out excess over noise (:mod:`models`) that goes with it; None for a
             disturbance torque in recordings of which nothing is held out.
         recordings: names of the recordings that show it.
+        part: of the joint that shows it, see :class:`PartVerdict`.
         onset_s: since when it acts [s]; None: throughout.
         onset_std_s: standard deviation of that [s].
         end_s: until when it acts [s]; None: to the end of every recording that shows it.
@@ -105,6 +110,7 @@ class FoundEffect:
     delta_bic: float
     holdout_gain: float | None
     recordings: tuple[str, ...] = ()
+    part: str = ""
     onset_s: float | None = None
     onset_std_s: float | None = None
     end_s: float | None = None
@@ -149,7 +155,9 @@ class Ambiguity:
 class PartVerdict:
     """The verdict on one part of the joint, which was judged by itself."""
 
-    name: str  # ``joint``, or ``pressures`` and ``torque`` of a joint that is driven by its angle
+    # ``joint``; ``pressures`` and ``torque`` of a joint that is driven by its angle; ``joint and muscles`` and
+    # ``chambers and valves`` of a rig of data sheets and of short trials.
+    name: str
     verdict: Verdict
     # of its held-out excess over noise that its effects remove; None if that is a disturbance torque in recordings of
     # which nothing is held out.
@@ -267,6 +275,9 @@ class Diagnosis(Shown):
         extended: the model with them.
         compared: the recordings with the three models on each, those that were held out as a whole as well.
         seconds: time of each step [s], by name.
+        notes: what else the user may want to know.
+        held: of a rig of data sheets and of short trials, the filter on what was held out, before and after.
+        decided: the rig files, where the way of the recordings has its own rule.
     """
 
     verdict: Verdict
@@ -295,6 +306,9 @@ class Diagnosis(Shown):
     extended: Model
     compared: tuple[HeldOutComparison, ...]
     seconds: Mapping[str, float]
+    notes: tuple[str, ...]
+    held: tuple[HeldRecording, ...]
+    decided: RigChoice | None
 
     @property
     def shared(self) -> tuple[FoundCalibration, ...]:

@@ -195,11 +195,11 @@ def concluded(
     deviating = {item.recording: _own_rig(covered.rig, joint, air, item.recording)
                  for fit in (joint, air) if fit is not None for item in fit.unknowns if item.recording}  # fmt: skip
     held = []
-    for given, before, end in zip(corrected, recordings, ends, strict=True):
+    for number, (given, before, end) in enumerate(zip(corrected, recordings, ends, strict=True)):
         if has_commands(given) and end < given[0].duration_s:
             rigs = {"as_configured": rig, "identified": covered.rig}
             rigs |= {"own": deviating[given[2]]} if given[2] in deviating else {}
-            held.append(held_of(given, before, end, rigs, line))
+            held.append(replace(held_of(given, before, end, rigs, line), number=number))
     used = tuple((name, end) for (_, _, name), end in zip(recordings, ends, strict=True) if end > 0.0)
     final = (joint, air)
     if rig.is_from_data_sheets:

@@ -75,6 +75,7 @@ class HeldRecording:
     pressures_alone: float
     linear: float  # error of a linear map of the two pressures, fitted to the same data, RMS [deg]; NaN likewise
     rows: int
+    number: int = 0  # of the recording, in the order in which they were given
 
     @property
     def whole(self) -> Replay:

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from typing_extensions import override
 
 from pam_antagonist.diagnosis import FoundEffect, thresholds
-from pam_antagonist.diagnosis.closed_loop import ClosedLoop, ClosedTrials
+from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 from pam_antagonist.diagnosis.errors import ModelErrors
-from pam_antagonist.diagnosis.from_pressures import FoundFromPressures
-from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import Relation
-from pam_antagonist.diagnosis.result import Residuals
+from pam_antagonist.diagnosis.result import MODELS, Residuals
 from pam_antagonist.diagnosis.verdicts import TITLES, Verdict
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.replays.result import CHANNELS, TORQUE, EstimatedChannel
@@ -33,7 +31,6 @@ from pam_antagonist.report.document import (
     in_first_lines,
     note,
     page,
-    warn,
 )
 from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.identify import held_out_figures
@@ -46,8 +43,6 @@ _FEW_WORDS = 300
 """Longest list of what the recordings cannot show [characters] that is among the findings where nothing was found."""
 _KINDS = {"equation": "Equations", "sensor": "Sensors", "innovation": "Estimator's innovations"}
 _CERTAIN = 0.05
-_SHOWN = 10
-"""Effects in the table of what was tried on short trials."""
 _EVIDENCE = (
     "Evidence: twice the gain in log-likelihood of a fit, less a price for each parameter (ΔBIC); above "
     f"{thresholds.STRONG:g} is strong."
@@ -84,9 +79,9 @@ class DiagnoseResult(ClosedLoop, Result):
             "physical effect, if one explains it on data that no fit used."
         )
         title = title_of(self.verdict, [effect.in_short for effect in self.effects])
-        if self.calibrations and self.verdict == "none":
+        if self.calibrations and self.verdict == "none" and not self.held:
             title = "Calibration: " + ", ".join(item.name.replace("_", " ") for item in self.calibrations)
-        first, *others = said.residuals(self) if figures else (None,)
+        first, *others = (said.residuals(self) if figures else ()) or (None,)
         unseen = tuple(map(note, self.unseen))
         few = unseen if self.verdict == "none" and sum(map(len, self.unseen)) <= _FEW_WORDS else ()
         parts: list[Block] = [
@@ -101,16 +96,21 @@ class DiagnoseResult(ClosedLoop, Result):
         if self.calibrations:
             parts.append(Section("Calibration", (calibration_table(self),), 2, "calibration", brief=True))
         parts += _about_effects(self.effects, said.profiles(self.profiles), figures)
-        parts.append(Section("All candidates", (ranking_table(self),), 2, "candidates", brief=True))
-        parts += _about_rest(self.remaining, figures)
+        if self.ranking:
+            parts.append(Section("All candidates", (ranking_table(self),), 2, "candidates", brief=True))
+        if self.remaining:
+            parts.append(Section("What is left", said.left(self.remaining, figures), 2, "left"))
+        held = self.held if figures else ()
+        parts += [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
         about = Text(_STATISTICS_DRIVEN if self.driven else _STATISTICS)
         models = ("recalibrated", "extended") if self.effects else ("recalibrated",)
-        tables = (_statistics(one.recording, one.residuals, models) for one in self.recordings if one.residuals)
-        parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
+        tables = [_statistics(one.recording, one.residuals, models) for one in self.recordings if one.residuals]
+        if tables:
+            parts.append(Section("Statistics of the residuals", (about, *tables), 2, "statistics", folded=True))
         if unseen and not few:
             parts.append(Section("What these recordings cannot show", (Findings(unseen),), folded=True))
         parts.append(Section("What was assumed", (Definitions(said.assumed(self)),), folded=True))
-        words_of = "close_loop of a driven joint" if self.driven else "close_loop"
+        words_of = said.kind_of(self)
         return page(_KICKER, title, parts, words_of, _provenance(self), lede, self.sentence)
 
     def to_dataframe(self) -> DataFrame:
@@ -127,10 +127,6 @@ def _about_effects(effects: Sequence[FoundEffect], profiles: Sequence[Figure], f
     shapes = (*said.laws(effects), *profiles) if figures else ()
     blocks = (sizes_table(effects), *((Definitions(rows),) if rows else ()), *shapes)
     return [Section("Size of the effect", blocks, 2, "parameters", brief=True)]
-
-
-def _about_rest(remaining: Sequence[RemainingResidual], figures: bool) -> list[Section]:
-    return [Section("What is left", said.left(remaining, figures), 2, "left")] if remaining else []
 
 
 def effects_frame(effects: Sequence[FoundEffect]) -> DataFrame:
@@ -168,6 +164,10 @@ def errors_table(result: ClosedLoop) -> Table:
         _channel_rows(out, errors, CHANNELS, largest=True)
     for muscle in (0, 1):
         out.pressures(f"  pressure {muscle + 1} RMSE", [model.rmse_pa[muscle] for model in errors.all])
+    along = [model.along_pressures_deg for model in errors.all]
+    if any(value is not None for value in along):
+        out.heading("Joint alone, driven by the measured pressures")
+        out.values("  angle RMSE [°]", along)
     if result.driven and errors.extended.angle is not None:
         out.heading("Model alone, driven by the external torque")
         _channel_rows(out, errors, CHANNELS[:1])
@@ -175,6 +175,11 @@ def errors_table(result: ClosedLoop) -> Table:
         if part.ukf is not None:
             out.heading(f"Estimator from pressures alone, {part.recording}")
             _channel_rows(out, part.ukf, CHANNELS)
+            for channel in CHANNELS:
+                known = [item for model in part.ukf.all if (item := getattr(model, channel.name)) is not None]
+                shares = [item.coverage95 for item in known]
+                if len(known) == len(part.ukf.all) and None not in shares:
+                    out.values(f"  {channel.name} in the 95 % interval", shares, percent, best=None)
     return out.table("Errors on held-out data")
 
 
@@ -193,10 +198,12 @@ def _channel_rows(
 
 
 def ranking_table(result: ClosedLoop) -> Table:
-    """All candidates of all rounds."""
+    """All candidates of all rounds; where the joint was tried in parts, each with its part."""
+    several = len(result.parts) > 1
     rows = tuple(
         (
             item.effect + (" (taken)" if item.taken else ""),
+            *((item.part,) if several else ()),
             str(item.round),
             f"{item.score:.1f}",
             " · ".join(f"{value:.1f}" for value in item.muscles or ()) or MISSING,
@@ -206,7 +213,8 @@ def ranking_table(result: ClosedLoop) -> Table:
         for item in result.ranking
         if item.round == 1 or item.delta_bic is not None
     )
-    header = ("Candidate", "round", "score", "muscle 1 · 2 alone", "evidence", "held-out share")
+    part = ("part",) if several else ()
+    header = ("Candidate", *part, "round", "score", "muscle 1 · 2 alone", "evidence", "held-out share")
     caption = "The score is the evidence to first order, on both muscles and on each alone."
     return Table(header, rows, caption, legend=f"{_EVIDENCE} Held-out share: of the excess over noise.")
 
@@ -242,6 +250,7 @@ def calibration_table(result: ClosedLoop) -> Table:
 
 def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
     out, errors, ukf = [], result.errors, result.recordings[0].ukf
+    filters = [result.of_one_rig[name].ukf for name in MODELS] if result.held else []
     if result.effects:
         evidence = {effect.in_short: effect.delta_bic for effect in result.effects}
         if result.share is not None:
@@ -259,6 +268,10 @@ def _tiles(result: ClosedLoop) -> tuple[Tile, ...]:
         for channel in CHANNELS if ukf is not None else ():
             assert ukf is not None
             out += _change(f"{channel.title} error, pressures alone", channel, ukf)
+    elif filters:
+        for channel in CHANNELS:
+            whole = ModelErrors(*(one for one in filters if one is not None))
+            out += _change(f"{channel.title} error of the filter", channel, whole, by_effects=bool(result.effects))
     else:
         for channel in CHANNELS:
             out += _change(f"{channel.title} error (RMS)", channel, errors, by_effects=bool(result.effects))
@@ -335,73 +348,3 @@ def _provenance(result: ClosedLoop) -> list[tuple[str, str]]:
         role = "; held out" if part.role == "held out" else ""
         rows.append((f"Recording {part.recording}", f"{part.joint}{role}; SHA-256 {part.sha256}"))
     return [*rows, ("Time [s]", ", ".join(f"{name} {value:.1f}" for name, value in result.seconds.items()))]
-
-
-# ------------------------------------------------------------------ short trials, and rigs of data sheets
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PressuresDiagnoseResult(ClosedTrials, Result):
-    """An effect that the model of a rig lacks, from measured pressures."""
-
-    @override
-    def document(self, figures: bool = True) -> Document:
-        found, rig, best = self, self.start.name, self.proposed
-        items = [note(text) for text in (found.extended or found.recalibrated).notes]
-        if found.ambiguous_with:
-            items.append(warn(f"These recordings cannot tell it from: {', '.join(found.ambiguous_with)}."))
-        items += [warn(text) for one in found.judged for text in one.warnings]
-        for place in found.unexplained if found.effects else ():
-            items.append(warn(f"No effect explains what is left in {place} above the sensors' noise."))
-        errors = _errors_of_trials(found)
-        was = f"was {number(found.recalibrated.pooled('as_configured'))}°, as configured"
-        now = "kept as it is" if best is None else f"{number(best.pooled('identified'))}°"
-        tiles = Tiles((Tile("Error of the angle, held out", now, was),))
-        held = (found.extended or found.recalibrated).held if figures else ()
-        drawn = [Section(item.name, held_out_figures(item), 2, f"held-{k}") for k, item in enumerate(held)]
-        title = title_of(self.verdict, [effect.in_short for effect in self.effects])
-        made = [("Rig", rig), *(("Recording", text) for text in self.hashes)]
-        blocks: list[Block] = [tiles, Findings(tuple(items)), *((errors,) if errors.rows else ())]
-        blocks += _about_effects(self.effects, (), figures)
-        if found.tried:
-            blocks.append(Section("All candidates", (_tried(found),), 2, "candidates", brief=True))
-        blocks += [*_about_rest(self.remaining, figures), *drawn]
-        lede = f"Rig {rig}: which effect its model lacks."
-        return page(_KICKER, title, blocks, "close_loop of trials", made, lede, self.sentence)
-
-    def to_dataframe(self) -> DataFrame:
-        """A row for each parameter of each detected effect (needs pandas)."""
-        return effects_frame(self.effects)
-
-
-def _errors_of_trials(diagnosis: FoundFromPressures) -> Table:
-    results = [diagnosis.recalibrated, *([] if diagnosis.extended is None else [diagnosis.extended])]
-    titles = ["recalibrated", "with the effect"][: len(results)]
-    out = Comparison("Error of the angle on held-out data, RMS [°]", "as configured", *titles)
-    configured = diagnosis.recalibrated.pooled("as_configured")
-    out.values("UKF", [configured, *(item.pooled("identified") for item in results)])
-    for key, title in (("model_alone", "model alone, from the commands"), ("pressures_alone", "driven by pressures")):
-        out.values(title, [None, *(item.pooled(key) for item in results)])
-    out.values("in the 95 % interval", [None, *(item.coverage for item in results)], percent, best=None)
-    return out.table()
-
-
-def _tried(diagnosis: FoundFromPressures) -> Table:
-    taken = {effect.name for _, effect in diagnosis.placed}
-    rows = tuple(
-        (
-            item.effect,
-            place,
-            percent(None if item.shares is None else item.shares[0]),
-            number(item.delta_bic),
-            number(item.held_out_evidence),
-            "taken" if item.effect in taken else "",
-        )
-        for place, item in diagnosis.tried[:_SHOWN]
-    )
-    caption = (
-        f"An effect is taken if its evidence on held-out data is {number(thresholds.STRONG)} or more, both together "
-        f"{number(thresholds.TAKEN)}, and if it explains enough of the excess over noise."
-    )
-    header = ("Effect", "acts on", "explains, held-out", "evidence", "on held-out data", "")
-    return Table(header, rows, caption, legend=_EVIDENCE)

@@ -77,12 +77,17 @@ def findings(result: ClosedLoop) -> tuple[Statement, ...]:
             "The rig file has Coulomb friction. It was removed before the test, so that every cause of a hysteresis "
             "loop was tested. The extended rig has friction as an effect instead."
         ))  # fmt: skip
-    return tuple(out)
+    return (*out, *map(note, result.notes))
+
+
+def kind_of(result: ClosedLoop) -> str:
+    """Page of ``templates/words.yaml`` with the words of a diagnosis."""
+    return "close_loop of trials" if result.held else "close_loop of a driven joint" if result.driven else "close_loop"
 
 
 def calibration_findings(result: ClosedLoop) -> tuple[Statement, ...]:
-    """The calibrations that the recordings need, with command line options."""
-    if not result.shared:
+    """The calibrations that the recordings need, with command line options; those of all values are in the rig file."""
+    if not result.shared or result.held:
         return ()
     what = sentence("; ".join(item.in_words() for item in result.shared))
     if not result.corrections:
@@ -118,7 +123,7 @@ def assumed(result: ClosedLoop) -> tuple[tuple[str, str], ...]:
         f"{100 * thresholds.EXPLAINED:.0f} %. The threshold of the evidence comes from statistics, the shares from "
         "simulated joints."
     )
-    page = "close_loop of a driven joint, assumed" if result.driven else "close_loop, assumed"
+    page = f"{kind_of(result)}, assumed"
     tried = {item.effect for item in result.ranking}
     tested = ", ".join(name for name in CATALOGUE if name in tried)
     catalogue = ("Catalogue", f"{tested}. Anything else is a law that is measured, or unexplained.")

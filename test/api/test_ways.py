@@ -74,8 +74,9 @@ def test_an_option_that_a_way_does_not_know_is_refused_and_a_default_never() -> 
             kind.refuse(command, usual, "--")
     with pytest.raises(BadInput, match="--lock-angle: not for many episodes of a joint with pressure regulators"):
         EPISODES.refuse("diagnose", {"lock_angle": 0.2}, "--")
-    with pytest.raises(BadInput, match="--resume: not for short trials"):
-        TRIALS.refuse("diagnose", {"resume": True}, "--")
+    with pytest.raises(BadInput, match="--also: not for short trials"):
+        TRIALS.refuse("diagnose", {"also": ["other"]}, "--")
     with pytest.raises(BadInput, match="^free: not for a joint whose muscles are sealed; leave it out"):
         SEALED.refuse("identify", {"free": ["joint"]})
-    COURSE.refuse("diagnose", {"resume": True, "seed": 3, "lock_angle": 0.2}, "--")
+    for kind in (COURSE, TRIALS, DATA_SHEET, SEALED):
+        kind.refuse("diagnose", {"resume": True, "seed": 3, "lock_angle": 0.2}, "--")

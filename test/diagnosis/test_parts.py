@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pam_antagonist import load_rig, simulate
-from pam_antagonist.diagnosis.from_pressures import JOINT, group_of
 from pam_antagonist.diagnosis.law_evidence import is_better, with_it
 from pam_antagonist.diagnosis.law_search import search
+from pam_antagonist.diagnosis.model_parts import JOINT, group_of
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Settings
 from pam_antagonist.diagnosis.remaining import surroundings

@@ -95,7 +95,9 @@ def test_an_effect_of_the_air_that_the_whole_joint_contradicts_is_not_named() ->
     lab = fresh.laboratory(742, seconds=60.0)
     found = diagnose(list(lab.fit), lab.typed)
     assert found.verdict == "none" and found.effects == ()
-    assert found.proposed is not None and found.proposed.pooled("identified") < 0.1
+    assert found.choice.proposed is not None
+    filtered = found.of_one_rig["recalibrated"].ukf
+    assert filtered is not None and filtered.angle is not None and filtered.angle.rmse < 0.1
 
 
 LEAK: dict[str, Any] = {
