@@ -27,10 +27,10 @@ from pam_antagonist import identify
 from pam_antagonist.api.history import history, log
 from pam_antagonist.cli import common
 from pam_antagonist.cli.common import JOBS
-from pam_antagonist.diagnosis.episodes import Row, diagnose
+from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row, diagnose
 from pam_antagonist.identification.regulators import of_commands, pressures_of
 from pam_antagonist.inference.bootstrap import Interval, rmse
-from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out, last
+from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import available
 from pam_antagonist.recording.csv_import import read_csv
@@ -81,11 +81,9 @@ def _run(arguments: argparse.Namespace) -> int:
     joint = PressureDriven.of(recording, load_rig("regulator_joint", regulators=True), ARM_SIGNALS, arguments.jobs)
     held = held_out(len(joint), _SHARE)
     found = diagnose(joint, _SHARE, progress=_progress)
-    baselines = without_physics(joint, held, found.window)
+    baselines = without_physics(joint, held)
     regulators = of_commands(joint, held, _progress)
-    later = joint.take(held.later)
-    by_command = replace(later, pressure=pressures_of(regulators, later), longest_step=found.longest_step)
-    commanded = rmse(*later.squares(by_command.residual(found.model)))
+    commanded = by_commands(found, joint, held, pressures_of(regulators, joint))
     book = by_parts(recording, arguments.jobs)
     took = time.perf_counter() - begin
     result = report.EpisodesDiagnoseResult(found, joint, (hashlib.sha256(arguments.file.read_bytes()).hexdigest(),))
@@ -95,15 +93,18 @@ def _run(arguments: argparse.Namespace) -> int:
             "regulators": regulators.to_json(), "took_s": took,
         })  # fmt: skip
     rows = (found.rows[0], *baselines, *found.rows[1:])
-    recent = found.rows[-1].forecast
+    recent = found.rows[-1].later
     numbers = len(found.model.theta) + len(found.model.free)
+    weak = 0 if found.weak is None else len(found.weak[0].terms)
+    slopes = (Section("What torque and friction go with", (report.slopes_table(found, joint.rig),)),)
     blocks = [
         Section("What the model lacks", (Text(report.verdict(found)), _left(report.findings(found, joint)))),
         Section("Errors", (report.errors_table(replace(found, rows=rows)), Text(
-            f"The extended model has {numbers} numbers, along lines {found.points} times as many. Its 95 % interval "
+            f"The model has {numbers} numbers with a name, and {weak} of weak laws and their drift. Its 95 % interval "
             f"holds {percent(found.coverage[0])} and {percent(found.coverage[1])} of the angles."
         ))),
-        Section("Numbers, and their drift", (report.values_table(found, joint.rig),)),
+        Section("Numbers", (report.values_table(found, joint.rig),)),
+        *(slopes if found.slopes else ()),
         *([] if book is None else [of_the_day(book)]),
         Section("The regulators", (
             regulators_table(regulators, joint.rig), _left(map(note, regulators_sentences(regulators))),
@@ -142,11 +143,17 @@ def _trees(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
     return Sensed([np.asarray(fitted.predict(late(one, LAGS_S))) for one in held], None, 0)
 
 
-def without_physics(joint: PressureDriven, held: EpisodeSplit, window: float) -> tuple[Row, ...]:
-    """Errors of models of the angle without physics, fitted and judged on the episodes on which the joint's model is.
+def by_commands(found: EpisodeDiagnosis, joint: PressureDriven, held: EpisodeSplit, pressure: Floats) -> Interval:
+    """Error on later episodes with what regulators make of their commands in the place of measured pressures (N, 2)."""
+    if found.weak is None:
+        later = replace(joint, pressure=pressure, longest_step=found.longest_step).take(held.later)
+        return rmse(*later.squares(later.residual(found.model)))
+    fit, model = found.weak
+    return rmse(*replace(fit, joint=replace(fit.joint, pressure=pressure)).squares(held.later, model, joint.jobs))
 
-    `window`: share of the fitted episodes, the last, for a model of later episodes. The network gets all of them only.
-    """
+
+def without_physics(joint: PressureDriven, held: EpisodeSplit) -> tuple[Row, ...]:
+    """Errors of models without physics, fitted and judged on the episodes on which the joint's model is."""
     kinds: list[tuple[str, soft_sensors.Sensor, bool]] = [
         ("static map of the two pressures", soft_sensors.linear, False),
         ("half a second of the pressures, linear", least_squares(LAGS_S), False),
@@ -159,7 +166,7 @@ def without_physics(joint: PressureDriven, held: EpisodeSplit, window: float) ->
     else:
         _progress("the recurrent network is left out: torch is not installed")
     later, between = joint.take(held.later), joint.take(held.interleaved)
-    pool, recent = joint.take(held.pool), joint.take(last(held.pool, window))
+    pool = joint.take(held.pool)
     rows = []
     for name, sensor, others in kinds:
 
@@ -169,8 +176,7 @@ def without_physics(joint: PressureDriven, held: EpisodeSplit, window: float) ->
             said: list[Floats] = sensor([_course(fit, others)], [_course(one, others) for one in asked]).angle
             return [rmse(*one.squares((one.angle - angle)[:, None])) for one, angle in zip(asked, said, strict=True)]
 
-        of_later, of_between = errors(pool, later, between)
-        rows.append(Row(name, of_later, None if "network" in name else errors(recent, later)[0], of_between))
+        rows.append(Row(name, *errors(pool, later, between)))
     return tuple(rows)
 
 

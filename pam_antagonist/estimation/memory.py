@@ -19,7 +19,6 @@ from pam_antagonist.estimation import encoder
 from pam_antagonist.estimation.stamps import CLOCK_SIZE, LAST, PRESSURES, REJECTED, RUNNING, STARTED, new_readings
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
-from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.effects.external_torque import NEVER, UNBOUNDED
 
 MISSING_PRESSURE_1, MISSING_PRESSURE_2, MISSING_VALVE, OUTLIER, GAP, REPAIRED, LATE, NO_ANGLE = (
@@ -159,7 +158,7 @@ _NEW_PARAMETERS = {
         for item in CATALOGUE[name].parameters
     },
     **{par.SLOT_OF[state.name]: 0.0 for name in _NEW_EFFECTS for state in CATALOGUE[name].states},
-    **dict.fromkeys((*range(par.SIGNAL, par.SIGNAL + SIGNALS), *range(par.LAWS_PRESENT, par.CURVE)), 0.0),
+    **dict.fromkeys((*range(par.SIGNAL, par.SLOT), *range(par.LAWS_PRESENT, par.CURVE)), 0.0),
     **{par.INDEX[name]: 0.0 for name in ("geometry.cam_1", "geometry.cam_2", "valve_1.overlap", "valve_2.overlap")},
 }
 """Entries of the parameter vector that are newer than the first checkpoints: index, and value while unused."""

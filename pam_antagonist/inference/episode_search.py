@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.bootstrap import Interval, ratio
-from pam_antagonist.inference.episode_laws import learn
 from pam_antagonist.inference.episodes import ROUNDS, EpisodeModel, Episodes
 from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.held_episodes import thinned
@@ -190,16 +189,6 @@ def search(
         rivals |= {(item.name, best.name): (near[0][1][0], other[0]) for item, other in near[1:]}
         folds, models = folds.in_steps_that_serve(near[0][1])
 
-    def above_noise(squares: Floats) -> bool:
-        return ratio(squares, noise).low > ABOVE_NOISE
-
-    def worth(before: Floats, after: Floats, offered: int) -> bool:
-        removed = ratio(before - after, before, offered)
-        enough = removed.value >= LEAST_REMOVED and removed.value * before.sum() >= LEAST_OF_ALL * whole
-        return enough and removed.low > 0.0
-
-    folds, models, learned = learn(folds, models, number + 1, whole, worth, above_noise, progress)
-    tried += [Tried(item.candidate.name, item.round, item.score, item.removed, item.taken) for item in learned]
     also = [item.name for item in tried if item.taken]
     replaced = {
         names: _exchanged(models[0], taken, other) for names, (taken, other) in rivals.items() if names[0] not in also

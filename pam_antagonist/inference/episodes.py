@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, TypeVar
 
@@ -29,9 +29,9 @@ from pam_antagonist.inference.free_parameters import (
     FreeEffectParameter,
 )
 from pam_antagonist.inference.gauss_newton import effect_jacobian
-from pam_antagonist.inference.law_candidates import LawCandidate
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step
+from pam_antagonist.inference.weak_features import beside_signals, coefficients
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.csv_import import LEAST_ROWS
@@ -144,7 +144,11 @@ class Episodes(Driven):
             (float(np.nanmean(recording.pressure[:, 0])), float(np.nanmean(recording.pressure[:, 1]))),
         )  # fmt: skip
         kept = {part.start for part in parts}
-        return made.take(np.flatnonzero([part.start in kept for part in recording.episodes]))
+        made = made.take(np.flatnonzero([part.start in kept for part in recording.episodes]))
+        if made.rig.weak_laws is None:
+            return made
+        driven = coefficients(made.rig, made.pressure, made.signals, made.first, made.time)
+        return replace(made, signals=beside_signals(made.signals, driven))
 
     def __len__(self) -> int:
         return len(self.first) - 1
@@ -157,6 +161,16 @@ class Episodes(Driven):
         return replace(
             self, first=first, time=self.time[rows], angle=self.angle[rows], pressure=self.pressure[rows],
             signals=self.signals[rows], command=self.command[rows],
+        )  # fmt: skip
+
+    def followed_by(self: E, other: E) -> E:
+        """These episodes, and then those of another recording."""
+        names = ("time", "angle", "pressure", "signals", "command")
+        time, angle, *columns = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in names)
+        pressure, signals, command = columns
+        first = np.concatenate([self.first, self.first[-1] + other.first[1:]])
+        return replace(
+            self, first=first, time=time, angle=angle, pressure=pressure, signals=signals, command=command
         )  # fmt: skip
 
     @classmethod
@@ -181,14 +195,6 @@ class Episodes(Driven):
 
         `taken`: values of the model's effects' parameters, by dotted path.
         """
-
-    def laws(self, model: EpisodeModel) -> Sequence[LawCandidate]:
-        """Learned laws that may be added to a model; here none."""
-        return ()
-
-    def law_slopes(self, model: EpisodeModel, laws: Iterable[LawCandidate]) -> Iterator[Floats]:
-        """Derivatives of the residual by the coordinates of each law's moved values (N C, V), where all are 0."""
-        return iter(())
 
     @abstractmethod
     def as_if(self: E, model: Point) -> E:

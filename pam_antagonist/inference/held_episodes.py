@@ -33,8 +33,3 @@ def thinned(episodes: Indices, most: int) -> Indices:
     if len(episodes) <= most:
         return episodes
     return episodes[np.linspace(0, len(episodes) - 1, most).round().astype(int)]
-
-
-def last(pool: Indices, window: float) -> Indices:
-    """The last share of the episodes that may be fitted. `pool`: episodes that may be fitted (E,)."""
-    return pool[round(len(pool) * (1.0 - window)) :]

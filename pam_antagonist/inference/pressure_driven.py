@@ -7,7 +7,7 @@ relative to the inertia, which is fixed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,16 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.inference.episodes import EpisodeModel, Episodes, noise_of
+from pam_antagonist.inference.episodes import Episodes, noise_of
 from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
-from pam_antagonist.inference.law_candidates import LawCandidate, law_candidates, laws_in
-from pam_antagonist.inference.law_responses import Responses
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step, white_std
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import Inputs
 from pam_antagonist.model.effects import CATALOGUE, Form
-from pam_antagonist.rig.learned import value_path
 
 Floats = NDArray[np.float64]
 
@@ -90,66 +87,16 @@ class PressureDriven(Episodes):
                 out[name] = tuple(Candidate(name, form) for form in forms) or (Candidate(name),)
         return out
 
-    @override
-    def laws(self, model: EpisodeModel) -> list[LawCandidate]:
-        """Learned laws that may be added to a model."""
-        known, signals = {**self._declared, **model.effects}, tuple(self.rig.signals)
-        return list(law_candidates(self._responses(model), self._torque, known, signals))
-
-    @override
-    def law_slopes(self, model: EpisodeModel, laws: Iterable[LawCandidate]) -> Iterator[Floats]:
-        known, seen = np.isfinite(self.angle), self._responses(model)
-        for one in laws:
-            yield -one.scale * np.where(known[:, None], seen.columns(one.law)[:, one.moved], 0.0)
-
-    @override
-    def slopes(self, model: EpisodeModel, left: Floats) -> Floats:
-        laws = laws_in(model.effects, tuple(self.rig.signals))
-        if not laws:
-            return super().slopes(model, left)
-        known, seen = np.isfinite(self.angle)[:, None], self._responses(model)
-        found = {}
-        for number, law in laws.items():
-            for k, column in enumerate(seen.columns(law).T, 1):
-                found[value_path(number, k)] = column
-        others = [item for item in model.free if item.path not in found]
-        plain = super().slopes(EpisodeModel(model.theta, model.effects, tuple(others)), left)
-        base, effect = np.split(plain, [len(self.directions)], axis=1)
-        by_path = dict(zip((item.path for item in others), effect.T, strict=True))
-        by_path |= {
-            item.path: -item.item.scale * np.where(known[:, 0], found[item.path], 0.0)
-            for item in model.free
-            if item.path in found
-        }
-        return np.column_stack([base, *(by_path[item.path] for item in model.free)])
-
-    def _responses(self, model: Point) -> Responses:
-        p = self._vector(model)
-        laws = laws_in({**self._declared, **model.effects}, tuple(self.rig.signals))
-        return Responses(
-            self.first, self._start, self.time, self.pressure, self.signals, p, self.longest_step,
-            list(self.rig.signals), laws,
-        )  # fmt: skip
-
-    def _vector(self, point: Point) -> Floats:
+    def vector(self, point: Point) -> Floats:
         """Parameter vector of a model."""
         return par.changed(self.rig.parameters(), {**self.values(point), **NO_REGULATORS})
-
-    @cached_property
-    def _torque(self) -> float:
-        """Typical torque of the pressures' changes [N m]."""
-        middle, geometry = self.rig.geometry.length, self.rig.geometry
-        areas = [
-            self.rig.value(f"muscle_{i}.force.v1") * middle + self.rig.value(f"muscle_{i}.force.v2") for i in (1, 2)
-        ]
-        return float(geometry.radius * np.linalg.norm(areas * np.std(self.pressure, axis=0)))
 
     @cached_property
     def _declared(self) -> dict[str, float]:
         return {f"effects.{name}.{key}": at for name, values in self.rig.effects.items() for key, at in values.items()}
 
     @cached_property
-    def _start(self) -> Floats:
+    def start(self) -> Floats:
         """Angle [rad] and velocity [rad/s] with which each episode begins (E, 2)."""
         begin = self.first[:-1]
         first, second, third = (self.angle[begin + k] for k in (0, 1, 2))
@@ -171,12 +118,19 @@ class PressureDriven(Episodes):
     def runaway(self) -> float:
         return 10.0
 
+    def course(self, point: Point) -> Floats:
+        """States of a model (N, n)."""
+        return self._courses([point])[0]
+
     @override
     def simulated_each(self, points: Sequence[Point]) -> list[Floats]:
-        vectors, (angle, speed) = [self._vector(point) for point in points], self._start.T
+        return [states[:, :1] for states in self._courses(points)]
+
+    def _courses(self, points: Sequence[Point]) -> list[Floats]:
+        vectors, (angle, speed) = [self.vector(point) for point in points], self.start.T
         along = Inputs.at(self.time, self.longest_step, self.first, pressure=self.pressure, signals=self.signals)
         starts = [along.settled(angle, self.pressure[self.first[:-1]], p, speed) for p in vectors]
-        return [states[:, :1] for states, _ in along.driven_each(starts, vectors)]
+        return [states for states, _ in along.driven_each(starts, vectors)]
 
     @override
     def as_if(self, model: Point) -> PressureDriven:

@@ -37,7 +37,7 @@ from pam_antagonist._jit import cache_dir
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, AddedState, Effect, EffectParameter, learned, parameter_path
-from pam_antagonist.model.effects.base import SIGNALS
+from pam_antagonist.model.effects.base import COEFFICIENTS, SIGNALS
 from pam_antagonist.model.effects.hooks import (
     EVERYWHERE,
     HOOKS,
@@ -59,6 +59,7 @@ _EXPRESSIONS = {
     "passive_force": "static_map(i, muscle_length, p[ATMOSPHERE], p)",
     "now": "now(x, p)",
     **{f"signal{k + 1}": f"p[SIGNAL + {k}]" for k in range(SIGNALS)},
+    **{f"coefficient{k + 1}": f"p[SIGNAL + {SIGNALS + k}]" for k in range(COEFFICIENTS)},
 }
 """Quantities that are computed only where a function asks for them."""
 _CHANGES = {"adds": "value + {}", "subtracts": "value - {}", "replaces": "{}"}

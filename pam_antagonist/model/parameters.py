@@ -16,6 +16,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.polynomial.chebyshev import chebpts1
 
 from pam_antagonist.model.effects import ADDED_STATES, CATALOGUE, learned, parameter_path
+from pam_antagonist.model.effects.base import COEFFICIENTS as WEAK_COEFFICIENTS
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.force_forms import FORMS
 
@@ -128,7 +129,9 @@ SUBSONIC = LOCKED + 10
 """First of the coefficients of the subsonic flow (:func:`series`)."""
 SIGNAL = SUBSONIC + TERMS
 """First of the further signals on which effects may depend; the value is 0 where a signal is not measured."""
-SLOT = SIGNAL + SIGNALS
+WEAK_LAWS = SIGNAL + SIGNALS
+"""First of the coefficients of the weak laws, which follow the signals."""
+SLOT = WEAK_LAWS + WEAK_COEFFICIENTS
 """First of the slots for ``effects.ADDED_STATES``: each holds the index in the state, or 0 for an absent state."""
 LAWS_PRESENT = SLOT + len(ADDED_STATES)
 """Number of learned laws whose values are not all 0."""

@@ -27,7 +27,7 @@ from pam_antagonist.nodes.parameters import (
 from pam_antagonist.nodes.sources import SampleSources, SourceFinding, several
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
-from pam_antagonist.rig.units import unread_signals
+from pam_antagonist.rig.units import unread
 from pam_antagonist_msgs.msg import FilterCheckpoint, JointEstimate
 from pam_antagonist_msgs.srv import SetState
 
@@ -112,8 +112,8 @@ class EstimatorNode(PamNode):
         self._remembered: tuple[int, int] | None = None
         self.serve(Trigger, "~/reset", self._reset)
         self.serve(SetState, "~/set_state", self._set_state)
-        if rig.signals:
-            self.get_logger().warning(f"rig {rig.name}: {unread_signals(rig.signals)}")
+        if what := unread(rig):
+            self.get_logger().warning(f"rig {rig.name}: {what}")
         self.announce(rig)
 
     @override

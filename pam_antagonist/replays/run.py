@@ -48,7 +48,7 @@ from pam_antagonist.replays.result import (
     Timing,
 )
 from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
-from pam_antagonist.rig.units import unread_signals
+from pam_antagonist.rig.units import unread as unread_of
 
 FloatArray = NDArray[np.float64]
 
@@ -343,8 +343,8 @@ def _judged(
 
 
 def unread(rig: Rig) -> list[str]:
-    """Issue for a rig with effects that depend on further signals, which the filter does not read."""
-    return [f"rig {rig.name}: {unread_signals(rig.signals)}"] if rig.signals else []
+    """Issue for a rig with further signals or weak laws, which the filter does not read."""
+    return [f"rig {rig.name}: {what}"] if (what := unread_of(rig)) else []
 
 
 def _live(recording: Recording, run: EstimateRun, planned: ReplayPlan, begin_ns: int | None) -> LiveComparison | None:

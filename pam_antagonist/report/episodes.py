@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.episodes import PARTS, WINDOWS, EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.episodes import WEAK_LAWS, EpisodeDiagnosis, Row
+from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.model.effects.learned import FIRST_SIGNAL
+from pam_antagonist.inference.total_slopes import LEVEL, PARTS, TotalSlope
 from pam_antagonist.replays.result import joined
 from pam_antagonist.report.document import Document, Findings, Section, Statement, Table, Tile, Tiles, note, page, warn
-from pam_antagonist.report.figure import BAND, ESTIMATE, MODEL, SECOND, Axis, Band, Figure, FloatArray, Line, Panel
+from pam_antagonist.report.figure import BAND, ESTIMATE, Axis, Band, Figure, Line, Panel, Reference
 from pam_antagonist.report.identify_episodes import (
     ABOUT,
     BY_SIGNAL,
@@ -27,78 +27,74 @@ from pam_antagonist.report.identify_episodes import (
     intervals_frame,
     removes,
     shown,
-    unit,
+    times,
     units_findings,
-    value_name,
 )
 from pam_antagonist.report.result import DataFrame, Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
-from pam_antagonist.rig.learned import Law, laws_of, value_path
-from pam_antagonist.rig.units import readable, unread_signals
+from pam_antagonist.rig.units import unread
 from pam_antagonist.shown import MISSING, number, percent
 from pam_antagonist.strict_json import picked
 
-T = TypeVar("T")
-
-LEARNED = "learned: "
 _WORDS = {
     "friction": "constant (Coulomb) friction",
     "friction_by_pressure": "friction that grows with the joint's own pressures",
     "hysteresis": "hysteresis of the contraction force",
     "creep": "creep of the muscles",
+    WEAK_LAWS: "torque and friction that go a little with all that was measured",
 }
-_ARGUMENT = re.compile(r"effects\.learned\.law\d+_argument")
-"""Path of the code of what a law depends on."""
-_DRIFT = 0.8
-"""The rig drifts if the error of a model of the last episodes is less than this times that of all episodes."""
+_BAR = 1e5
+"""[Pa] Slopes are by a bar."""
 
 
 def in_words(effect: str) -> str:
     """An effect in words."""
     name, _, signal = effect.partition(": ")
-    if name == "learned":
-        place, _, argument = signal.partition(" by ")
-        return f"{place}, which depends on {argument} (a learned law)"
     return f"{BY_SIGNAL[name]} {signal}" if signal else _WORDS.get(name, name)
 
 
 def verdict(diagnosis: EpisodeDiagnosis) -> str:
     """The result in one or two sentences."""
-    given, before, *_, after = (number(row.forecast.value) for row in diagnosis.rows)
+    given, before, *_, after = (number(row.later.value) for row in diagnosis.rows)
     if not diagnosis.effects:
         return (
             f"No effect that was offered is needed: the error on later episodes is {after}°, with the rig as "
             f"configured {given}°."
         )
-    words = [in_words(effect) for effect in diagnosis.effects if not effect.startswith(LEARNED)]
-    if count := len(diagnosis.effects) - len(words):
-        words.append(in_words(diagnosis.effects[-1]) if count == 1 else f"what {count} learned laws add")
-    errors = [row.forecast.value for row in (diagnosis.rows[0], diagnosis.rows[1], diagnosis.rows[-1])]
+    errors = [row.later.value for row in (diagnosis.rows[0], diagnosis.rows[1], diagnosis.rows[-1])]
     change = "falls" if errors[1] < errors[0] else "changes"
     then = "to" if errors[2] < errors[1] else "is"
     return (
-        f"What the model lacks is {joined(words)}. The error on later episodes {change} from {given}° as configured to "
-        f"{before}° by a fit without that, and {then} {after}° with it."
+        f"What the model lacks is {joined(list(map(in_words, diagnosis.effects)))}. The error on later episodes "
+        f"{change} from {given}° as configured to {before}° by a fit without that, and {then} {after}° with it."
     )
 
 
 def next_step(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
     """Which rig file to use, in a sentence."""
-    if diagnosis.is_better:
-        signals = further_signals(diagnosis, joint)
-        if not signals:
-            return "Next: use rig_extended.yaml, which every command and node takes."
-        return f"Next: use rig_extended.yaml in identify and close_loop. {unread_signals(signals)}."
-    return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
+    if not diagnosis.is_better:
+        return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
+    if what := unread(extended(diagnosis, joint)):
+        return f"Next: use rig_extended.yaml in identify and close_loop. {what[0].upper()}{what[1:]}."
+    return "Next: use rig_extended.yaml, which every command and node takes."
+
+
+def extended(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> Rig:
+    """The rig with the effects and the weak laws, and the further signals that they need."""
+    start, values = joint.rig, joint.values(diagnosis.model)
+    source = f"extended by close_loop from {joint.name}; started from: {start.source}"
+    return diagnosis.in_rig(moved(start, values)).replaced(
+        name=f"{start.name}_extended", source=source, signals=further_signals(diagnosis, joint), identified=joint.name
+    )
 
 
 def further_signals(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> dict[str, float]:
     """The further signals that the extended rig needs, with their values in its file [SI]."""
+    if diagnosis.weak is not None:
+        return dict(joint.rig.signals)
     values = joint.values(diagnosis.model)
     last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
-    codes = [int(value) for path, value in values.items() if _ARGUMENT.fullmatch(path)]
-    last = max([last, *(code - FIRST_SIGNAL + 1 for code in codes)])
     return dict(list(joint.rig.signals.items())[:last])
 
 
@@ -106,7 +102,7 @@ def findings(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Statem
     """Findings, from the numbers."""
     out = [_not_told_apart(diagnosis, name, instead_of, row) for name, instead_of, row in diagnosis.others]
     base = next(row for row in diagnosis.rows if row.model.startswith("mechanics"))
-    if diagnosis.effects and diagnosis.rows[-1].forecast.value >= base.forecast.value:
+    if diagnosis.effects and diagnosis.rows[-1].later.value >= base.later.value:
         out.append(warn("On later episodes the model's error is no smaller with these effects, so they may be chance: "
                         "record more episodes."))  # fmt: skip
     if diagnosis.left is not None and diagnosis.left.low <= ABOVE_NOISE:
@@ -114,58 +110,66 @@ def findings(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> tuple[Statem
             f"The remaining error is hardly more than noise: the model's squared error is {interval(diagnosis.left)} "
             "times what the noise of the readings alone would leave. No further effect is named."
         ))  # fmt: skip
-    last = max((item.round for item in diagnosis.tried if not item.name.startswith(LEARNED)), default=0)
+    last = max((item.round for item in diagnosis.tried), default=0)
     for item in diagnosis.tried:
-        if item.round == last and not item.taken and not item.name.startswith(LEARNED):
+        if item.round == last and not item.taken:
             how = "was not fitted, since its score is lower than those of the others"
             if item.removed is not None:
                 how = removes(item.removed)
             name = in_words(item.name)
             out.append(note(f"{name[:1].upper()}{name[1:]} is not needed beside these: it {how}."))
-    whole, recent = diagnosis.rows[-1].later, diagnosis.rows[-1].recent
-    if diagnosis.window < 1.0 and recent is not None:
-        kind = warn if recent.value < _DRIFT * whole.value else note
-        out.append(kind(
-            f"The rig drifts: on later episodes the model's error is {number(recent.value)}° if only the last "
-            f"{percent(diagnosis.window)} of the fitted episodes are used, and {number(whole.value)}° if all are used. "
-            "The share was chosen by forecasts within the fitted episodes."
-        ))  # fmt: skip
-    out += _about_laws(diagnosis)
-    lines = diagnosis.lines
-    assert lines.interleaved is not None
+    out += _about_weak_laws(diagnosis)
     out.append(note(
-        f"A model whose numbers change along lines through {diagnosis.points} points over the fitted episodes, and "
-        f"then stay at their last values, has an error of {number(lines.later.value)}° on later episodes and of "
-        f"{number(lines.interleaved.value)}° on interleaved ones."
+        f"Models of the first half and of three quarters of the fitted episodes forecast the next quarter with an "
+        f"error of {interval(diagnosis.forecast)}°. The 95 % interval of a free run is as wide as these errors were "
+        f"where the joint had gone as far: it holds {percent(diagnosis.coverage[0])} of the angles of later episodes "
+        f"and {percent(diagnosis.coverage[1])} of interleaved ones."
     ))  # fmt: skip
-    out.append(note(
-        f"The 95 % interval of a free run holds {percent(diagnosis.coverage[0])} of the angles of later episodes and "
-        f"{percent(diagnosis.coverage[1])} of interleaved ones. Its variance is that of the numbers, plus that of what "
-        "the model leaves of fitted episodes at the same time since the start."
-    ))  # fmt: skip
-    if drifting := _drifting(diagnosis, joint.rig):
-        changes = "; ".join(drifting)
-        out.append(warn("These numbers change over the recording (straight-line fit, corrected 95 % intervals): "
-                        f"{changes}."))  # fmt: skip
-    if diagnosis.ratio is not None and diagnosis.effects:
-        out.append(note(f"On interleaved episodes the extended model leaves {interval(diagnosis.ratio)} of the squared "
-                        "error of the model with Coulomb friction alone."))  # fmt: skip
+    if diagnosis.ratio is not None and len(diagnosis.effects) > (diagnosis.weak is not None):
+        out.append(note(f"On interleaved episodes the effects that have a name leave {interval(diagnosis.ratio)} of "
+                        "the squared error of the model with Coulomb friction alone."))  # fmt: skip
     return (*out, *units_findings(joint), note(next_step(diagnosis, joint)))
 
 
-def _about_laws(diagnosis: EpisodeDiagnosis) -> list[Statement]:
-    """The learned laws one by one, and what a dependence on the time since the start means."""
-    taken = [item for item in diagnosis.tried if item.taken and item.name.startswith(LEARNED)]
-    out = []
-    for item in taken:
-        place, _, argument = item.name.removeprefix(LEARNED).partition(" by ")
-        out.append(note(f"{place[:1].upper()}{place[1:]} depends on {argument}: a learned law."))
-    if any("time since the start" in item.name for item in taken):
-        out.append(warn(
-            "What depends on the time since the start stands for what nobody measured: whoever drives the joint may "
-            "move other joints by time."
-        ))  # fmt: skip
+def _about_weak_laws(diagnosis: EpisodeDiagnosis) -> list[Statement]:
+    """What the weak laws remove, what they do together, and what of that holds in all parts of the recording."""
+    if diagnosis.removed is None:
+        return []
+    if diagnosis.weak is None:
+        return [note(
+            f"Many weak laws at once are not taken: all together they change the squared error of unseen episodes by "
+            f"{percent(-diagnosis.removed.value)} ({percent(-diagnosis.removed.high)} to "
+            f"{percent(-diagnosis.removed.low)})."
+        )]  # fmt: skip
+    certain = [one for one in diagnosis.slopes if _is_certain(one) and one.agrees and one.by != LEVEL]
+    others = [one for one in diagnosis.slopes if any(p.low > 0.0 or p.high < 0.0 for p in one.parts) and not one.agrees]
+    out = [note(
+        f"{len(diagnosis.weak[0].terms)} weak laws and their drift, all fitted at once, remove "
+        f"{percent(diagnosis.removed.value)} of what the effects with a name leave of the squared error of unseen "
+        f"episodes ({percent(diagnosis.removed.low)} to {percent(diagnosis.removed.high)}). No single one of them has "
+        "a meaning. What they do together has: see the slopes of the whole torque and friction."
+    )]  # fmt: skip
+    if certain:
+        out.append(note(f"In all parts of the recording {joined([_in_short(one) for one in certain])}."))
+    if others:
+        out.append(warn(f"Of this day only: {joined([_in_short(one) for one in others])}. The parts of the recording "
+                        "differ in that."))  # fmt: skip
     return out
+
+
+def _titled(slope: TotalSlope) -> str:
+    return f"{slope.of}, mean" if slope.by == LEVEL else f"{slope.of} by {slope.by}"
+
+
+def _is_certain(slope: TotalSlope) -> bool:
+    return all(part.low > 0.0 or part.high < 0.0 for part in slope.parts)
+
+
+def _in_short(slope: TotalSlope) -> str:
+    if slope.by == LEVEL:
+        return f"the mean {slope.of} {'grows' if slope.parts[-1].value > slope.parts[0].value else 'falls'}"
+    by = slope.by.replace("pressure_", "pressure ")
+    return f"{slope.of} {'grows' if slope.parts[-1].value > 0.0 else 'falls'} with {by}"
 
 
 def _not_told_apart(diagnosis: EpisodeDiagnosis, name: str, instead_of: str, row: Row) -> Statement:
@@ -174,63 +178,60 @@ def _not_told_apart(diagnosis: EpisodeDiagnosis, name: str, instead_of: str, row
     assert taken.removed is not None and other.removed is not None
     after = [item.score for item in diagnosis.tried if item.name == name and item.round > taken.round]
     left = f" With the first in the model, the second scores {percent(after[0])}." if after else ""
+    alone = next(one for one in diagnosis.rows if one.model == "with the effects")
     return warn(
         f"The episodes do not decide between two effects: {in_words(instead_of)} removes "
         f"{percent(taken.removed.value)} of the remaining error, {in_words(name)} "
         f"{percent(other.removed.value)}.{left} With the second in place of the first, the error on later episodes is "
-        f"{number(row.forecast.value)}° instead of {number(diagnosis.rows[-1].forecast.value)}°."
+        f"{number(row.later.value)}° instead of {number(alone.later.value)}°."
     )
-
-
-def _drifting(diagnosis: EpisodeDiagnosis, rig: Rig) -> list[str]:
-    """Numbers with a significant drift, and their changes."""
-    out = []
-    for name, change in without_laws(diagnosis.drift.changes).items():
-        if change.low > 0.0 or change.high < 0.0:
-            title, text, written = shown(rig, name, change, 2)
-            out.append(f"{title} by {text} {written}")
-    return out
 
 
 def errors_table(diagnosis: EpisodeDiagnosis) -> Table:
     """Errors of all models on episodes that were used for no fit and no choice."""
     rows = tuple(
-        (row.model, interval(row.later), interval(row.recent), interval(row.interleaved))
-        for row in (*diagnosis.rows, diagnosis.lines, *(other for *_, other in diagnosis.others))
+        (row.model, interval(row.later), interval(row.interleaved))
+        for row in (*diagnosis.rows, *(other for *_, other in diagnosis.others))
     )
-    head = (
-        "RMSE of the angle [°], 95 % interval by episode", "later, all before fitted",
-        f"later, last {percent(diagnosis.window)} before", "interleaved",
-    )  # fmt: skip
+    head = ("RMSE of the angle [°], 95 % interval by episode", "later", "interleaved")
     return Table(head, rows, about_episodes(*diagnosis.counts))
 
 
 def values_table(diagnosis: EpisodeDiagnosis, rig: Rig) -> Table:
-    """Numbers of the extended model, and their changes over the recording."""
-    rows = []
-    for name, value in without_laws(diagnosis.values).items():
-        rows.append((*shown(rig, name, value), shown(rig, name, diagnosis.drift.changes[name], 2)[1]))
-    return Table(
-        ("Value", "95 % interval by episode", "Unit", "Change over the recording, corrected 95 % interval"),
-        tuple(rows),
-        f"The extended model, fitted to the last {percent(diagnosis.window)} of the fitted episodes. The change is "
-        f"that of a straight line from the first to the last of {PARTS} parts",
-    )  # fmt: skip
+    """Numbers of the model with the effects that have a name."""
+    rows = tuple(shown(rig, name, value) for name, value in diagnosis.values.items())
+    head = ("Value", "95 % interval by episode", "Unit")
+    return Table(head, rows, "The model with the effects that have a name, without weak laws")
 
 
-def drift_table(diagnosis: EpisodeDiagnosis, rig: Rig) -> Table:
-    """Numbers of the extended model in each part of the recording, and its errors there."""
+def slopes_table(diagnosis: EpisodeDiagnosis, rig: Rig) -> Table:
+    """How the whole torque and friction go with what was measured, in each part of the recording."""
     rows = []
-    for name, parts in without_laws(diagnosis.drift.values).items():
-        texts = [shown(rig, name, part, 2) for part in parts]
-        title, _, written = texts[0]
-        rows.append((f"{title} [{written}]", *(text for _, text, _ in texts)))
-    for k, fit in enumerate(("fitted to all that may be fitted", "fitted to the part")):
-        rows.append((f"RMSE [°], {fit}", *(number(pair[k]) for pair in diagnosis.drift.errors)))
-    return Table(
-        ("Part of the recording", *(str(k) for k in range(1, PARTS + 1))), tuple(rows),
-        "Fitted to each part by itself, with 95 % intervals by episode",
-    )  # fmt: skip
+    for slope in diagnosis.slopes:
+        name, factor = _unit_of_slope(rig, slope)
+        each = [interval(times(factor, part), 2) for part in slope.parts]
+        rows.append((f"{_titled(slope)} [{name}]", *each, "yes" if slope.agrees else "no"))
+    parts = [f"part {k} of {PARTS}" for k in range(1, PARTS + 1)]
+    head = ("Slope, mean over what was seen", *parts, "the same in all")
+    return Table(head, tuple(rows), "The whole torque without friction, and the whole Coulomb friction, with 95 % "
+                 "intervals; a lasting change of each input counts")  # fmt: skip
+
+
+def _unit_of_slope(rig: Rig, slope: TotalSlope) -> tuple[str, float]:
+    """Unit in which a slope is shown, and the factor to it; torques may be per inertia."""
+    per_inertia = rig.units.force == "per_inertia"
+    by_pressure = slope.unit in ("N m/Pa", "N m/SI")
+    torque, scale = ("rad/s²", 1.0 / rig.joint.inertia) if per_inertia else ("N m", 1.0)
+    if slope.unit == "N m/Pa" or (by_pressure and rig.units.pressure == "unknown"):
+        return f"{torque} a bar", scale * _BAR
+    if by_pressure:
+        return f"{torque} per SI", scale
+    known = {
+        "N m": torque,
+        "N m/rad": ("1/s²" if per_inertia else "N m/rad"),
+        "N m s/rad": ("1/s" if per_inertia else "N m s/rad"),
+    }
+    return known[slope.unit], scale
 
 
 def tried_table(diagnosis: EpisodeDiagnosis) -> Table:
@@ -240,6 +241,10 @@ def tried_table(diagnosis: EpisodeDiagnosis) -> Table:
         removed = MISSING if item.removed is None else " to ".join(map(percent, item.removed[1:]))
         removed = removed if item.removed is None else f"{percent(item.removed.value)} ({removed})"
         rows.append((f"{item.round}. {item.name}", percent(item.score), removed, "taken" if item.taken else ""))
+    if diagnosis.removed is not None:
+        low, high = map(percent, diagnosis.removed[1:])
+        took = "" if diagnosis.weak is None else "taken"
+        rows.append(("weak laws", MISSING, f"{percent(diagnosis.removed.value)} ({low} to {high})", took))
     return Table(
         ("Candidate", "Score", "Squared error removed, corrected interval", ""), tuple(rows),
         "Score: to first order, of fitted episodes; removed: of episodes that the fit has not seen. Intervals are "
@@ -247,64 +252,28 @@ def tried_table(diagnosis: EpisodeDiagnosis) -> Table:
     )  # fmt: skip
 
 
-def figure(diagnosis: EpisodeDiagnosis, rig: Rig) -> Figure:
-    """The drift: errors and numbers over the recording."""
-    parts = np.arange(1.0, PARTS + 1.0)
-    one, own = (np.array([pair[k] for pair in diagnosis.drift.errors]) for k in (0, 1))
-    series = (
-        Line("fitted to all that may be fitted", parts, one, MODEL),
-        Line("fitted to each part", parts, own, SECOND),
-    )
-    panels = [Panel(Axis(), Axis("RMSE [°]", from_zero=True), series)]
-    for name, values in without_laws(diagnosis.drift.values).items():
-        shown, factor = unit(rig, name)
-        drawn = _with_interval("the number", parts, factor * np.array(values), quiet=len(panels) > 1)
-        panels.append(Panel(Axis(), Axis(f"{value_name(rig, name)} [{shown}]", from_zero=True), drawn))
-    panels[-1] = replace(panels[-1], x=Axis("Eighth of the recording"))
-    about = "Errors and numbers of the extended model over the recording. What lies between the errors is drift."
-    return Figure("Drift", about, tuple(panels))
-
-
-def _with_interval(name: str, x: FloatArray, rows: FloatArray, quiet: bool) -> tuple[Band, Line]:
-    """A curve (N,) over its interval: `rows` are values with their lower and upper ends (N, 3)."""
-    value, low, high = rows.T
-    return Band("95 % interval by episode", x, low, high, BAND, quiet), Line(name, x, value, ESTIMATE, quiet=quiet)
-
-
-def without_laws(values: Mapping[str, T]) -> dict[str, T]:
-    """Values without those of learned laws, which a figure shows."""
-    return {name: value for name, value in values.items() if ".learned." not in name}
-
-
-def law_figures(diagnosis: EpisodeDiagnosis, extended: Rig) -> tuple[Figure, ...]:
-    """The learned laws, each over what it depends on, in one figure; none without them."""
-    panels: list[Panel] = []
-    for k, law in laws_of(extended).items():
-        rows = [diagnosis.values[value_path(k, node)] for node in range(1, len(law.nodes) + 1)]
-        (shown, factor), across = _unit_of_law(extended, law), readable(law.argument_unit)
-        x = np.array(law.nodes) * across.scale
-        drawn = _with_interval("the law", x, factor * np.array(rows), quiet=bool(panels))
-        panels.append(Panel(Axis(f"{law.on} [{across.name}]"), Axis(f"{law.at} [{shown}]"), drawn))
-    about = (
-        "Laws that were learned from the episodes: changes of the muscles' strength, of friction, damping or torque by "
-        "what each depends on. They are constant outside of the range that is shown."
-    )
-    return (Figure("Learned laws", about, tuple(panels)),) if panels else ()
-
-
-def _unit_of_law(rig: Rig, law: Law) -> tuple[str, float]:
-    """Unit in which the values of a law are shown, and the factor to it."""
-    if law.unit == "-":
-        return "%", 100.0
-    per_inertia = {"N m": "rad/s²", "N m s/rad": "1/s"}[law.unit]
-    return (per_inertia, 1.0 / rig.joint.inertia) if rig.units.force == "per_inertia" else (law.unit, 1.0)
+def slopes_figure(diagnosis: EpisodeDiagnosis, rig: Rig) -> tuple[Figure, ...]:
+    """The slopes of torque and friction by the inputs over the recording; none without weak laws."""
+    parts, panels = np.arange(1.0, PARTS + 1.0), list[Panel]()
+    for slope in diagnosis.slopes:
+        if slope.by in ("angle", "velocity"):
+            continue
+        name, factor = _unit_of_slope(rig, slope)
+        value, low, high = factor * np.array([list(one) for one in slope.parts]).T
+        drawn = (
+            Band("95 % interval", parts, low, high, BAND, quiet=bool(panels)),
+            Line("slope", parts, value, ESTIMATE, quiet=bool(panels)), Reference(0.0),
+        )  # fmt: skip
+        panels.append(Panel(Axis("Part of the recording"), Axis(f"{_titled(slope)} [{name}]"), drawn, 130))
+    about = "How the whole torque and the whole friction go with each input, in each part of the recording."
+    return (Figure("Slopes of torque and friction", about, tuple(panels)),) if panels else ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EpisodesDiagnoseResult(Result):
     """Effects that the model of a joint lacks, from episodes."""
 
-    found: EpisodeDiagnosis  # effects, errors on whole held-out episodes, and the drift
+    found: EpisodeDiagnosis  # effects, and errors on whole held-out episodes
     joint: PressureDriven
     hashes: tuple[str, ...]  # SHA-256 of the recordings, a whole held-out one last
 
@@ -330,12 +299,7 @@ class EpisodesDiagnoseResult(Result):
     @property
     def rig_extended(self) -> Rig:
         """The rig with the effects, and the further signals that they need."""
-        start, values = self.joint.rig, self.joint.values(self.found.model)
-        source = f"extended by close_loop from {self.joint.name}; started from: {start.source}"
-        signals = further_signals(self.found, self.joint)
-        return moved(start, values).replaced(
-            name=f"{start.name}_extended", source=source, signals=signals, identified=self.joint.name
-        )
+        return extended(self.found, self.joint)
 
     @override
     def to_json(self) -> dict[str, Any]:
@@ -350,48 +314,44 @@ class EpisodesDiagnoseResult(Result):
             "ratio_to_coulomb_interleaved": found.ratio,
             "ratio_to_noise": found.left,
             "longest_step_s": found.longest_step,
-            "laws": [law.to_json() for law in laws_of(self.rig_extended).values()],
-            **picked(found, "values", "tried", "window"),
-            "forecasts_deg": dict(zip(map(str, WINDOWS), found.forecasts, strict=True)),
-            "course": found.drift.values,
-            "changes": found.drift.changes,
-            "course_errors_deg": found.drift.errors,
-            "straight_lines_deg": found.lines,
-            "points_of_lines": found.points,
+            "weak_laws": None if found.removed is None else {
+                "removed": found.removed, "taken": found.weak is not None,
+                "numbers": 0 if found.weak is None else len(found.weak[0].terms),
+            },
+            "slopes": [{**picked(one, "of", "by", "unit", "parts"), "agrees": one.agrees} for one in found.slopes],
+            **picked(found, "values", "tried"),
+            "forecast_deg": found.forecast,
             "coverage95": {"later": found.coverage[0], "interleaved": found.coverage[1]},
             "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
             "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
             "rig": rig.name,
             "units": picked(rig.units, "pressure", "force"),
             "recordings_sha256": self.hashes,
-        }
+        }  # fmt: skip
 
     @override
     def document(self, figures: bool = True) -> Document:
         found, joint = self.found, self.joint
-        given, after, between = found.rows[0].forecast, found.rows[-1].forecast, found.rows[-1].interleaved
+        given, after = found.rows[0], found.rows[-1]
+        names = [name for name in found.effects if name != WEAK_LAWS]
         tiles = Tiles((
-            Tile("Later episodes", f"{number(after.value)}°", f"as configured {number(given.value)}°"),
-            Tile("Interleaved episodes", MISSING if between is None else f"{number(between.value)}°"),
-            Tile("Effects", str(len(found.effects)), ", ".join(found.effects)),
+            _tile("Later episodes", given.later, after.later),
+            _tile("Interleaved episodes", given.interleaved, after.interleaved),
+            Tile("Effects with a name", str(len(names)), ", ".join(names)),
         ))  # fmt: skip
-        forecasts = Table(
-            ("Share of the fitted episodes, the last ones", "Error [°] on those that follow"),
-            tuple((percent(w), number(e)) for w, e in zip(WINDOWS, found.forecasts, strict=True)),
-            "Forecasts within the fitted episodes, by which the share was chosen",
-        )
-        drawn = (*law_figures(found, self.rig_extended), figure(found, joint.rig)) if figures else ()
         made = [("Rig", joint.rig.name), *((f"Recording {k}", value) for k, value in enumerate(self.hashes, 1))]
+        drawn: Sequence[Figure] = slopes_figure(found, joint.rig) if figures else ()
+        slopes = (Section("What torque and friction go with", (slopes_table(found, joint.rig), *drawn), 2, "slopes"),)
         blocks = (
             tiles, Findings(findings(found, joint)), errors_table(found), values_table(found, joint.rig),
+            *(slopes if found.slopes else ()),
             Section("All candidates", (tried_table(found),), 2, "candidates"),
-            Section("Over the recording", (drift_table(found, joint.rig), *drawn, forecasts), 2, "drift"),
         )  # fmt: skip
         kicker, words_of = "What the model of a joint lacks", "close_loop of episodes"
         return page(kicker, joint.name, blocks, words_of, made, ABOUT, verdict(found))
 
     def to_dataframe(self) -> DataFrame:
-        """A row for each number of the extended model: its value and 95 % interval by episode (needs pandas)."""
+        """A row for each number of the effects: its value and 95 % interval by episode (needs pandas)."""
         return intervals_frame(self.found.values)
 
     @override
@@ -399,3 +359,7 @@ class EpisodesDiagnoseResult(Result):
         about = f"By pam_antagonist close_loop, from rig {self.joint.rig.name}. {self.sentence}"
         if self.next_rig is not None:
             write_rig(self.rig_extended, folder / self.next_rig, [about])
+
+
+def _tile(label: str, before: Interval, after: Interval) -> Tile:
+    return Tile(label, f"{number(after.value)}°", f"as configured {number(before.value)}°")

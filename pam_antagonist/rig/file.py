@@ -26,7 +26,7 @@ _LISTED = 50
 """Files of a folder that are looked at for a rig."""
 _SWITCHES = ("consider", "sealed")
 _DOTTED = ("uncertainty", "priors", "bounds", "directions")
-_OPEN = (*_DOTTED, "effects", "signals", "encoder")
+_OPEN = (*_DOTTED, "effects", "signals", "encoder", "weak_laws")
 """Parts of a rig file to which keys may be added."""
 _COLUMN = 44
 """Column of the comments in a file."""

@@ -268,6 +268,18 @@ class Units(Strict):
     )
 
 
+class WeakLaws(Strict):
+    """Numbers of the effect ``weak_laws``: how its coefficients go with pressures and further signals."""
+
+    middle: Dict[str, float] = Field(  # noqa: UP006
+        description="what of each input is taken off: of pressure_1 and pressure_2 [Pa], and of signals [SI]"
+    )
+    range: Dict[str, float] = Field(description="unit in which what is left of each counts, likewise")  # noqa: UP006
+    numbers: Dict[str, Dict[str, float]] = Field(  # noqa: UP006
+        description="of each coefficient, by what it goes with [N m; N m s/rad of drag]"
+    )
+
+
 class Rig(Strict):
     """A rig: the numbers of its model, sensors and filter tunings.
 
@@ -305,6 +317,9 @@ class Rig(Strict):
     encoder: Optional[Encoder] = Field(None, description="of angle_sensor: encoder")  # noqa: UP045
     calibration: Calibration = Calibration()
     effects: Dict[str, Dict[str, float]] = Field({}, description="what the paper's model lacks: docs/effects.md")  # noqa: UP006
+    weak_laws: Optional[WeakLaws] = Field(  # noqa: UP045
+        None, description="numbers of the effect weak_laws, which many episodes teach"
+    )
     uncertainty: Dict[str, float]  # noqa: UP006
     directions: Dict[str, Dict[str, float]] = Field(  # noqa: UP006
         {}, description="parameters that are uncertain together: changes of one standard deviation each"

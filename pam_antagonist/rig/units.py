@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -70,13 +69,17 @@ def unit_of(rig: Rig, name: str) -> str:
     return found[1] if found else "-"
 
 
-def unread_signals(signals: Iterable[str]) -> str:
-    """That commands and nodes which run the filter or the model do not read further signals of a rig, in words."""
-    *others, last = signals
+def unread(rig: Rig) -> str:
+    """What of a rig commands and nodes do not read that run the filter or the model, in words; empty if nothing."""
+    *others, last = rig.signals or [""]
     names = f"{', '.join(others)} and {last}" if others else last
+    parts = [f"do not read {names} yet: they take the value in the rig file throughout"] if names else []
+    parts += ["leave out weak laws"] if rig.weak_laws is not None else []
+    if not parts:
+        return ""
     return (
-        f"replay, the estimator, the controller and simulate do not read {names} yet: they take the value in the rig "
-        "file throughout, so their errors are larger and their 95 % intervals too narrow"
+        f"replay, the estimator, the controller and simulate {', and '.join(parts)}, so their errors are larger and "
+        "their 95 % intervals too narrow"
     )
 
 

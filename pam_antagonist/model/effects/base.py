@@ -30,6 +30,8 @@ __all__ = [
 
 SIGNALS = 4
 """The most further signals that a model may depend on."""
+COEFFICIENTS = 15
+"""Coefficients of the weak laws, which go with everything that was measured (:mod:`weak_laws`)."""
 
 Kernel = Any
 """A function that :func:`~pam_antagonist._jit.inlined` or :func:`~pam_antagonist._jit.kernel` compiles."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from pam_antagonist.model.effects.base import SIGNALS
+from pam_antagonist.model.effects.base import COEFFICIENTS, SIGNALS
 
 QUANTITIES: dict[str, tuple[str, str]] = {
     "atmosphere": ("Pa", "pressure of the atmosphere, P_out"),
@@ -46,10 +46,14 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     **{
         f"signal{k}": ("SI", f"further signal {k} of the rig file, less its value there") for k in range(1, SIGNALS + 1)
     },
+    **{f"coefficient{k}": ("N m", f"coefficient {k} of the weak laws now") for k in range(1, COEFFICIENTS + 1)},
 }
 """Unit and meaning of each quantity that a function of an effect may ask for."""
 
-EVERYWHERE = ("atmosphere", "supply_pressure", "quickest_lag", *(f"signal{k}" for k in range(1, SIGNALS + 1)))
+EVERYWHERE = (
+    "atmosphere", "supply_pressure", "quickest_lag", *(f"signal{k}" for k in range(1, SIGNALS + 1)),
+    *(f"coefficient{k}" for k in range(1, COEFFICIENTS + 1)),
+)  # fmt: skip
 """Quantities that every function may ask for."""
 
 

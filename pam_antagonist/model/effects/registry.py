@@ -43,6 +43,7 @@ BUILT_IN = (
     "regulator_dead_time",
     "regulator_lag",
     "limb_weight",
+    "weak_laws",
     "learned",
 )
 """Files of this folder, in the catalogue's order."""

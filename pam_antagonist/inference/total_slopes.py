@@ -1,0 +1,157 @@
+"""How torque and friction of a joint go with what was measured, all of its model together.
+
+Single weak laws may replace each other. What they do together is certain: how the whole torque, and the whole Coulomb
+torque, go with each pressure and signal, with the angle and with the velocity, in the mean over what was seen. Each
+part of the recording has its own drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.inference.episodes import EpisodeModel
+from pam_antagonist.inference.held_episodes import thinned
+from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.inference.weak_features import OWN, PLACES
+from pam_antagonist.inference.weak_laws import WeakFit, WeakModel
+from pam_antagonist.model import dynamics
+from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
+from pam_antagonist.model.parameters import SIGNAL
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+PARTS = 3
+"""Parts of the recording."""
+_EPISODES, _STATES = 60, 200
+"""Episodes of each part, and states of them, over which means are taken."""
+_STEP = 0.02
+"""Step of the differences: of an input in its range, of the angle [rad] and of the velocity [rad/s]."""
+_OF_BASE = 1e-3
+"""Step along a coordinate of the model without weak laws."""
+_IN_95 = 1.96
+FRICTION, LEVEL = PLACES.index("friction"), "level"
+
+
+@dataclass(frozen=True)
+class TotalSlope:
+    """How one of both torques goes with something."""
+
+    of: str  # ``torque`` or ``friction``
+    by: str  # an input, ``angle`` or ``velocity``; ``level`` for the mean itself
+    unit: str  # of the values
+    parts: tuple[Interval, ...]  # in each part of the recording
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the intervals of all parts have a value in common, and none has another sign."""
+        low, high = max(one.low for one in self.parts), min(one.high for one in self.parts)
+        return low <= high and len({np.sign(one.value) for one in self.parts}) == 1
+
+
+def total_slopes(fit: WeakFit, found: WeakModel, episodes: Indices) -> tuple[TotalSlope, ...]:
+    """How torque and friction go with all that was measured, in each third of some episodes."""
+    inputs, rig = list(fit.laws.middle), fit.joint.rig
+    by = [*inputs, "angle", "velocity", LEVEL]
+    thirds = [_slopes(fit, found, part, by) for part in np.array_split(episodes, PARTS)]
+    out = []
+    for k, (of, name) in enumerate((of, name) for of in ("torque", "friction") for name in by):
+        per = "SI" if name in rig.signals else {"angle": "rad", "velocity": "s/rad"}.get(name, "Pa")
+        unit = {"s/rad": "N m s/rad"}.get(per, f"N m/{per}") if name != LEVEL else "N m"
+        intervals = []
+        for value, std in thirds:
+            half = _IN_95 * float(std[k])
+            intervals.append(Interval(float(value[k]), float(value[k]) - half, float(value[k]) + half))
+        out.append(TotalSlope(of, name, unit, tuple(intervals)))
+    return tuple(out)
+
+
+def _slopes(fit: WeakFit, found: WeakModel, episodes: Indices, by: list[str]) -> tuple[Floats, Floats]:
+    """Mean slopes (2 I,) of torque and friction, and their standard deviations."""
+    episodes = thinned(episodes, _EPISODES)
+    part, _ = fit.part(episodes, found.numbers)
+    course = part.course(found.model)
+    rows = np.linspace(0, len(course) - 1, min(_STATES, len(course))).astype(np.intp)
+    base, by_base = _of_base(fit, found.model, course[rows], part.signals[rows], by)
+    weak = _of_numbers(fit, part, episodes, course[rows], rows, by)
+    value = base + weak @ found.numbers
+    change = np.column_stack([by_base, weak * fit.stds])
+    return value, np.sqrt(np.maximum(np.einsum("kq,qr,kr->k", change, found.covariance, change), 0.0))
+
+
+def _of_numbers(
+    fit: WeakFit, part: PressureDriven, episodes: Indices, states: Floats, rows: Indices, by: list[str]
+) -> Floats:
+    """Mean slopes (2 I, M) that each number makes."""
+    known = fit.inputs(part)
+    seen = {"angle": states[:, ANGLE], "velocity": states[:, VELOCITY]}
+    friction = np.array([term.place >= FRICTION for term in fit.terms])
+    both: list[list[Floats]] = [[], []]
+    for name in by:
+        ends = []
+        if name == LEVEL:
+            level = np.mean(fit.phi(seen, fit.columns(part, episodes, known)[rows]), axis=0)
+            both[0].append(np.where(friction, 0.0, level))
+            both[1].append(np.where(friction, level, 0.0))
+            continue
+        for sign in (1.0, -1.0):
+            # A lasting change: what fades does not count.
+            moved = {**known, name: known[name] + sign * _STEP} if name in known else known
+            there = seen if name in known else {**seen, name: seen[name] + sign * _STEP}
+            ends.append(fit.phi(there, fit.columns(part, episodes, moved)[rows]))
+        way = 2.0 * _STEP * (fit.laws.range[name] if name in known else 1.0)
+        slope = np.mean(ends[0] - ends[1], axis=0) / way
+        both[0].append(np.where(friction, 0.0, slope))
+        both[1].append(np.where(friction, slope, 0.0))
+    return np.array([*both[0], *both[1]])
+
+
+def _of_base(
+    fit: WeakFit, model: EpisodeModel, states: Floats, signals: Floats, by: list[str]
+) -> tuple[Floats, Floats]:
+    """Mean slopes (2 I,) without weak laws, and how they go with the model's coordinates (2 I, K)."""
+    joint, at = fit.joint, fit.joint.coordinates(model)
+    here = _of_model(fit, joint.vector(model), states, signals, by)
+    moves = _OF_BASE * np.eye(len(at))
+    there = [_of_model(fit, joint.vector(joint.moved(model, at + move)), states, signals, by) for move in moves]
+    return here, np.array([(one - here) / _OF_BASE for one in there]).T.reshape(len(here), len(at))
+
+
+def _of_model(fit: WeakFit, p: Floats, states: Floats, signals: Floats, by: list[str]) -> Floats:
+    count = len(fit.joint.rig.signals)
+    steps = {name: _STEP * width for name, width in fit.laws.range.items()}
+    out: list[list[float]] = [[], []]
+    for name in by:
+        step = steps.get(name, _STEP)
+        ends = []
+        if name == LEVEL:
+            for column, mean in zip(out, np.mean(_torques(states, signals[:, :count], p), axis=0), strict=True):
+                column.append(float(mean))
+            continue
+        for sign in (1.0, -1.0):
+            x, s = states.copy(), signals.copy()
+            if name in OWN:
+                x[:, PRESSURE_1 + OWN.index(name)] += sign * step
+            elif name in ("angle", "velocity"):
+                x[:, ANGLE if name == "angle" else VELOCITY] += sign * step
+            else:
+                s[:, list(fit.joint.rig.signals).index(name)] += sign * step
+            ends.append(_torques(x, s[:, :count], p))
+        torque, friction = (np.mean(ends[0] - ends[1], axis=0) / (2.0 * step)).tolist()
+        out[0].append(torque)
+        out[1].append(friction)
+    return np.array([*out[0], *out[1]])
+
+
+def _torques(states: Floats, signals: Floats, p: Floats) -> Floats:
+    """All torques but Coulomb friction, and its level (R, 2) [N m], at states (R, n) and signals (R, S)."""
+    out, p = np.empty((len(states), 2)), p.copy()
+    for k, (x, seen) in enumerate(zip(states, signals, strict=True)):
+        p[SIGNAL : SIGNAL + len(seen)] = seen
+        free = dynamics.torque_needed(x, 0.0, 0.0, p)
+        out[k] = -free, dynamics.torque_needed(x, 0.0, 1.0, p) - free
+    return out
