@@ -26,7 +26,7 @@ NAMES = (
     "load_torque", "friction", "creep", "thermal", "external_torque", "valve_play", "warm_up", "slack",
     "friction_by_pressure", "friction_by_signal", "load_by_signal", "strength_by_signal", "regulator_limits",
     "regulator_threshold", "regulator_dead_time", "regulator_lag", "limb_weight",
-    "learned",
+    "weak_laws", "learned",
 )  # fmt: skip
 """As reports call them."""
 

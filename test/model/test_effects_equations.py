@@ -41,6 +41,7 @@ SINGLE = {
     "regulator_dead_time": {"time_1": 4e-3, "time_2": 9e-3},
     "regulator_lag": {"frequency_1": 56.0, "frequency_2": 40.0, "damping": 0.3},
     "limb_weight": {"torque": 0.4, "hanging": -0.7},
+    "weak_laws": {"amount": 0.7, "angle": 0.3, "velocity": 0.6},
 }
 """Sizes that are seen, different for the two muscles, so that a mix-up shows."""
 SIZES = {name: {item.name: item for item in effect.parameters} for name, effect in CATALOGUE.items()}
@@ -160,6 +161,22 @@ def test_signals_that_are_measured(rig):
         dynamics.derivative(np.array(x), np.array(u), p, dx)
         dynamics.derivative(np.array(x), np.array(u), without, still)
         assert dx == pytest.approx(laws.derivative(t, flat(effects), x, u), rel=1e-8, abs=1e-8)
+        moved += bool(dx[1] != still[1])
+    assert moved > 10
+
+
+def test_weak_laws_act_with_their_coefficients(rig):
+    effects = {"weak_laws": SINGLE["weak_laws"]}
+    coefficients = tuple(0.02 * np.random.default_rng(2).standard_normal(15))
+    p, t = vector(rig, effects), {**T, "coefficients": coefficients}
+    dx, still = np.empty(4), np.empty(4)
+    moved = 0
+    for x, u in random_states(30, seed=5):
+        p[par.WEAK_LAWS : par.WEAK_LAWS + 15] = coefficients
+        dynamics.derivative(np.array(x), np.array(u), p, dx)
+        assert dx == pytest.approx(laws.derivative(t, flat(effects), x, u), rel=1e-8, abs=1e-8)
+        p[par.WEAK_LAWS : par.WEAK_LAWS + 15] = 0.0
+        dynamics.derivative(np.array(x), np.array(u), p, still)
         moved += bool(dx[1] != still[1])
     assert moved > 10
 

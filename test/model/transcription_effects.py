@@ -104,6 +104,8 @@ def moves(t, e, x, outside=0.0):
     load = e.get("load_torque.constant", 0.0) + e.get("load_torque.sine", 0.0) * math.sin(psi)
     load -= e.get("limb_weight.torque", 0.0) * math.sin(psi - e.get("limb_weight.hanging", 0.5))
     load += sum(e.get(f"load_by_signal.slope{k}", 0.0) * s for k, s in enumerate(t.get("signals", ()), 1))
+    further, held = weak_laws(e, t.get("coefficients", (0.0,) * 15), psi, psi_dot)
+    load += further
     t_0 = tau + load + outside + added.get("external_torque", 0.0) - t["k_s"] * psi
     coulomb = paper.shaft_friction(t, f_1, f_2) + paper.muscle_friction(t, c_1, c_2)
     coulomb += e.get("friction.coulomb", 0.0)
@@ -112,8 +114,19 @@ def moves(t, e, x, outside=0.0):
         e.get(f"friction_by_pressure.slope_{i + 1}", 0.0) * (c - t["P_out"]) for i, c in ((0, c_1), (1, c_2))
     )
     coulomb += sum(e.get(f"friction_by_signal.slope{k}", 0.0) * s for k, s in enumerate(t.get("signals", ()), 1))
-    coulomb = max(coulomb, 0.0)
+    coulomb = max(coulomb + held, 0.0)
     return t_0, coulomb, paper.friction(t, psi_dot, t_0, coulomb)
+
+
+def weak_laws(e, c, psi, psi_dot):
+    """Torque and Coulomb torque of weak laws, by their equations; `c`: their 15 coefficients."""
+    s = min(max(psi / e.get("weak_laws.angle", 0.5), -2.4), 2.4)
+    fast = abs(psi_dot) / e.get("weak_laws.velocity", 0.5)
+    torque = c[0] + c[1] * s + c[2] * s**2 + c[3] * s**3
+    torque -= (c[4] + c[5] * s + c[6] * s**2 + c[7] * abs(psi_dot)) * psi_dot
+    coulomb = c[8] + c[9] * s + c[10] * s**2 + (c[11] + c[12] * s) * math.exp(-fast) + (c[13] + c[14] * s) * fast
+    amount = e.get("weak_laws.amount", 0.0)
+    return amount * torque, amount * coulomb
 
 
 def regulate(t, e, i, command, at_valve, added, rates):

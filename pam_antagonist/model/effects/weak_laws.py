@@ -55,7 +55,7 @@ EFFECT = Effect(
     source="first orders of any smooth dependence",
     signature="What is left of the angle goes a little with much, and with nothing alone.",
     parameters=(
-        EffectParameter("amount", "-", 0.0, 0.0, 1.0, 1.0, "share of the laws that acts", "a", fixed=True),
+        EffectParameter("amount", "-", 0.0, 0.0, 1.0, 0.5, "share of the laws that acts", "a", fixed=True),
         EffectParameter("angle", "rad", 0.5, 1e-3, 10.0, 0.5, "unit of the angle", "\\psi_0", fixed=True),
         EffectParameter("velocity", "rad/s", 0.5, 1e-3, 100.0, 0.5, "unit of the velocity", "v", fixed=True),
     ),
