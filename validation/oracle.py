@@ -149,8 +149,7 @@ def _of_rows(rows: Sequence[Mapping[str, Any]] | None) -> Entry | None:
     """Errors of episodes: as configured first, extended last."""
     if not rows:
         return None
-    parts = ("later", "recent", "interleaved")
-    return {row["model"]: {f"{key} rmse_deg": row[key][0] for key in parts if row[key]} for row in rows}
+    return {row["model"]: {f"{key} rmse_deg": row[key][0] for key in ("later", "interleaved")} for row in rows}
 
 
 def compared(old: Entry, new: Entry) -> list[str]:

@@ -153,11 +153,16 @@ def _identified(result: IdentifyResult) -> dict[str, Any]:
 
 
 def _of_episodes(result: EpisodesIdentifyResult) -> dict[str, Any]:
-    """Values by episode: a standard error is that of a normal distribution with the same 95 % interval."""
+    """Values by episode: a standard error is that of a normal distribution with the same 95 % interval.
+
+    What the episodes do not determine has no interval, and says nothing of a change.
+    """
     if result.rejected:
         return {"verdict": "rejected", "said": f"rejected: {result.rejected}"}
     rig, values = result.rig, {}
     for name, interval in result.found.values.items():
+        if not interval.is_known:
+            continue
         unit, factor = identify_episodes.unit(rig, name)
         std = factor * (interval.high - interval.low) / _WIDTH
         values[identify_episodes.value_name(rig, name)] = (factor * interval.value, std, unit)

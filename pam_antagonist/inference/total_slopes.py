@@ -48,9 +48,8 @@ class TotalSlope:
 
     @property
     def agrees(self) -> bool:
-        """Whether the intervals of all parts have a value in common, and none has another sign."""
-        low, high = max(one.low for one in self.parts), min(one.high for one in self.parts)
-        return low <= high and len({np.sign(one.value) for one in self.parts}) == 1
+        """Whether the intervals of all parts have a value in common."""
+        return max(one.low for one in self.parts) <= min(one.high for one in self.parts)
 
 
 def total_slopes(fit: WeakFit, found: WeakModel, episodes: Indices) -> tuple[TotalSlope, ...]:

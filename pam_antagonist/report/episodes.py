@@ -76,7 +76,7 @@ def next_step(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
     if not diagnosis.is_better:
         return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
     if what := unread(extended(diagnosis, joint)):
-        return f"Next: use rig_extended.yaml in identify and close_loop. {what[0].upper()}{what[1:]}."
+        return f"Next: use rig_extended.yaml in identify and close_loop; {what}."
     return "Next: use rig_extended.yaml, which every command and node takes."
 
 

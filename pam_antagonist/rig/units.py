@@ -73,12 +73,12 @@ def unread(rig: Rig) -> str:
     """What of a rig commands and nodes do not read that run the filter or the model, in words; empty if nothing."""
     *others, last = rig.signals or [""]
     names = f"{', '.join(others)} and {last}" if others else last
-    parts = [f"do not read {names} yet: they take the value in the rig file throughout"] if names else []
+    parts = [f"do not read {names} yet (they take the value in the rig file throughout)"] if names else []
     parts += ["leave out weak laws"] if rig.weak_laws is not None else []
     if not parts:
         return ""
     return (
-        f"replay, the estimator, the controller and simulate {', and '.join(parts)}, so their errors are larger and "
+        f"replay, the estimator, the controller and simulate {' and '.join(parts)}, so their errors are larger and "
         "their 95 % intervals too narrow"
     )
 

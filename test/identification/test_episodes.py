@@ -15,15 +15,18 @@ import pytest
 from scipy.signal import lsim, lti
 
 from pam_antagonist import check, diagnose, identify, load_rig, replay, simulate
+from pam_antagonist.api.history import entry
 from pam_antagonist.cli.identify import main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import episodes as of_episodes
 from pam_antagonist.identification.episodes import identify as identify_episodes
 from pam_antagonist.identification.regulators import of_commands
+from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording, write_bag
 from pam_antagonist.report.identify import IdentifyResult
+from pam_antagonist.report.identify_episodes import EpisodesIdentifyResult
 
 EPISODES, ROWS, PERIOD = 40, 80, 0.01
 GAIN, VISCOUS, STIFFNESS = 2e-4, 8.0, 60.0  # [rad/s² by Pa], [1/s], [1/s²]
@@ -128,8 +131,14 @@ def test_identify_writes_a_rig_with_the_regulators_that_it_found(tmp_path: Path,
     assert rig.value("effects.regulator_lag.frequency_1") == pytest.approx(25.0, rel=0.01)
     assert report["episodes"] == {"fitted": 22, "later": 13, "interleaved": 5}
     again = identify(tmp_path / "bag", "regulator_joint")
+    assert isinstance(again, EpisodesIdentifyResult)
     assert again.rig.value("joint.stiffness") == rig.value("joint.stiffness")
     assert list(again.hashes) == report["recordings_sha256"]
+    # A value without an interval says nothing of a change: the log book leaves it out.
+    values = {**again.found.values, "joint.stiffness": Interval(60.0, np.nan, np.nan)}
+    unknown = replace(again, found=replace(again.found, values=values))
+    kept = [set(entry("identify", [], rig, one).values) for one in (again, unknown)]
+    assert kept[0] - kept[1] == {"joint.stiffness"}
 
 
 def test_a_joint_that_does_not_move_is_refused() -> None:
