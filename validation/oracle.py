@@ -1,13 +1,14 @@
-"""Run close_loop on recordings whose answer was frozen, and say what got worse.
+"""Run close_loop on cases whose answer was frozen, and say what got worse.
 
-The cases are the recordings at hand (rig A, the strangers, the sealed joint, the arm; DATA is their folder) and 60
-joints of the battery, 40 with effects in other forms than the catalogue's and 20 with nothing wrong. Each finished case
-is appended to FILE; the same command again continues. With --against, each case is compared with the same case of an
-earlier file: verdict, effects, sizes, calibrations, held-out errors, processor time.
+The kinds of cases: the recordings at hand (rig A, the strangers, the measured joints; DATA is their folder), 60 joints
+of the battery, 10 with effects that no law of the catalogue can imitate (laws), 12 rigs of data sheets (guessed), six
+known joints with regulators and six with short trials (trials), 10 sealed joints.
+Each finished case is appended to FILE; the same command again continues. With --against, each case is compared with the
+same case of an earlier file: verdict, effects, sizes, calibrations, held-out errors, processor time.
 Status: 0 nothing is worse, 1 something is, 2 bad input.
 
 examples:
-  {run} oracle now.jsonl --data ../shared/data --against test/diagnosis/oracle.jsonl
+  {run} oracle now.jsonl --data ../shared/data --against test/diagnosis/oracle.jsonl --jobs 2
   {run} oracle now.jsonl --only battery --against test/diagnosis/oracle.jsonl
   {run} oracle now.jsonl --only none --against test/diagnosis/oracle.jsonl --compare-only
 """
@@ -16,23 +17,23 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from joblib import Parallel, delayed
+
 from pam_antagonist import diagnose
 from pam_antagonist.cli import common
+from pam_antagonist.cli.common import JOBS
+from pam_antagonist.cli.progress import counted
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import CATALOGUE
-from validation import at_hand, frame
-from validation.battery.plants import RIG, Case, cases
+from validation import frame, frozen
 
-_SEED, _COUNT, _NOTHING = 39117, 47, 13
-"""Of the 47 cases of the battery 7 have nothing wrong."""
+_KINDS = ", ".join(frozen.KINDS)
 SIGMAS = 3.0
 """Sizes that differ by more than so many standard deviations of both are said to differ."""
 ERROR_RATIO, ERROR_FLOOR = 1.1, {"deg": 0.002, "nm": 0.0005, "pa": 20.0}
@@ -49,25 +50,33 @@ def parser() -> common.Parser:
     """The arguments."""
     out = common.Parser("oracle", __doc__)
     out.add_argument("file", type=Path, metavar="FILE", help="JSON lines, one a case; may exist")
-    out.add_argument("--data", type=Path, metavar="DATA", help="folder of the recordings at hand (default: none)")
-    out.add_argument("--only", default="", metavar="TEXT", help="only cases whose name contains this")
-    out.add_argument("--against", type=Path, metavar="OLD", help="compare with this file")
-    out.add_argument("--compare-only", action="store_true", help="run nothing, compare what is finished")
+    out.option("--data", "folder of the recordings at hand (default: none)", Path, metavar="DATA")
+    out.option("--only", f"only cases of this kind, or whose name contains this; kinds: {_KINDS}", str, "", "KIND")
+    out.option("--against", "compare with this file", Path, metavar="OLD")
+    out.flag("--compare-only", "run nothing, compare what is finished")
+    out.option("--jobs", "cases at the same time (default: 1)", JOBS, 1, "N")
     return out
 
 
 def _run(arguments: argparse.Namespace) -> int:
     old = {} if arguments.against is None else read(arguments.against)
     done = read(arguments.file) if arguments.file.exists() else {}
-    if not arguments.compare_only:
-        for name, work in _work(old, arguments.data):
-            if arguments.only in name and name not in done:
-                print(f"oracle: {name}", file=sys.stderr, flush=True)
-                done[name] = json.loads(json.dumps(work()), parse_float=lambda text: float(f"{float(text):.5g}"))
-                frame.add_line(arguments.file, done[name])
+    joints = {} if arguments.compare_only else frozen.joints(arguments.data, old)
+    only = arguments.only
+    chosen = [name for name in {**joints, **old} if only in name or only == frozen.kind_of(name)]
+    if not chosen:
+        raise BadInput(f"--only {only}: no such case; expected a part of a name, or a kind: {_KINDS}")
+    waiting = [name for name in chosen if name in joints and name not in done]
+    work = (delayed(_answer)(name, joints[name]) for name in waiting)
+    answers = Parallel(arguments.jobs, return_as="generator_unordered")(work)
+    with counted(len(waiting), "oracle") as advance:
+        for entry in answers:
+            done[entry["case"]] = entry
+            frame.add_line(arguments.file, entry)
+            advance(1)
     if arguments.against is None:
         return common.DONE
-    both = [name for name in old if name in done and arguments.only in name]
+    both = [name for name in chosen if name in old and name in done]
     said = [line for name in both for line in compared(old[name], done[name])]
     worse = [line for line in said if line.startswith("worse")]
     print("\n".join([*said, f"{len(both)} of {len(old)} cases compared: {len(worse)} things are worse"]))
@@ -82,67 +91,37 @@ def read(path: Path) -> dict[str, Entry]:
         raise BadInput(f"{path}: no file of an oracle ({error}); expected what oracle writes") from None
 
 
-def _work(old: Mapping[str, Entry], data: Path | None) -> Iterator[tuple[str, Any]]:
-    """Names, and what diagnoses each case: those of the old file, so that no change of the battery changes them."""
-    if data is not None:
-        yield from ((name, lambda name=name: _at_hand(name, data)) for name in at_hand.NAMES)
-    frozen = [_case(entry["truth"]) for entry in old.values() if entry["case"].startswith("battery/")]
-    yield from ((f"battery/{case.name}", lambda case=case: _of_battery(case)) for case in frozen or _drawn())
-
-
-def _drawn() -> list[Case]:
-    """The battery's joints, one with nothing wrong behind two others."""
-    every = [case for _, case in cases(_SEED, _COUNT, _NOTHING)]
-    nothing, others = ([case for case in every if (case.kind == "none") is none] for none in (True, False))
-    return [case for k, one in enumerate(nothing) for case in (*others[2 * k : 2 * k + 2], one)]
-
-
-def _case(truth: Mapping[str, Any]) -> Case:
-    effects = tuple((name, muscle) for name, muscle in truth["effects"])
-    return Case(truth["name"], truth["kind"], effects, tuple(truth["form"]), truth["seed"], tuple(truth["sizes"]), True)
-
-
-def _of_battery(case: Case) -> Entry:
-    return _diagnosed(f"battery/{case.name}", asdict(case), case.recordings(), RIG, seed=case.seed % 2**31)
-
-
-def _at_hand(name: str, data: Path) -> Entry:
-    with tempfile.TemporaryDirectory() as scratch:
-        joint = at_hand.joint(name, data, Path(scratch))
-        truth = None if joint.truth is None else {"effects": [(effect, None) for effect in joint.truth]}
-        also = {"also": joint.also} if joint.also else {}
-        return _diagnosed(name, truth, joint.recordings, joint.rig, **also)
-
-
-def _diagnosed(name: str, truth: Any, recordings: Sequence[Any], rig: str, **options: Any) -> Entry:
+def _answer(name: str, made: frozen.Made) -> Entry:
     """A case's entry, from the ``report.json`` that ``close_loop`` would write."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    try:
-        found = diagnose(recordings, rig, jobs=1, profiles=False, estimator=False, **options)
-        seconds, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
-        with tempfile.TemporaryDirectory() as folder:
-            found.save(Path(folder) / "found", figures=False)
-            report = json.loads((Path(folder) / "found" / "report.json").read_text(encoding="utf-8"))
-    except Exception as error:  # a defect in one case is an answer too, and the others go on
-        seconds, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
-        report = {"verdict": "refused" if isinstance(error, BadInput) else "defect", "sentence": repr(error)}
+    with made() as joint:
+        truth, wall, cpu = joint.truth, time.perf_counter(), time.process_time()
+        try:
+            found = diagnose(joint.recordings, joint.rig, jobs=1, profiles=False, estimator=False, **joint.options)
+            seconds, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+            with tempfile.TemporaryDirectory() as folder:
+                found.save(Path(folder) / "found", figures=False)
+                report = json.loads((Path(folder) / "found" / "report.json").read_text(encoding="utf-8"))
+        except Exception as error:  # a defect in one case is an answer too, and the others go on
+            seconds, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+            report = {"verdict": "refused" if isinstance(error, BadInput) else "defect", "sentence": repr(error)}
     kept = {key: report.get(key) for key in ("verdict", "sentence", "ambiguous_with", "next_rig")}
-    return {
+    entry = {
         "case": name, "truth": truth, **kept, "effects": [_effect(effect) for effect in report.get("effects") or []],
         "calibration": [
             {key: item.get(key) for key in ("name", "value", "std", "unit")} for item in report.get("calibration") or []
         ],
-        "errors": report.get("errors") or _of_rows(report.get("errors_deg")), "values": report.get("values"),
+        "errors": _of_rows(report.get("errors_deg")) or report.get("errors"), "values": report.get("values"),
         "seconds": seconds, "cpu_s": cpu_s, "commit": frame.commit(),
     }  # fmt: skip
+    return dict(json.loads(json.dumps(entry, default=list), parse_float=lambda text: float(f"{float(text):.5g}")))
 
 
-def _effect(effect: Any) -> Entry:
-    """Of an effect what is compared; episodes have names alone."""
-    if isinstance(effect, str):
-        return {"name": effect, "muscle": None, "parameters": {}}
-    kept = ("name", "muscle", "parameters", "delta_bic", "holdout_gain", "onset_s", "place", "arguments", "like")
-    return {key: effect[key] for key in kept if key in effect}
+_KEPT = tuple("name muscle signal parameters delta_bic holdout_gain onset_s place arguments like".split())
+"""Of an effect, what is compared or read."""
+
+
+def _effect(effect: Entry) -> Entry:
+    return {key: effect[key] for key in _KEPT if key in effect}
 
 
 def _of_rows(rows: Sequence[Mapping[str, Any]] | None) -> Entry | None:
@@ -166,7 +145,7 @@ def compared(old: Entry, new: Entry) -> list[str]:
         said += _sizes(_words(key), before[key]["parameters"], after[key]["parameters"])
     one, other = ({item["name"]: item for item in entry["calibration"]} for entry in (old, new))
     # The battery's joints need none.
-    lost = "better" if old["case"].startswith("battery/") else "worse"
+    lost = "better" if old["case"].startswith(("battery/", "laws/")) else "worse"
     said += [("worse" if name in other else lost, f"calibration {name} is {'new' if name in other else 'gone'}")
              for name in one.keys() ^ other.keys()]  # fmt: skip
     said += _sizes("calibration", {k: one[k] for k in one if k in other}, other)

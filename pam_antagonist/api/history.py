@@ -203,10 +203,9 @@ def _diagnosed(report: Mapping[str, Any]) -> dict[str, Any]:
     """What is in the ``report.json`` of a diagnosis: sizes of effects, and calibrations."""
     values = {}
     for effect in report.get("effects") or ():
-        if isinstance(effect, Mapping):  # of episodes there is only the name
-            where = f", muscle {effect['muscle']}" if effect.get("muscle") else ""
-            for name, size in (effect.get("parameters") or {}).items():
-                values[f"{effect['name']}: {name}{where}"] = (size["value"], size["std"], size["unit"] or "")
+        where = f", muscle {effect['muscle']}" if effect.get("muscle") else ""
+        for name, size in (effect.get("parameters") or {}).items():
+            values[f"{effect['name']}: {name}{where}"] = (size["value"], size["std"], size["unit"] or "")
     for item in report.get("calibration") or ():
         values[f"calibration: {item['name']}"] = (item["value"], item["std"], item["unit"])
     known = {name: size for name, size in values.items() if None not in size[:2] and np.isfinite(size[:2]).all()}

@@ -87,7 +87,7 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
         BadInput: no free joint with a measured angle.
     """
     progress, jobs, timings = settings.progress, settings.jobs, Timings()
-    base = identify(recordings, rig, settings.holdout, 2, settings.seed, jobs, progress, whole)
+    base = identify(recordings, rig, settings.holdout, 2, settings.seed, jobs, progress, whole, encoder=True)
     ends = fitted_until(recordings, settings.holdout, whole)
     own, corrected = with_joint(rig, base.joint, recordings)
     timings.end("identification")

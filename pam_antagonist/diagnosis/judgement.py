@@ -61,6 +61,8 @@ class FrictionAlongMotion(CatalogueEffect):
         base = Model(base.experiments, tuple(fits))
         scores = dict(zip(stuck, base.of(stuck).each(score_all), strict=True))
         total = {name: sum(max(scores[r][name].gain, 0.0) for r in stuck) for name in scores[stuck[0]]}
+        if _FRICTION not in total:  # the rig declares it
+            return []
         rivals = sorted((name for name in total if name != _FRICTION), key=lambda name: -total[name])[:_RIVALS]
         names = (_FRICTION, *(name for name in rivals if total[name] > thresholds.LEAST_SCORE))
         tasks = [(name, r) for name in names for r in stuck]

@@ -62,6 +62,8 @@ _ZERO_STD = math.radians(5.0)
 """[rad] Of the encoder's zero, where both muscles are alike."""
 _EYE_STD = math.radians(3.0)
 """[rad] Of an encoder that was set by eye to the middle between two stops."""
+BY_EYE = 0.0, _EYE_STD
+"""[rad] The zero of such an encoder: most probable value, and standard deviation."""
 _LARGEST_ZERO_STD = math.radians(30.0)
 _UNLIKE = 0.35
 """Standard deviation of the difference of two muscles' forces, as a share of a force."""
@@ -187,11 +189,13 @@ def unknowns(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
         # −G sin(ψ − ψ_h) = G sin ψ_h cos ψ − G cos ψ_h sin ψ.
         out.append(Unknown(WEIGHT_COS, (), torque * math.sin(hanging), weight))
         out.append(Unknown(WEIGHT_SIN, (), -torque * math.cos(hanging), weight))
-    # The angles of a file with a stop count from the middle between its stops, to which an encoder is set by eye.
-    zero = middle(runs, rig) if rig.joint.stop is None else (0.0, _EYE_STD)
-    out.append(Unknown(ZERO, (), *zero))
-    out.append(Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1))
-    return out
+    # The angles of a file with a stop count from the middle between its stops.
+    return [*out, *encoder(middle(runs, rig) if rig.joint.stop is None else BY_EYE)]
+
+
+def encoder(zero: tuple[float, float]) -> list[Unknown]:
+    """Zero and delay of the encoder. `zero`: most probable value, and its standard deviation [rad]."""
+    return [Unknown(ZERO, (), *zero), Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1)]
 
 
 def torque_scale(rig: Rig) -> float:

@@ -10,6 +10,7 @@ as it is, pressures and angles at their value in the step's middle, which is a m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,7 @@ from pam_antagonist.model.parameters import (
     POLYTROPIC_VOLUME,
     SIGNAL,
     STATES,
+    STOP,
     VALVE,
     VALVE_SIZE,
 )
@@ -212,6 +214,9 @@ class Inputs:
             p[POLYTROPIC_VOLUME] = 0.0
         if self.motion is not None:
             p[LOCKED] = 1.0
+            # The motion knows where it ends. With a stop, readings that scatter about it would pump air: a velocity
+            # into the stop counts as none, one out of it as it is.
+            p[STOP] = math.inf
         return p
 
     def settled(self, angle: Floats, pressure: Floats, p: Floats, speed: Floats | float = 0.0) -> Floats:

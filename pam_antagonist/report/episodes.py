@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +12,13 @@ import numpy as np
 from typing_extensions import override
 
 from pam_antagonist.diagnosis.episodes import WEAK_LAWS, EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.result import MODELS, FoundEffect, Size
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.total_slopes import LEVEL, PARTS, TotalSlope
+from pam_antagonist.program import versions
 from pam_antagonist.replays.result import joined
 from pam_antagonist.report.document import Document, Findings, Section, Statement, Table, Tile, Tiles, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, Axis, Band, Figure, Line, Panel, Reference
@@ -33,7 +36,7 @@ from pam_antagonist.report.identify_episodes import (
 from pam_antagonist.report.result import DataFrame, Result
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
-from pam_antagonist.rig.units import unread
+from pam_antagonist.rig.units import assumption, unit_of, unread
 from pam_antagonist.shown import MISSING, number, percent
 from pam_antagonist.strict_json import picked
 
@@ -44,6 +47,8 @@ _WORDS = {
     "creep": "creep of the muscles",
     WEAK_LAWS: "torque and friction that go a little with all that was measured",
 }
+_WIDTH = 2.0 * 1.96
+"""Width of a 95 % interval, in standard deviations."""
 _BAR = 1e5
 """[Pa] Slopes are by a bar."""
 
@@ -282,9 +287,27 @@ class EpisodesDiagnoseResult(Result):
         return f"{self.joint.name}: {self.sentence}"
 
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of the detected effects, each with its signal if there is one."""
-        return self.found.effects
+    def effects(self) -> tuple[FoundEffect, ...]:
+        """The detected effects."""
+        return tuple(effect for effect, _ in self._effects)
+
+    @property
+    def _effects(self) -> list[tuple[FoundEffect, str | None]]:
+        """The detected effects, each with the signal that it goes with."""
+        gains = {item.name: item.removed for item in self.found.tried if item.taken} | {WEAK_LAWS: self.found.removed}
+        signals, out = list(self.joint.rig.signals), []
+        for title in self.found.effects:
+            name, _, signal = title.partition(": ")
+            number = str(signals.index(signal) + 1) if signal else ""
+            start, removed = f"effects.{name}.", gains[title]
+            sizes = {
+                path.removeprefix(start): Size(one.value, (one.high - one.low) / _WIDTH, unit_of(self.joint.rig, path))
+                for path, one in self.found.values.items() if path.startswith(start) and path.endswith(number)
+            }  # fmt: skip
+            gain = None if removed is None else removed.value
+            found = FoundEffect(name, None, sizes, math.nan, gain, (self.joint.name,), part="joint")
+            out.append((found, signal or None))
+        return out
 
     @property
     def sentence(self) -> str:
@@ -309,7 +332,11 @@ class EpisodesDiagnoseResult(Result):
             "sentence": self.sentence,
             "next_steps": [next_step(found, self.joint)],
             "next_rig": self.next_rig,
-            "effects": found.effects,
+            "effects": [{**effect.to_json(), "signal": signal} for effect, signal in self._effects],
+            "errors": {
+                name: {"angle": {"rmse_deg": row.later.value}}
+                for name, row in zip(MODELS, (found.rows[0], found.rows[1], found.rows[-1]), strict=True)
+            },
             "errors_deg": found.rows,
             "ratio_to_coulomb_interleaved": found.ratio,
             "ratio_to_noise": found.left,
@@ -324,7 +351,9 @@ class EpisodesDiagnoseResult(Result):
             "coverage95": {"later": found.coverage[0], "interleaved": found.coverage[1]},
             "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
             "episodes": dict(zip(("fitted", "later", "interleaved"), found.counts, strict=True)),
-            "rig": rig.name,
+            "settings": {"rig": rig.name, "rig_source": " ".join(rig.source.split())},
+            "software": versions(),
+            "assumption": assumption(rig),
             "units": picked(rig.units, "pressure", "force"),
             "recordings_sha256": self.hashes,
         }  # fmt: skip

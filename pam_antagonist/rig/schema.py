@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, Dict, Literal, NamedTuple, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
+from typing import TYPE_CHECKING, Any, Dict, Literal, NamedTuple, Optional, Tuple  # noqa: UP035  (pydantic 1 evaluates annotations on Python 3.10)
 
 import numpy as np
 from pydantic import Field
@@ -18,15 +18,19 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
+from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.strict_yaml import Strict, fields_of, unknown
+
+if TYPE_CHECKING:
+    _Force = str
+else:
+    _Force = Literal[tuple(FORMS)]
 
 
 class ModelForm(Strict):
     """Which of the compared models is used; the first of each is the paper's own."""
 
-    force: Literal["linear", "hildebrandt", "sarosi", "polynomial", "braided"] = Field(
-        "linear", description="static force map"
-    )
+    force: _Force = Field("linear", description="static force map")
     friction: Literal["kikuuwe", "simple", "tondu", "none"] = Field("kikuuwe", description="law of friction")
 
 

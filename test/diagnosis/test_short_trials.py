@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +65,23 @@ def test_short_trials_go_on_with_what_an_interrupted_run_has_finished(tmp_path: 
     (one,), (other,) = first.effects, again.effects
     assert (one.name, one.part) == (other.name, other.part) == ("leak", "chambers and valves")
     assert other.parameters["area_1"].value == pytest.approx(one.parameters["area_1"].value, rel=1e-6)
+
+
+@pytest.mark.slow(14)
+def test_an_encoder_that_reads_too_high_is_a_calibration_and_no_effect() -> None:
+    rig = load_rig("shin2022").with_value("sample_period", 0.01)
+    trials = [simulate(rig, commands(rig, 8.0, seed), joint="free", seed=seed) for seed in range(TRIALS)]
+    high = math.radians(1.5)
+    found = diagnose([replace(one, angle=one.angle + high) for one in trials], rig)
+    assert found.verdict == "none" and found.effects == ()
+    sizes = {one.name: (one.value, one.std) for one in found.calibrations}
+    assert sizes.keys() == {"encoder_zero"}
+    value, std = sizes["encoder_zero"]
+    assert abs(value - high) < 3.0 * std < math.radians(0.2)
+    errors = {name: one.ukf.angle.rmse for name, one in found.of_one_rig.items()}
+    assert errors["recalibrated"] < 0.1 * errors["as_configured"]
+    # An encoder that is right stays as it is.
+    assert not diagnose(trials, rig).calibrations
 
 
 @pytest.mark.slow(16)

@@ -5,14 +5,18 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
+from pam_antagonist import load_rig, simulate
 from pam_antagonist.diagnosis import judgement, law_evidence
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.law_search import search
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
+from pam_antagonist.inference.trial import make_trial
+from pam_antagonist.inference.valve_driven import ValveDriven
 
 
 @pytest.fixture
@@ -39,6 +43,17 @@ def test_friction_that_falls_with_speed_is_found(asked) -> None:
     # 0.09 N m times 1.2 at rest.
     at_rest = values.get("effects.friction.coulomb", 0.0) + values.get("effects.friction.stribeck", 0.0)
     assert at_rest == pytest.approx(0.108, rel=0.1)
+
+
+def test_friction_that_a_rig_of_regulators_declares_is_no_candidate() -> None:
+    rig = load_rig("regulator_joint", regulators=True).with_value("effects.friction.coulomb", 0.5)
+    rng = np.random.default_rng(2)
+    asked = np.repeat(2.5e5 + 5e4 * rng.standard_normal((20, 2)), round(1.0 / rig.sample_period), axis=0)
+    trial = make_trial(simulate(rig, asked, joint="free", seed=1), rig, "free", 0.0, "free")
+    experiment = ValveDriven(rig, trial, len(trial) * 2 // 3)
+    assert isinstance(along_motion(experiment), MeasuredMotion)
+    base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
+    assert judgement.friction_along_motion(Ranking(base, base), Work()) is None
 
 
 @pytest.mark.slow(4)

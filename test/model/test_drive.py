@@ -59,6 +59,21 @@ def test_commands_along_the_measured_motion_fill_the_chambers_as_they_did(p, mov
     assert np.abs(found[:, 2:4] - states[:, 2:4]).max() < 20.0
 
 
+def test_readings_that_scatter_about_a_stop_pump_no_air(p) -> None:
+    stopped = par.changed(p, {"joint.stop": 0.2})
+    closed = np.full((SAMPLES, 2), 5.0)
+    scatter = np.random.default_rng(1).normal(0.0, 5e-4, SAMPLES)
+
+    def last(angle: np.ndarray) -> np.ndarray:
+        along = Inputs.even(SAMPLES, PERIOD, command=closed, motion=angle[:, None])
+        start = along.settled(angle[:1], np.array([[4e5, 3e5]]), stopped)
+        return along.driven(start, stopped)[0][-100:, 2:4].mean(axis=0)
+
+    for middle in (0.2, 0.21):
+        still = last(np.full(SAMPLES, middle))
+        assert np.abs(last(middle + scatter) - still).max() < 200.0
+
+
 def test_pressures_and_motion_give_the_torque_and_no_torque_is_missing(p, moved) -> None:
     command, states, torque = moved
     acceleration = np.gradient(states[:, 1], PERIOD)

@@ -69,7 +69,7 @@ def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     options = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path / "pamy.md"), "--no-figures"]
     assert pamy.main([str(arm(tmp_path)), *options]) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["effects"] == ["friction"]
+    assert [effect["name"] for effect in report["effects"]] == ["friction"]
     assert report["errors_deg"][-1]["later"][0] < 0.2
     assert report["baselines_deg"][0]["later"][0] > 5.0 * report["errors_deg"][-1]["later"][0]
     found = report["regulators"]["values"]

@@ -17,7 +17,7 @@ from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.unknowns import Fit, Unknown
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
-from validation import at_hand, oracle
+from validation import frozen, oracle
 from validation.rigs import fresh
 
 
@@ -158,14 +158,32 @@ def test_what_differs_is_said(
 
 
 def test_the_frozen_answers_are_whole_and_their_joints_can_be_made_again(capsys: pytest.CaptureFixture[str]) -> None:
-    frozen = Path(__file__).parents[1] / "diagnosis" / "oracle.jsonl"
-    entries = oracle.read(frozen)
-    joints = [oracle._case(entry["truth"]) for name, entry in entries.items() if name.startswith("battery/")]
-    assert len(joints) == 60 and sum(case.kind == "none" for case in joints) == 20
-    assert all(f"battery/{case.name}" in entries and hash(case) for case in joints)
-    assert set(at_hand.NAMES) == {name for name in entries if not name.startswith("battery/")}
-    assert oracle.main([str(frozen), "--against", str(frozen), "--compare-only"]) == 0
+    path = Path(__file__).parents[1] / "diagnosis" / "oracle.jsonl"
+    entries = oracle.read(path)
+    assert set(entries) <= set(frozen.joints(Path("data"), entries))
+    assert {frozen.kind_of(name) for name in entries} == set(frozen.KINDS)
+    battery = [name for name in entries if name.startswith("battery/")]
+    assert len(battery) == 60 and sum(name.endswith("none") for name in battery) == 20
+    assert oracle.main([str(path), "--against", str(path), "--compare-only"]) == 0
     assert capsys.readouterr().out == f"{len(entries)} of {len(entries)} cases compared: 0 things are worse\n"
+
+
+@pytest.mark.usefixtures("short")
+def test_the_joints_are_the_same_each_time_and_have_in_them_what_is_said() -> None:
+    joints = frozen.joints(None, {})
+    for kind in ("sealed", "guessed", "trials", "regulators"):
+        made = next(made for name, made in joints.items() if frozen.kind_of(name) == kind)
+        with made() as one, made() as again:
+            assert np.array_equal(one.recordings[0].pressure, again.recordings[0].pressure)
+            assert one.truth == again.truth
+    with joints["sealed/1"]() as leaky, joints["sealed/0"]() as tight:
+        assert leaky.truth == {"effects": [("friction", None), ("leak", None)]}
+        assert tight.truth == {"effects": [("friction", None)]}
+
+
+def test_a_kind_that_nobody_knows_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert oracle.main([str(tmp_path / "new"), "--only", "hexapods"]) == 2
+    assert "--only hexapods: no such case; expected a part of a name, or a kind: at hand" in capsys.readouterr().err
 
 
 def test_less_that_is_fitted_is_the_begin_of_more() -> None:

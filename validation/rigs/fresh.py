@@ -63,6 +63,7 @@ class Laboratory:
 
     name: str  # of the rig, with what it is
     typed: Rig  # the rig file, from ruler and data sheets
+    true: Rig  # the joint itself
     fit: Sequence[Recording]  # recordings for the identification
     held: Sequence[Recording]  # recordings of another day
     truth: dict[str, float]  # true values by name of the unknown
@@ -190,7 +191,7 @@ def laboratory(seed: int, declared: bool = False, seconds: float | None = None) 
             angle=(np.interp(time + truth[DELAY], time, angle) + truth[ZERO])[rows], torque=None, drive=typed.drive,
         )  # fmt: skip
 
-    return Laboratory(f"{name} ({kind.words})", typed, *sets(recorded, kind.trials, seconds), truth)
+    return Laboratory(f"{name} ({kind.words})", typed, true, *sets(recorded, kind.trials, seconds), truth)
 
 
 def sets(
