@@ -121,7 +121,6 @@ class Plant:
         self._u = np.zeros(3)
         self._x = equilibrium.initial_state(angle, *initial_pressure, self._u, p)
         self._begun = False
-        self._least = lowest if rig.drive == "regulator" else None
 
     @property
     def parameters(self) -> np.ndarray:
@@ -165,9 +164,6 @@ class Plant:
             self._begun = True
         for _ in range(self._substeps):
             integration.rk4_step(self._x, self._u, self._p, self._dt, self._x)
-        if self._least is not None:
-            # A regulator that swings about its command makes no vacuum.
-            np.maximum(self._x[2:4], self._least, out=self._x[2:4])
         sensors, rng = self._sensors, self._rng
         readings = [dynamics.reading(i, self._x[2 + i], self._p) for i in (0, 1)]
         return PlantSample(

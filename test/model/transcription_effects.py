@@ -129,8 +129,8 @@ def weak_laws(e, c, psi, psi_dot):
     return amount * torque, amount * coulomb
 
 
-def regulate(t, e, i, command, at_valve, added, rates):
-    """Rate of a pressure by its regulator; fills in the rates of the regulator's states."""
+def regulate(t, e, i, command, at_valve, added, rates, rate):
+    """Rate of a pressure with its regulator; fills in the rates of the regulator's states."""
     asked = max(command, e.get("regulator_limits.lowest", -math.inf))
     asked = min(asked, e.get("regulator_limits.highest", math.inf))
     shortest = t["T_stp"] / 2
@@ -149,7 +149,7 @@ def regulate(t, e, i, command, at_valve, added, rates):
         rates[f"late_command_rate_{i}"] = (asked - late - tau * late_rate) / (tau**2 / 2)
         asked = late
     if f"regulator_rate_{i}" not in added:
-        return 0.0
+        return rate
     omega, zeta, s = (
         e[f"regulator_lag.frequency_{i}"],
         e.get("regulator_lag.damping", 0.7),
@@ -162,7 +162,7 @@ def regulate(t, e, i, command, at_valve, added, rates):
         most = e["regulator_lag.largest_rate"]
         speeding_up = sorted(((-most - s) / shortest, speeding_up, (most - s) / shortest))[1]
     rates[f"regulator_rate_{i}"] = speeding_up
-    return s
+    return max(rate + s, (t["P_out"] - at_valve) / shortest)
 
 
 def derivative(t, e, x, u, outside=0.0, locked=False):
@@ -215,7 +215,7 @@ def derivative(t, e, x, u, outside=0.0, locked=False):
             rates[f"reading_drift_{i}"] = drift_rate
             rates[f"reading_drift_rate_{i}"] = -2 * pole * drift_rate - pole**2 * drift
             rate += drift_rate
-        rate += regulate(t, e, i, u[i - 1], x[1 + i], added, rates)
+        rate = regulate(t, e, i, u[i - 1], x[1 + i], added, rates, rate)
         shown.append(rate)
         if f"hysteresis_{i}" in added:
             z = added[f"hysteresis_{i}"]

@@ -1,7 +1,7 @@
 r"""A pressure regulator that follows its command as a lag of second order.
 
 ```math
-\dot P_i = \dot P_{i,\mathrm{closed}} + s_i,\qquad
+\dot P_i = \max\Big(\dot P_{i,\mathrm{closed}} + s_i,\ \frac{P_\mathrm{out} - P_i}{T_\mathrm{stp}/2}\Big),\qquad
 \dot s_i = \omega_i^2\, e_i - 2 \zeta\, \omega_i\, s_i,\qquad
 e_i = \mathrm{dz}_\delta\big(P_i^* - P_i\big),\qquad |s_i| \le s_\mathrm{max}.
 ```
@@ -10,7 +10,9 @@ $P_i^*$ is the pressure that the regulator goes by: the command, with what `regu
 `regulator_dead_time` make of it. $\dot P_{i,\mathrm{closed}}$ is what equation (4) has without flow: a joint that moves
 compresses the air, and the regulator lets it out again. So a measured pressure that differs from the command tells of
 the joint's motion. $\mathrm{dz}_\delta$ is 0 within $\pm\delta$ and moves on from there: an error within the dead zone
-is not corrected. At the largest rate $s_\mathrm{max}$ (0: none) the regulator's valve is wholly open.
+is not corrected. At the largest rate $s_\mathrm{max}$ (0: none) the regulator's valve is wholly open. A regulator that
+swings about a low command makes no vacuum: near $P_\mathrm{out}$ the pressure falls within the shortest time
+$T_\mathrm{stp}/2$ that a step of the integration follows.
 """
 
 from __future__ import annotations
@@ -26,9 +28,12 @@ from pam_antagonist.model.effects.base import (
 
 
 @inlined
-def with_flow(chamber_rate, regulator_rate):
-    """dP/dt [Pa/s] of a chamber with a regulator: rate of the closed chamber plus rate of the regulator."""
-    return chamber_rate + regulator_rate
+def with_flow(chamber_rate, regulator_rate, valve_pressure, atmosphere, quickest_lag):
+    """dP/dt [Pa/s] of a chamber with a regulator: rate of the closed chamber plus rate of the regulator, no vacuum.
+
+    `valve_pressure`: P [Pa]. `quickest_lag`: shortest time constant that a step of the integration follows [s].
+    """
+    return max(chamber_rate + regulator_rate, (atmosphere - valve_pressure) / quickest_lag)
 
 
 @inlined
@@ -56,7 +61,7 @@ def correcting(
 EFFECT = Effect(
     name="regulator_lag",
     meaning="A pressure regulator follows its command late, with a resonance, and no faster than it can.",
-    law="d²P_i/dt² = ω_i² (P_i* − P_i) − 2 ζ ω_i dP_i/dt, beside what the joint's motion compresses",
+    law="d²P_i/dt² = ω_i² (P_i* − P_i) − 2 ζ ω_i dP_i/dt, beside what the joint's motion compresses; no vacuum",
     source="inner loops of pressure regulators: step responses of their data sheets; 7 Hz with a damping ratio of 0.33 "
     "on a measured arm (docs/pamy.md)",
     signature="The measured pressures are not those of the commands for some tens of milliseconds after each step, and "
