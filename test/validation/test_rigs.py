@@ -161,6 +161,7 @@ def test_the_frozen_answers_are_whole_and_their_joints_can_be_made_again(capsys:
     path = Path(__file__).parents[1] / "diagnosis" / "oracle.jsonl"
     entries = oracle.read(path)
     assert set(entries) <= set(frozen.joints(Path("data"), entries))
+    assert {frozen.kind_of(name) for name in entries} == set(frozen.KINDS)
     battery = [name for name in entries if name.startswith("battery/")]
     assert len(battery) == 60 and sum(name.endswith("none") for name in battery) == 20
     assert oracle.main([str(path), "--against", str(path), "--compare-only"]) == 0
