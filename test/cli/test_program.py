@@ -203,6 +203,7 @@ def stranger(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow(5)
 def test_scripts_beside_the_recordings_are_not_imported(stranger: Path) -> None:
     """Nor from what PYTHONPATH names for another Python, nor by processes that a command starts."""
     words = started("pam_antagonist", "reachable", "--rig", "shin2022")

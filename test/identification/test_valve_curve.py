@@ -43,6 +43,7 @@ def test_the_relation_depends_on_neither_areas_nor_polytropic_indices() -> None:
     assert np.all(np.diff(rates) > 0.0) and 0.0 < rates[0] and rates[-1] < 1.0
 
 
+@pytest.mark.slow(5)
 def test_a_staircase_gives_the_plants_curve_back() -> None:
     levels = np.array([4.2, 4.6, 5.0, 5.5, 6.0, 6.6, 7.0])
     voltage = np.repeat(levels, 25_000)
