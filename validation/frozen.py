@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -121,15 +122,15 @@ def _known(regulators: bool) -> list[int]:
     """Seeds of fresh rigs with regulators, or with valves that short trials are recorded of."""
     drawn = ((seed, fresh.Kind.drawn(np.random.default_rng(seed))) for seed in _KNOWN)
     fitting = (seed for seed, kind in drawn if kind.regulators == regulators and kind.trials != regulators)
-    return [seed for seed, _ in zip(fitting, range(_OF_A_KIND), strict=False)]
+    return list(islice(fitting, _OF_A_KIND))
 
 
 @contextmanager
 def _fresh(seed: int, guessed: bool) -> Iterator[Joint]:
     lab = fresh.laboratory(seed)
-    inside = [(name, None) for name in ("hysteresis",) if name in lab.true.effects]
     # Who knows a joint has measured it: its file has all but the effect, and no priors.
-    declared = {name: numbers for name, numbers in lab.true.effects.items() if name not in dict(inside)}
+    declared = {name: numbers for name, numbers in lab.true.effects.items() if name != "hysteresis"}
+    inside = [(name, None) for name in lab.true.effects if name not in declared]
     known = lab.true.unchecked(effects=declared, priors={})
     yield Joint({"effects": inside}, lab.fit, lab.typed if guessed else known, {"seed": seed})
 

@@ -25,15 +25,13 @@ from pam_antagonist.inference.episodes import EpisodeModel, Squares
 from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.total_slopes import TotalSlope, total_slopes
-from pam_antagonist.inference.weak_laws import WeakFit, WeakModel
+from pam_antagonist.inference.weak_laws import WEAK_LAWS, WeakFit, WeakModel
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Progress = Callable[[str], None]
 
-WEAK_LAWS = "weak_laws"
-"""Name of all weak laws together, as of an effect."""
 _USED = 600
 """Most episodes in a final fit without weak laws: more add little information and take longer."""
 _ROUNDS = 4
@@ -229,8 +227,9 @@ def _forecast(
             fit = WeakFit.of(joint, alone, before)
             found = fit.fitted(alone, before, joint.jobs, lambda text: progress(f"forecasts, {text}"))
             (part, _), model = fit.part(after, found.numbers), found.model
-        left = part.residual(model)
-        parts.append((_way(part, model), left[:, 0], _counts(part)))
+        angle = part.simulated(model)
+        left = part.apart(angle)
+        parts.append((_way(part, angle), left[:, 0], _counts(part)))
         sums.append(part.squares(left))
     way, left, counts = (np.concatenate(each) for each in zip(*parts, strict=True))
     edges = np.unique(np.quantile(way[counts], np.linspace(0.0, 1.0, _BINS + 1)))
@@ -242,16 +241,17 @@ def _forecast(
         part, model = (
             (whole.take(some), named) if weak is None else (weak[0].part(some, weak[1].numbers)[0], weak[1].model)
         )
-        inside = np.abs(part.residual(model)[:, 0]) <= _IN_95 * std[np.digitize(_way(part, model), edges[1:-1])]
+        angle = part.simulated(model)
+        inside = np.abs(part.apart(angle)[:, 0]) <= _IN_95 * std[np.digitize(_way(part, angle), edges[1:-1])]
         return float(np.mean(inside[_counts(part)]))
 
     said = rmse(*(np.concatenate(each) for each in zip(*sums, strict=True)))
     return said, (covered(later), covered(episodes.held.interleaved))
 
 
-def _way(joint: PressureDriven, model: EpisodeModel) -> Floats:
-    """How far the model has turned since the start of its episode, to and fro (N,) [rad]."""
-    moved = np.abs(np.diff(joint.simulated(model)[:, 0], prepend=0.0))
+def _way(joint: PressureDriven, angle: Floats) -> Floats:
+    """How far a model has turned since the start of its episode, to and fro (N,) [rad]. `angle`: its own (N, 1)."""
+    moved = np.abs(np.diff(angle[:, 0], prepend=0.0))
     moved[joint.first[:-1]] = 0.0
     total = np.cumsum(moved)
     return np.asarray(total - np.repeat(total[joint.first[:-1]], np.diff(joint.first)))

@@ -179,9 +179,7 @@ def _encoder(rig: Rig, runs: Sequence[Run], jobs: int) -> list[Unknown]:
         return []
     unknown = joint_stage.encoder(joint_stage.BY_EYE)
     found = fit_joint(rig, runs, starts=1, jobs=jobs, free=unknown)
-    start = {item.name: item.start for item in unknown}
-    errors = joint_stage.errors_of(rig, runs, unknown, [start, found.values])
-    before, after = (_rms(joint_stage.joined(one)["angle"]) for one in errors)
+    before, after = (sizes["angle"] for sizes in _joint_errors(rig, runs, found))
     if not after**2 < _ENCODER_LEAVES * before**2:
         return []
     clear = [item for item in unknown if abs(found.values[item.name]) > CLEAR * found.stds[item.name]]
@@ -320,14 +318,17 @@ def _with_filter(
 
 def _joint_step(rig: Rig, runs: Sequence[Run], joint: Fit) -> Step:
     """The step of joint and muscles, for the report."""
-    start = {item.name: item.start for item in joint.unknowns}
-    sizes = [
-        {kind: _rms(left) for kind, left in joint_stage.joined(errors).items()}
-        for errors in joint_stage.errors_of(rig, runs, joint.unknowns, [start, joint.values])
-    ]  # fmt: skip
+    before, after = _joint_errors(rig, runs, joint)
     note = "" if joint.unknowns else "skipped: no parameter of it is free, or shows"
     source = "measured pressures, which drive the joint"
-    return Step("joint and muscles", source, _moves(rig, joint), sizes[0], sizes[1], note)
+    return Step("joint and muscles", source, _moves(rig, joint), before, after, note)
+
+
+def _joint_errors(rig: Rig, runs: Sequence[Run], fit: Fit) -> list[dict[str, float]]:
+    """Errors of the joint by what is measured, RMS: with the values before a fit, and with those of it."""
+    values = [{item.name: item.start for item in fit.unknowns}, fit.values]
+    each = joint_stage.errors_of(rig, runs, fit.unknowns, values)
+    return [{kind: _rms(left) for kind, left in joint_stage.joined(errors).items()} for errors in each]
 
 
 def _air_step(rig: Rig, runs: Sequence[Run], air: Fit) -> Step:

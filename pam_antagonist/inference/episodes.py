@@ -240,13 +240,12 @@ class Episodes(Driven):
 
     @override
     def residuals(self, points: Iterable[Point]) -> list[Floats]:
-        far, measured = self.runaway, self.measured
+        return self.in_lanes(lambda group: [self.apart(shown) for shown in self.simulated_each(group)], points)
 
-        def left(group: Sequence[Point]) -> list[Floats]:
-            lefts = (measured - shown for shown in self.simulated_each(group))
-            return [np.clip(np.nan_to_num(one, nan=0.0, posinf=far, neginf=-far), -far, far) for one in lefts]
-
-        return self.in_lanes(left, points)
+    def apart(self, shown: Floats) -> Floats:
+        """Residual of what a model shows."""
+        far = self.runaway
+        return np.clip(np.nan_to_num(self.measured - shown, nan=0.0, posinf=far, neginf=-far), -far, far)
 
     def step_that_serves(self, model: Point) -> float:
         """The longest step [s], not above the present one, that is accurate enough for a model."""

@@ -7,6 +7,7 @@ part of the recording has its own drift.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,25 +89,16 @@ def _of_numbers(
     """Mean slopes (2 I, M) that each number makes."""
     known = fit.inputs(part)
     seen = {"angle": states[:, ANGLE], "velocity": states[:, VELOCITY]}
+
+    def phi(name: str, step: float) -> Floats:
+        # A lasting change: what fades does not count.
+        moved = {**known, name: known[name] + step / fit.laws.range[name]} if name in known else known
+        there = {**seen, name: seen[name] + step} if name in seen else seen
+        return fit.phi(there, fit.columns(part, episodes, moved)[rows])
+
+    slopes = _means(fit, by, phi)
     friction = np.array([term.place >= FRICTION for term in fit.terms])
-    both: list[list[Floats]] = [[], []]
-    for name in by:
-        ends = []
-        if name == LEVEL:
-            level = np.mean(fit.phi(seen, fit.columns(part, episodes, known)[rows]), axis=0)
-            both[0].append(np.where(friction, 0.0, level))
-            both[1].append(np.where(friction, level, 0.0))
-            continue
-        for sign in (1.0, -1.0):
-            # A lasting change: what fades does not count.
-            moved = {**known, name: known[name] + sign * _STEP} if name in known else known
-            there = seen if name in known else {**seen, name: seen[name] + sign * _STEP}
-            ends.append(fit.phi(there, fit.columns(part, episodes, moved)[rows]))
-        way = 2.0 * _STEP * (fit.laws.range[name] if name in known else 1.0)
-        slope = np.mean(ends[0] - ends[1], axis=0) / way
-        both[0].append(np.where(friction, 0.0, slope))
-        both[1].append(np.where(friction, slope, 0.0))
-    return np.array([*both[0], *both[1]])
+    return np.concatenate([np.where(friction, 0.0, slopes), np.where(friction, slopes, 0.0)])
 
 
 def _of_base(
@@ -121,29 +113,28 @@ def _of_base(
 
 
 def _of_model(fit: WeakFit, p: Floats, states: Floats, signals: Floats, by: list[str]) -> Floats:
-    count = len(fit.joint.rig.signals)
-    steps = {name: _STEP * width for name, width in fit.laws.range.items()}
-    out: list[list[float]] = [[], []]
+    names = list(fit.joint.rig.signals)
+    columns = {"angle": ANGLE, "velocity": VELOCITY, **{name: PRESSURE_1 + k for k, name in enumerate(OWN)}}
+
+    def torques(name: str, step: float) -> Floats:
+        x, s = states.copy(), signals[:, : len(names)].copy()
+        if name in columns:
+            x[:, columns[name]] += step
+        elif name in names:
+            s[:, names.index(name)] += step
+        return _torques(x, s, p)
+
+    return _means(fit, by, torques).T.ravel()
+
+
+def _means(fit: WeakFit, by: list[str], of: Callable[[str, float], Floats]) -> Floats:
+    """Mean slopes (I, K) of what `of` gives (R, K) where one of some inputs is a step away; for a level its mean."""
+    out = []
     for name in by:
-        step = steps.get(name, _STEP)
-        ends = []
-        if name == LEVEL:
-            for column, mean in zip(out, np.mean(_torques(states, signals[:, :count], p), axis=0), strict=True):
-                column.append(float(mean))
-            continue
-        for sign in (1.0, -1.0):
-            x, s = states.copy(), signals.copy()
-            if name in OWN:
-                x[:, PRESSURE_1 + OWN.index(name)] += sign * step
-            elif name in ("angle", "velocity"):
-                x[:, ANGLE if name == "angle" else VELOCITY] += sign * step
-            else:
-                s[:, list(fit.joint.rig.signals).index(name)] += sign * step
-            ends.append(_torques(x, s[:, :count], p))
-        torque, friction = (np.mean(ends[0] - ends[1], axis=0) / (2.0 * step)).tolist()
-        out[0].append(torque)
-        out[1].append(friction)
-    return np.array([*out[0], *out[1]])
+        step = _STEP * fit.laws.range.get(name, 1.0)
+        change = of(name, 0.0) if name == LEVEL else (of(name, step) - of(name, -step)) / (2.0 * step)
+        out.append(np.mean(change, axis=0))
+    return np.array(out)
 
 
 def _torques(states: Floats, signals: Floats, p: Floats) -> Floats:

@@ -35,7 +35,7 @@ from pam_antagonist.inference.weak_features import (
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import Inputs
 from pam_antagonist.model.effects.base import COEFFICIENTS
-from pam_antagonist.model.effects.weak_laws import FARTHEST
+from pam_antagonist.model.effects.weak_laws import EFFECT, FARTHEST
 from pam_antagonist.model.linearised import linearised, responses
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.schema import WeakLaws
@@ -43,6 +43,7 @@ from pam_antagonist.rig.schema import WeakLaws
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+WEAK_LAWS = EFFECT.name
 _VELOCITY = 0.5
 """[rad/s] Unit of the velocity."""
 _ANGLES = 0.25
@@ -172,7 +173,7 @@ class WeakFit:
         areas = [abs(value[v1] * length + value[v2]) for v1, v2 in map(_areas, (1, 2))]
         angle = _ANGLES * float(np.ptp(np.quantile(part.angle[np.isfinite(part.angle)], _QUANTILES)))
         acting = {"amount": 1.0, "angle": min(max(angle, 1e-3), 10.0), "velocity": _VELOCITY}
-        acts = rig.replaced(effects={**rig.effects, "weak_laws": acting}, weak_laws=None)
+        acts = rig.replaced(effects={**rig.effects, WEAK_LAWS: acting}, weak_laws=None)
         torque = rig.geometry.radius * float(np.mean(np.array(areas) * width[:2]))
         drag = abs(values.get("joint.viscous_friction", rig.joint.viscous_friction)) + 1e-3 * torque
         return cls(replace(joint, rig=acts, jobs=1), laws, torque, drag, int(fitted[0]), int(fitted[-1]) + 1)
@@ -233,7 +234,7 @@ class WeakFit:
 
     def phi(self, seen: Mapping[str, Floats], columns: Floats) -> Floats:
         """How torque and Coulomb torque go with each number (N, M) at angles and velocities."""
-        unit = self.joint.rig.effects["weak_laws"]
+        unit = self.joint.rig.effects[WEAK_LAWS]
         s, v = np.clip(seen["angle"] / unit["angle"], -FARTHEST, FARTHEST), seen["velocity"]
         fast = np.abs(v) / unit["velocity"]
         slow, one = np.exp(-fast), np.ones_like(s)
@@ -340,9 +341,9 @@ class WeakFit:
         for term, value in zip(self.terms, found.numbers, strict=True):
             if term.ramp < 0:
                 numbers.setdefault(PLACES[term.place], {})[term.feature] = float(value)
-        acting = self.joint.rig.effects["weak_laws"]
+        acting = self.joint.rig.effects[WEAK_LAWS]
         return rig.replaced(
-            effects={**rig.effects, "weak_laws": dict(acting)}, weak_laws=self.laws.replaced(numbers=numbers)
+            effects={**rig.effects, WEAK_LAWS: dict(acting)}, weak_laws=self.laws.replaced(numbers=numbers)
         )
 
 

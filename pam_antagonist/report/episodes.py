@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.episodes import WEAK_LAWS, EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
 from pam_antagonist.diagnosis.result import MODELS, FoundEffect, Size
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.total_slopes import LEVEL, PARTS, TotalSlope
+from pam_antagonist.inference.weak_laws import WEAK_LAWS
 from pam_antagonist.program import versions
 from pam_antagonist.replays.result import joined
 from pam_antagonist.report.document import Document, Findings, Section, Statement, Table, Tile, Tiles, note, page, warn

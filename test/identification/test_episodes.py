@@ -78,6 +78,7 @@ def test_regulators_are_found_without_what_they_have_not() -> None:
     assert values["regulator_lag.damping"] == pytest.approx(0.35, rel=0.02)
 
 
+@pytest.mark.slow(5)
 def test_a_dead_time_is_found_beside_the_lag() -> None:
     values, taken = found_in(commanded(dead_time=23))
     assert "dead time" in taken
