@@ -60,23 +60,45 @@ def stretches_above_noise(pairs: Iterable[tuple[Experiment, Point]], jobs: int) 
     """The clearest stretch above noise of every recording that has one even with the base fitted to all of it.
 
     The verdict `none` is about all data, so the base parameters are fitted to the whole recording before it is tested.
-    The stretch is taken from the model as it is: the base fitted to all data may hide what is wrong.
+    The stretch is taken from the model as it is: the base fitted to all data may hide what is wrong. The second after
+    the joint hit its stop does not count: small errors of its speed grow as it bounces.
     """
 
     def one(experiment: Experiment, point: Point) -> Stretch | None:
-        found = clearest(experiment, replace(experiment, judged=()).residual(point, whole=True))
-        if found is None:
-            return None
-        fitted = fitted_to_all(experiment, point)
-        return found if clearest(experiment, fitted.residual) is not None else None
+        counts = ~_bounces(experiment, point)
+
+        def above(model: Point) -> Stretch | None:
+            left = replace(experiment, judged=()).residual(model, whole=True)
+            return clearest(experiment, counts[:, None] * left)
+
+        found = above(point)
+        return found if found is not None and above(_as_right(_on(experiment, counts), point).point) else None
 
     return tuple(stretch for stretch in in_threads(one, pairs, jobs) if stretch is not None)
 
 
+def _bounces(experiment: Experiment, point: Point) -> Mask:
+    """Blocks (B,) in the second after a model hit its stop."""
+    trial, stop = experiment.trial, experiment.rig.joint.stop
+    blocks = np.zeros(trial.whole_blocks(len(trial)) // trial.block, dtype=bool)
+    if stop is None:
+        return blocks
+    angle, velocity = experiment.states(point)[0][:, :2].T
+    leans = np.abs(angle) + np.abs(velocity) * trial.dt >= stop  # it may be there between two rows
+    for hit in np.flatnonzero(np.diff(leans, prepend=False) & leans) // trial.block:
+        blocks[hit : hit + round(_WINDOW / trial.block_s)] = True
+    return blocks
+
+
 def fitted_to_all(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter] = ()) -> Fitted:
-    """A model fitted to all of a recording, held out or not, as a model that is right: every block counts."""
+    """A model fitted to all of a recording, held out or not, as a model that is right."""
     alone = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), split=None, judged=())
-    return refit(alone, point, free, rounds=_LAST_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
+    return _as_right(alone, point, free)
+
+
+def _as_right(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter] = ()) -> Fitted:
+    """A model fitted as one that is right: every block counts."""
+    return refit(experiment, point, free, rounds=_LAST_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
 
 
 def clearest(experiment: Experiment, residual: Floats) -> Stretch | None:

@@ -187,3 +187,24 @@ def test_a_verdict_that_explains_nothing_never_leaves_nothing(shaken: Case) -> N
     (left, *more) = pipeline.left(shaken.judged("unexplained", 0.0))
     assert left.times_noise > 0.9 and left.end_s > left.begin_s and not more
     assert pipeline.left(shaken.judged("none", 0.0)) == []
+
+
+def test_how_a_joint_bounces_at_its_stop_decides_nothing(recorded, experiment_of) -> None:
+    """A joint with nothing wrong was unexplained: at 700 °/s a bounce took another course than the model's."""
+    free = experiment_of(recorded(joint="free", seconds=20.0), "free")
+    without = free.simulated(free.origin, whole=True)
+    stop = 0.97 * float(np.max(np.abs(without[:, 0])))
+    free = replace(free, rig=free.rig.replaced(joint=free.rig.joint.replaced(stop=stop)))
+    within = free.simulated(free.origin, whole=True)
+    measured = within + free.noise * np.sqrt(free.trial.block) * np.random.default_rng(5).standard_normal(within.shape)
+    hit = int(np.flatnonzero(np.abs(within[:, 0]) >= stop)[0])
+
+    def stretches(begin: int) -> list[str]:
+        wrong = measured.copy()
+        wrong[begin : begin + 300, 0] += 0.02
+        trial = replace(free.trial, measured=wrong)
+        found = change_point.stretches_above_noise([(replace(free, trial=trial), free.origin)], 1)
+        return [one.channel for one in found]
+
+    assert stretches(hit) == []
+    assert stretches(hit - 4000) == ["Angle"]
