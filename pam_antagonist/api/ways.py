@@ -64,6 +64,6 @@ def way(recordings: Sequence[Recording], rig: Rig) -> Way:
     if by_rig is not None:
         return by_rig
     short = in_episodes or any(one.duration_s < SHORTEST for one in recordings)
-    if rig.drive == "valve" and short and sum(one.duration_s for one in recordings) >= SHORTEST:
+    if short and sum(one.duration_s for one in recordings) >= SHORTEST:
         return TRIALS
     return COURSE

@@ -126,9 +126,12 @@ class ModelPart(Experiment):
     @cached_property
     @override
     def tolerated(self) -> Floats:
-        """What a data sheet's law leaves; known valves leave nothing, a known joint what the measured pressures err."""
+        """What a data sheet's law leaves, or a known joint by errors of the measured pressures.
+
+        Known valves leave the error of the reading at which they began anew: a shut one keeps it for the second.
+        """
         if self.part == AIR:
-            return np.hypot(self.noise, _PRESSURE) if self.rig.is_from_data_sheets else self.noise
+            return np.hypot(self.noise, _PRESSURE if self.rig.is_from_data_sheets else self.noise)
         seen = np.nanmax(self.measured, axis=0) - np.nanmin(self.measured, axis=0)
         torque = joint_stage.TORQUE_SHARE * joint_stage.torque_scale(self.rig)
         return np.hypot(self.noise, np.where(np.array(self.channels) == ANGLE, _ANGLE * seen, torque))

@@ -36,6 +36,7 @@ from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import TORQUE, Inputs
 from pam_antagonist.model.equilibrium import initial_state, rest_angle
 from pam_antagonist.model.force_forms import FORMS
+from pam_antagonist.recording.rows import curve
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -280,7 +281,8 @@ def simulated_each(
     out = []
     for (zero, delay), (states, _) in zip(encoders, along.driven_each(starts, vectors), strict=True):
         turned = states[:, 0]
-        out.append(turned + zero if delay == 0.0 else np.interp(run.time - delay, run.time, turned) + zero)
+        late = np.clip(run.time - delay, run.time[0], run.time[-1])
+        out.append(zero + (turned if delay == 0.0 else curve(late, run.time, turned, states[:, 1])))
     return out
 
 

@@ -18,6 +18,7 @@ from typing_extensions import override
 from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
 from pam_antagonist.model.effects import EffectParameter
+from pam_antagonist.recording.rows import curve
 
 Floats = NDArray[np.float64]
 
@@ -125,12 +126,12 @@ def readings(simulated: Floats, dt: float, values: Mapping[str, float]) -> Float
     out = simulated.copy()
     out[:, ANGLE] += values.get("encoder_zero", 0.0)
     out[:, TORQUE] = values.get("torque_zero", 0.0) + (1.0 + values.get("torque_scale", 0.0)) * out[:, TORQUE]
-    time = np.arange(len(out)) * dt
+    time = np.arange(len(out), dtype=np.float64) * dt
     for name, columns in _CHANNELS.items():
         early = values.get(f"delay_{name}", 0.0) - values.get("delay_voltage", 0.0)
         if early:
             for column in columns:
-                out[:, column] = np.interp(time + early, time, out[:, column], left=np.nan, right=np.nan)
+                out[:, column] = curve(time + early, time, out[:, column])
     return out
 
 

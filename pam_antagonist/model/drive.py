@@ -99,8 +99,9 @@ def drive(mask, first, start, keeps, length, command, pressure, motion, signals,
         mask: what is given and what is wanted, a sum of the constants of this module.
         first: index of the first row of each part, then the number of rows (E + 1,).
         start: state with which each part begins (E, n).
-        keeps: whether a part goes on from the one before: only angle, velocity and pressures begin anew (E,).
-        length: of the step that ends at a row (N,) [s]; not used at the first row of a part.
+        keeps: whether a part goes on from the one before: only angle, velocity and pressures begin anew (E,). The
+            first one does not.
+        length: of the step that ends at a row (N,) [s]; not used at the first row of a part that does not go on.
         command: of the step that ends at a row (N, 2) or with the torque from outside (N, 3) [V or Pa, N m].
         pressure: P_1, P_2 (N, 2) [Pa], linear between rows.
         motion: ψ, ψ̇, ψ̈ and the direction of motion, -1 to 1 (N, 4) [rad, s]; ψ is linear between rows.
@@ -119,12 +120,14 @@ def drive(mask, first, start, keeps, length, command, pressure, motion, signals,
     # Where pressures and motion are given, only added states are left to integrate.
     follows = n > BASE_STATES or mask & (BY_PRESSURE | BY_MOTION) != BY_PRESSURE | BY_MOTION
     for e in range(first.shape[0] - 1):
-        for i in range(n):
-            if i < BASE_STATES or not keeps[e]:
-                x[i] = start[e, i]
         for k in range(first[e], first[e + 1]):
-            if k > first[e] and follows:
+            # What a part remembers has gone on over the step to its first row.
+            if follows and (k > first[e] or keeps[e]):
                 _move(mask, x, u, length[k], command, pressure, motion, signals, k, p, longest, scratch)
+            if k == first[e]:
+                for i in range(n):
+                    if i < BASE_STATES or not keeps[e]:
+                        x[i] = start[e, i]
             _at_row(mask, x, pressure, motion, signals, k, p)
             for i in range(n):
                 states[k, i] = x[i]

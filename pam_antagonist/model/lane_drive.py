@@ -83,12 +83,13 @@ def drive(mask, first, start, keeps, length, command, pressure, motion, signals,
     n, done = start.shape[1], first[0]
     follows = n > BASE_STATES or mask & (BY_PRESSURE | BY_MOTION) != BY_PRESSURE | BY_MOTION
     for e in range(first.shape[0] - 1):
-        for i in range(n):
-            if i < BASE_STATES or not keeps[e]:
-                put(x, i, item(start, (e, i)))
         for k in range(first[e], first[e + 1]):
-            if k > first[e] and follows:
+            if follows and (k > first[e] or keeps[e]):
                 _move(mask, x, u, length[k], command, pressure, motion, signals, k, p, longest, stages)
+            if k == first[e]:
+                for i in range(n):
+                    if i < BASE_STATES or not keeps[e]:
+                        put(x, i, item(start, (e, i)))
             _at_row(mask, x, pressure, motion, signals, k, p)
             for i in range(n):
                 put(recent, (k - done, i), item(x, i))

@@ -17,7 +17,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.recording.faults import without_faults
 from pam_antagonist.recording.plausible import STANDARD_ATMOSPHERE, UNITS, canonical, unwrapped
 from pam_antagonist.recording.recording import Recording
-from pam_antagonist.recording.rows import slow
+from pam_antagonist.recording.rows import curve, slow
 from pam_antagonist.recording.stamps import LARGEST_DELAY
 
 Floats = NDArray[np.float64]
@@ -190,14 +190,14 @@ _TYPED: dict[str, _Typed] = {one.name: one.metadata["typed"] for one in _OPTIONS
 def _later(
     time: Floats, values: Floats, delay: float, again: NDArray[np.bool_] | None = None, hold: bool = False
 ) -> Floats:
-    """Values (N,) that are delayed [s] by linear interpolation.
+    """Values (N,) that are delayed [s].
 
     `again`: rows that only repeat the last reading of a slow sensor (N,); None: none do. `hold`: whether the first and
     the last value are used outside the recording; else NaN.
     """
-    ends = {} if hold else {"left": np.nan, "right": np.nan}
     known = slice(None) if again is None else ~again
-    return np.interp(time - delay, time[known], values[known], **ends)
+    there = time - delay
+    return curve(np.clip(there, time[0], time[-1]) if hold else there, time[known], values[known])
 
 
 def _option(name: str) -> str:

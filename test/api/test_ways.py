@@ -46,7 +46,7 @@ def recorded(seconds: float, drive: str = "valve", in_episodes: bool = False) ->
         (KNOWN, [recorded(30.0, in_episodes=True)], TRIALS),
         (BRAIDED, [recorded(30.0)], COURSE),
         (REGULATED, [recorded(30.0, "regulator")], COURSE),
-        (REGULATED, [recorded(6.0, "regulator")] * 4, COURSE),
+        (REGULATED, [recorded(6.0, "regulator")] * 4, TRIALS),
         (REGULATED, [recorded(30.0, "regulator", in_episodes=True)], EPISODES),
         (REGULATED, [recorded(30.0, in_episodes=True)], EPISODES),
         (PUSHED, [recorded(15.0)], SEALED),

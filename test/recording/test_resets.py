@@ -16,7 +16,7 @@ from pam_antagonist.estimation.stamps import repeated
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
-from pam_antagonist.recording.rows import between, own_readings, reading_times, resets, slow, slow_sentence
+from pam_antagonist.recording.rows import between, curve, own_readings, reading_times, resets, slow, slow_sentence
 
 TRIAL_S = 2.0
 
@@ -223,3 +223,19 @@ def test_a_delay_moves_the_readings_of_a_slow_sensor_and_not_its_rows() -> None:
     assert np.std(later.angle[rows] - np.interp(ROWS - 0.4, ROWS, course)[rows]) < 0.02
     assert np.array_equal(later.pressure[1:], log.pressure[:-1])
     assert list(slow(later)) == ["pressures"]
+
+
+def test_a_delay_follows_the_bends_of_a_quick_motion_and_a_straight_line_does_not() -> None:
+    """At 50 rows a second a joint that swings at 5 Hz goes through a bend in each row."""
+    time = 0.02 * np.arange(600)
+    swing = 0.5 * np.sin(10.0 * np.pi * time)
+    there = time[5:-5] - 0.0053
+    true = 0.5 * np.sin(10.0 * np.pi * there)
+    by_rows = np.std(curve(there, time, swing) - true)
+    by_velocity = np.std(curve(there, time, swing, 5.0 * np.pi * np.cos(10.0 * np.pi * time)) - true)
+    straight = np.std(np.interp(there, time, swing) - true)
+    assert by_velocity < 0.1 * by_rows < 0.03 * straight
+    swing[300:310] = np.nan
+    found = curve(time - 0.0053, time, swing)
+    assert np.flatnonzero(np.isnan(found)).tolist() == [0, *range(300, 311)]
+    assert np.array_equal(curve(time, time, swing), swing, equal_nan=True)
