@@ -28,6 +28,7 @@ from pam_antagonist.api.history import history, log
 from pam_antagonist.cli import common
 from pam_antagonist.cli.common import JOBS
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row, diagnose
+from pam_antagonist.identification.episode_filter import with_filter
 from pam_antagonist.identification.regulators import of_commands, pressures_of
 from pam_antagonist.inference.bootstrap import Interval, rmse
 from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out
@@ -84,9 +85,12 @@ def _run(arguments: argparse.Namespace) -> int:
     baselines = without_physics(joint, held)
     regulators = of_commands(joint, held, _progress)
     commanded = by_commands(found, joint, held, pressures_of(regulators, joint))
+    started = regulators.on(report.extended(found, joint))
+    filtered = with_filter(started, recording, _SHARE, None, arguments.jobs, _progress)
     book = by_parts(recording, arguments.jobs)
     took = time.perf_counter() - begin
-    result = report.EpisodesDiagnoseResult(found, joint, (hashlib.sha256(arguments.file.read_bytes()).hexdigest(),))
+    digest = hashlib.sha256(arguments.file.read_bytes()).hexdigest()
+    result = report.EpisodesDiagnoseResult(found, joint, (digest,), filtered)
     with common.output_folder(arguments.out) as folder:
         html.write(folder, result.document(not arguments.no_figures), {
             **result.to_json(), "baselines_deg": baselines, "commanded_deg": commanded,
@@ -112,6 +116,10 @@ def _run(arguments: argparse.Namespace) -> int:
                  f"{interval(commanded)}° on later episodes, with the measured ones by "
                  f"{interval(recent)}°: {number(commanded.value - recent.value, 2)}° less."),
         )),
+        *([] if filtered is None else [Section("The filter", (Text(
+            "From commands and measured pressures alone: each episode starts it anew, with an angle that friction "
+            f"leaves unknown. {filtered.sentence}"
+        ),))]),
         Text(f"The command took {took:.0f} s."),
     ]  # fmt: skip
     frame.show(blocks, arguments)

@@ -16,6 +16,7 @@ from pam_antagonist.diagnosis.hypotheses import ResumeFolder
 from pam_antagonist.diagnosis.learned_law import with_laws
 from pam_antagonist.diagnosis.preparation import Settings, silent
 from pam_antagonist.errors import BadInput
+from pam_antagonist.identification.episode_filter import with_filter
 from pam_antagonist.identification.episodes import identify as _identify_episodes
 from pam_antagonist.identification.from_pressures import identify as _identify
 from pam_antagonist.identification.result import held_of
@@ -26,7 +27,7 @@ from pam_antagonist.recording import Recording, bag_name, recording_hash
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.recording.notes import sealed_muscles
 from pam_antagonist.report.close_loop import DiagnoseResult
-from pam_antagonist.report.episodes import EpisodesDiagnoseResult
+from pam_antagonist.report.episodes import EpisodesDiagnoseResult, extended
 from pam_antagonist.report.identify import IdentifyResult
 from pam_antagonist.report.identify_episodes import EpisodesIdentifyResult
 from pam_antagonist.rig import Rig, as_rig
@@ -138,7 +139,9 @@ def _episodes(
     found = _identify_episodes(joint, holdout, progress or silent)
     source = f"identified from {bag_name(recordings[0].path)}; started from: {rig.source.strip()}"
     identified = found.rig.replaced(name=f"{rig.name}_identified", source=" ".join(source.split()))
-    return EpisodesIdentifyResult(identified, found, joint, (recording_hash(recordings[0]),))
+    filtered = with_filter(identified, recordings[0], holdout, None, jobs, progress or silent)
+    own = identified if filtered is None else filtered.rig
+    return EpisodesIdentifyResult(own, found, joint, (recording_hash(recordings[0]),), filtered)
 
 
 def diagnose(
@@ -203,7 +206,11 @@ def diagnose(
             raise BadInput(f"rig {chosen.name} has pressure regulators: {expected}")
         first = PressureDriven.of(fitted[0], chosen, also, jobs)
         later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
-        return EpisodesDiagnoseResult(_of_episodes(first, holdout, later, progress or silent), first, hashes)
+        found = _of_episodes(first, holdout, later, progress or silent)
+        filtered = with_filter(
+            extended(found, first), fitted[0], holdout, kept[0] if kept else None, jobs, progress or silent
+        )
+        return EpisodesDiagnoseResult(found, first, hashes, filtered)
     settings: dict[str, Any] = {
         "joint": joint, "lock_angle": lock_angle, "holdout": holdout, "jobs": jobs, "seed": seed,
         "progress": progress or silent, "profiles": profiles, "estimator": estimator, "store": store or ResumeFolder(),

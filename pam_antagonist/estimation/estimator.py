@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import encoder, possible, push, stamps, ukf
 from pam_antagonist.estimation import filter as kernels
 from pam_antagonist.estimation import memory as memories
+from pam_antagonist.estimation.further import FurtherInputs
 from pam_antagonist.estimation.memory import (
     ESTIMATE_DTYPE,
     Checkpoint,
@@ -202,9 +204,10 @@ class Estimator:
         self._stamp, self._pressure, self._voltage = np.zeros(1, np.int64), np.zeros((1, 2)), np.zeros((1, 2))
         self._angle = np.full(1, np.nan)
         self._effects = None if np.all(sets[:, par.PLAIN] != 0.0) else dynamics.WITH_EFFECTS
+        self._further = FurtherInputs.of(rig)
         self._live = (
-            self._stamp, self._pressure, self._voltage, self._used(self._angle), self._effects, *self._fields,
-            *_results(1, n),
+            self._stamp, self._pressure, self._voltage, self._used(self._angle),
+            None if self._further is None else self._further.now, self._effects, *self._fields, *_results(1, n),
         )  # fmt: skip
         rows = self._live[-4]
         self._row = rows[0]
@@ -234,11 +237,18 @@ class Estimator:
         self._memory.clock[:] = 0
         self._memory.encoder[:] = encoder.new()
         self._memory.readings[:] = stamps.new_readings(2)
+        if self._further is not None:
+            self._further.reset()
 
     @property
     def estimates_external_torque(self) -> bool:
         """Whether the rig has the external torque as a state."""
         return push.EXTERNAL_TORQUE in self._added
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the further signals that the rig's model goes by."""
+        return () if self._further is None else self._further.names
 
     @property
     def encoder_complaint(self) -> str:
@@ -343,8 +353,9 @@ class Estimator:
         return stamps.started_ns(self._memory.clock)
 
     def step(
-        self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan
-    ) -> np.void | None:
+        self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan,
+        signals: Sequence[float] = (),
+    ) -> np.void | None:  # fmt: skip
         """Process one sample.
 
         Args:
@@ -354,6 +365,8 @@ class Estimator:
             u1: voltage on valve 1 over the step that ends at the stamp [V], NaN where missing.
             u2: voltage on valve 2, likewise.
             angle: reading of the encoder [rad], NaN where missing.
+            signals: further signals [SI], in the order of the rig file, NaN where missing. A missing one is taken for
+                its value in the rig file; without any, all are.
 
         A value that is not possible on the rig (kPa in place of Pa, a pressure far above the supply's, percent in place
         of volts) counts as missing; :attr:`complaint` says what was expected.
@@ -375,7 +388,7 @@ class Estimator:
         """
         stamp = stamps.whole_ns(stamp_ns)
         try:
-            row = self.step_in_place(stamp, p1, p2, u1, u2, angle)
+            row = self.step_in_place(stamp, p1, p2, u1, u2, angle, signals)
         except (TypeError, ValueError, OverflowError):
             raise BadInput(f"sample {stamp}, {p1}, {p2}, {u1}, {u2}, {angle}: expected numbers") from None
         if self.started_ns is not None:
@@ -385,8 +398,9 @@ class Estimator:
         return self._bytes.copy().view(ESTIMATE_DTYPE)[0]
 
     def step_in_place(
-        self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan
-    ) -> np.void | None:
+        self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan,
+        signals: Sequence[float] = (),
+    ) -> np.void | None:  # fmt: skip
         """:meth:`step` without a copy, for fast loops: the next call overwrites the row.
 
         Args:
@@ -396,6 +410,7 @@ class Estimator:
             u1: likewise.
             u2: likewise.
             angle: likewise.
+            signals: likewise.
 
         Returns:
             The estimate, valid until the next call, or None.
@@ -403,11 +418,14 @@ class Estimator:
         self._stamp[0], self._angle[0] = stamp_ns, angle
         pressure, voltage = self._pressure, self._voltage
         pressure[0, 0], pressure[0, 1], voltage[0, 0], voltage[0, 1] = p1, p2, u1, u2
+        if self._further is not None:
+            self._further.step(stamp_ns, pressure, signals)
         return self._row if kernels.process_all(*self._live) else None
 
     def run(
-        self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray, angle: np.ndarray | None = None
-    ) -> EstimateRun:
+        self, stamp_ns: np.ndarray, pressure: np.ndarray, voltage: np.ndarray, angle: np.ndarray | None = None,
+        signals: Mapping[str, np.ndarray] | None = None,
+    ) -> EstimateRun:  # fmt: skip
         """Process a recording, sample by sample, with the same results as :meth:`step`.
 
         Args:
@@ -415,6 +433,8 @@ class Estimator:
             pressure: pressures (N, 2) [Pa], NaN where missing.
             voltage: voltages (N, 2) [V], NaN where missing.
             angle: readings of the encoder (N,) [rad], NaN where missing; None: no readings.
+            signals: further signals (N,) [SI] by the names of the rig file, NaN where missing. One that is not there
+                is taken for its value in the rig file.
 
         Raises:
             BadInput: stamps that are not in ns, no numbers, or arrays of other shapes.
@@ -422,11 +442,16 @@ class Estimator:
         own = stamps.all_ns(stamp_ns)
         size = len(own)
         rows, states, index, started = _results(size, len(self._memory.x))
+        pressures, further = _samples("pressure", pressure, (size, 2)), None
+        if self._further is not None:
+            columns = {name: _samples(f"signals[{name!r}]", one, (size,)) for name, one in (signals or {}).items()}
+            further = self._further.follow(own, pressures, self._further.columns(columns, size))
         count = kernels.process_all(
             own,
-            _samples("pressure", pressure, (size, 2)),
+            pressures,
             _samples("voltage", voltage, (size, 2)),
             self._used(np.full(size, np.nan) if angle is None else _samples("angle", angle, (size,))),
+            further,
             self._effects,
             *self._fields,
             rows,

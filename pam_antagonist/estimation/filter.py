@@ -52,7 +52,7 @@ from pam_antagonist.estimation.stamps import LAST, LONGEST_GAP_NS, REJECTED, RES
 from pam_antagonist.estimation.ukf import FilterScratch
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY
-from pam_antagonist.model.parameters import SLOT_OF
+from pam_antagonist.model.parameters import SIGNAL, SLOT_OF
 
 _NO_FLAGS, _ANGLE_MISSING, _ANGLE_REFUSED = np.int64(0), np.int64(NO_ANGLE), np.int64(OUTLIER)
 _VERDICT, _WITHOUT, _PATIENCE = encoder.VERDICT, encoder.WITHOUT, stamps.PATIENCE
@@ -71,6 +71,21 @@ _jumped, _widen = push.jumped, push.widen
 _propagate, _over_gap = bridge.propagate, bridge.over_gap
 _repeats, _forget = stamps.repeats, stamps.forget
 _start_clock, _own_period, _steps_over = stamps.start, stamps.own_period, stamps.steps_over
+
+
+@inlined
+def _put_further(further, k, share, sets, beside):
+    """Further inputs of sample k into all parameter sets, a share of the way from those that are there.
+
+    `beside`: the sets of the sigma points side by side.
+    """
+    for j in range(further.shape[1]):
+        value = sets[0, SIGNAL + j] + share * (further[k, j] - sets[0, SIGNAL + j])
+        for row in range(sets.shape[0]):
+            sets[row, SIGNAL + j] = value
+        for group in range(beside.shape[0]):
+            for lane in range(beside.shape[2]):
+                beside[group, SIGNAL + j, lane] = value
 
 
 @inlined
@@ -161,8 +176,10 @@ def _dropped(elapsed, x, covariance, clock, counts):
 
 
 @in_place
-def _begin(stamp, y, u, angles, k, effects, memory, settings, work, row):
+def _begin(stamp, y, u, angles, further, k, effects, memory, settings, work, row):
     """Start the filter with a sample that has pressures and voltages. Returns whether there is an estimate."""
+    if further is not None:
+        _put_further(further, k, 1.0, settings.parameter_sets, work.lane_sets)
     memory.held[0], memory.held[1] = u
     _start(y, effects, memory, settings, work)
     _start_clock(memory.clock, stamp)
@@ -291,14 +308,15 @@ def _flagged(usable_1, usable_2, known_u, outlier, gap, repaired, counts):
 
 
 @merged
-def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
+def process(stamp, y, u, angles, further, k, effects, memory, settings, work, row):
     """Process one sample.
 
     `stamp`: [ns]. `y`: both pressures [Pa], NaN where missing. `u`: both voltages [V] over the step that ends at the
-    stamp, NaN where missing. `angles`: measured angles (N,) [rad], NaN where missing; None where none is used. `k`:
-    index of the sample's angle in ``angles``. `memory`: :class:`Memory` of the filter, changed in place. `settings`:
-    its :class:`FilterSettings`. `row`: result, a record of ``ESTIMATE_DTYPE``. Returns True if ``row`` holds an
-    estimate; False if the sample was dropped, or could not start the filter.
+    stamp, NaN where missing. `angles`: measured angles (N,) [rad], NaN where missing; None where none is used.
+    `further`: further inputs of the model (N, 4 + 15); None for a model without any. `k`: index of the sample in both.
+    `memory`: :class:`Memory` of the filter, changed in place. `settings`: its :class:`FilterSettings`. `row`: result, a
+    record of ``ESTIMATE_DTYPE``. Returns True if ``row`` holds an estimate; False if the sample was dropped, or could
+    not start the filter.
     """
     clock, counts = memory.clock, memory.counts
     bounds = settings.possible
@@ -317,13 +335,17 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         return False
     if clock[RUNNING] == 0:
         if complete:
-            return _begin(stamp, at_rest, u, angles, k, effects, memory, settings, work, row)
+            return _begin(stamp, at_rest, u, angles, further, k, effects, memory, settings, work, row)
         counts[_MISSING] += 1
         return False
 
     held = _repeats(y, elapsed * 1e-9, memory.readings) and usable_1 and usable_2
     period = _own_period(elapsed, clock, settings.period)
+    if further is not None:
+        _put_further(further, k, 0.5, settings.parameter_sets, work.lane_sets)  # in the middle of the step
     gap, repaired = _advance(elapsed, period, y, usable_1, usable_2, u, known_u, effects, memory, settings, work)
+    if further is not None:
+        _put_further(further, k, 1.0, settings.parameter_sets, work.lane_sets)
     if gap:
         counts[_GAPS] += 1
     clock[LAST] = stamp
@@ -331,7 +353,7 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
         # The estimate is lost: start again with this sample, or with the next complete one.
         clock[RUNNING] = 0
         counts[_RESTARTS] += 1
-        return complete and _begin(stamp, at_rest, u, angles, k, effects, memory, settings, work, row)
+        return complete and _begin(stamp, at_rest, u, angles, further, k, effects, memory, settings, work, row)
 
     use_1, use_2, outlier = False, False, False
     if held:
@@ -354,13 +376,14 @@ def process(stamp, y, u, angles, k, effects, memory, settings, work, row):
 
 @in_place
 def process_all(
-    stamps, pressures, voltages, angles, effects, memory_fields, settings_fields, work_fields, rows, states, index,
-    started,
+    stamps, pressures, voltages, angles, further, effects, memory_fields, settings_fields, work_fields, rows, states,
+    index, started,
 ):  # fmt: skip
     """:func:`process` for every sample of a recording, called from Python.
 
     `stamps`: (N,) [ns]. `pressures`: (N, 2) [Pa]. `voltages`: (N, 2) [V]. `angles`: (N,) [rad]; None for a filter
-    without an encoder, for which numba compiles a smaller version. `memory_fields`: fields of :class:`Memory` as a
+    without an encoder, for which numba compiles a smaller version. `further`: (N, 4 + 15), or None likewise.
+    `memory_fields`: fields of :class:`Memory` as a
     plain tuple: numba unpacks it in a third of a NamedTuple's time. `settings_fields`: fields of
     :class:`FilterSettings`, likewise. `work_fields`: those of :class:`pam_antagonist.estimation.ukf.FilterScratch`,
     likewise. `rows`: results (N,) of ``ESTIMATE_DTYPE``. `states`: result (N, n), the whole state of each estimate.
@@ -371,7 +394,7 @@ def process_all(
     count = 0
     for k in range(stamps.shape[0]):
         y, u = (pressures[k, 0], pressures[k, 1]), (voltages[k, 0], voltages[k, 1])
-        if process(stamps[k], y, u, angles, k, effects, memory, settings, work, rows[count]):
+        if process(stamps[k], y, u, angles, further, k, effects, memory, settings, work, rows[count]):
             for i in range(states.shape[1]):
                 states[count, i] = memory.x[i]
             index[count] = k

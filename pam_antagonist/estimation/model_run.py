@@ -43,8 +43,9 @@ def simulate_model(
     substeps: int | None = None,
     external_torque: np.ndarray | None = None,
     period: float | None = None,
+    further: np.ndarray | None = None,
 ) -> ModelRun:
-    """The model alone: it starts at the first pressures and uses no later measurement.
+    """The model alone: it starts at the first pressures and uses no later measurement, but for its further inputs.
 
     Args:
         rig: the rig.
@@ -57,6 +58,8 @@ def simulate_model(
         substeps: Runge-Kutta steps a sample; default: as many as keep each step within 1 ms.
         external_torque: torque from outside (N,) [N m] where it is known.
         period: time from row to row [s]; default: the rig's sample period.
+        further: signals and coefficients of weak laws (N, 4 + 15), as of
+            :class:`~pam_antagonist.estimation.further.FurtherInputs`; None: the signals' values in the rig file.
 
     Raises:
         BadInput: the first pressures or voltages are not finite.
@@ -72,13 +75,15 @@ def simulate_model(
         raise BadInput("the model alone needs two finite pressures and voltages to start from")
     if external_torque is not None:
         held = np.column_stack([held, np.nan_to_num(external_torque)])
+    if further is not None:
+        p[par.SIGNAL : par.SIGNAL + further.shape[1]] = further[0]
     pressures = [dynamics.pressure_behind(i, shown[i], p) for i in (0, 1)]
     if joint == "locked":
         angle = lock_angle
     else:
         angle = equilibrium.start_angle(pressures[0], pressures[1], p) if angle0 is None else angle0
     start = equilibrium.initial_state(angle, pressures[0], pressures[1], held[0], p)
-    states, torques, sigma = drive.simulate(start, held, p, every, substeps)
+    states, torques, sigma = drive.simulate(start, held, p, every, substeps, further)
     readings = dynamics.readings(states[:, 2:4], p)
     lost = slice(diverged_from(np.column_stack([states[:, :2], torques, readings])), None)
     for column in (states, torques, readings):

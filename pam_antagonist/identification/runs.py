@@ -24,6 +24,7 @@ _Rows = NDArray[np.bool_]
 
 _SHORTEST = 1.0
 """[s] A shorter stretch is left out."""
+_FEWEST = 5
 _FINEST = 4e-3
 """[s] Rows that follow each other more quickly are averaged: the joint moves little in between."""
 _AHEAD = 9.0 / 16.0
@@ -139,11 +140,16 @@ def _stretches(recording: Recording) -> Iterator[NDArray[np.intp]]:
             yield from np.split(rows, np.flatnonzero(np.diff(recording.stamp_ns[rows]) > bound) + 1)
 
 
+def is_long(time: Floats) -> bool:
+    """Whether a stretch with rows at such times (N,) [s] tells something."""
+    return bool(time[-1] - time[0] >= _SHORTEST)
+
+
 def _run(
     recording: Recording, rows: NDArray[np.intp], state: JointCondition, name: str, again: Mapping[str, _Rows]
 ) -> Run | None:
     time = recording.time_s[rows]
-    if len(rows) < 5 or time[-1] - time[0] < _SHORTEST:
+    if len(rows) < _FEWEST or not is_long(time):
         return None
     slow_rows = {sensor: repeats[rows] for sensor, repeats in again.items()}
     pressure = between(time, recording.pressure[rows], slow_rows.get("pressures"))

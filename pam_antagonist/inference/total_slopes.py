@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.estimation.further import OWN, PLACES
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episodes import EpisodeModel
 from pam_antagonist.inference.held_episodes import thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven
-from pam_antagonist.inference.weak_features import OWN, PLACES
 from pam_antagonist.inference.weak_laws import WeakFit, WeakModel
 from pam_antagonist.model import dynamics
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, VELOCITY

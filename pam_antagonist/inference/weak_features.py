@@ -12,31 +12,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.further import FADING, OWN, FurtherInputs, fading
 from pam_antagonist.model.effects.base import COEFFICIENTS, SIGNALS
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.schema import WeakLaws
-from pam_antagonist.strict_yaml import unknown
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-PLACES = (
-    "torque", "torque*angle", "torque*angle^2", "torque*angle^3", "drag", "drag*angle", "drag*angle^2", "drag*speed",
-    "friction", "friction*angle", "friction*angle^2", "friction*slow", "friction*slow*angle", "friction*fast",
-    "friction*fast*angle",
-)  # fmt: skip
-"""Names of the coefficients of the effect, in its order."""
-OWN = ("pressure_1", "pressure_2")
-FADING = (0.03, 0.1, 0.3)
-"""[s] What of an input fades within these times counts as well."""
 LASTING = FADING[1:]
 """[s] The longer ones of them, which come with angles and with other inputs."""
-
-
-def fading(name: str, time: float) -> str:
-    """Name of what of an input fades within a time [s]."""
-    return f"{name} within {time:g} s"
 
 
 def features(inputs: Mapping[str, Floats], first: Indices, time: Floats) -> dict[str, Floats]:
@@ -86,22 +71,15 @@ def coefficients(rig: Rig, pressure: Floats, signals: Floats, first: Indices, ti
     Raises:
         BadInput: numbers of a place, an input or a feature that there is not.
     """
-    out, laws = np.zeros((len(time), COEFFICIENTS)), rig.weak_laws
-    if laws is None:
-        return out
-    where, names = f"rig {rig.name}: weak_laws", [*OWN, *rig.signals]
-    for given in (laws.middle, laws.range):
-        if sorted(given) != sorted(names):
-            raise BadInput(f"{where}: inputs {', '.join(given)}; expected {', '.join(names)}")
-    known = features(inputs_of(laws, pressure, signals, list(rig.signals)), first, time)
-    for place, numbers in laws.numbers.items():
-        if place not in PLACES:
-            raise BadInput(f"{where}.numbers: {unknown(place, PLACES)}; expected {', '.join(PLACES)}")
-        for name, value in numbers.items():
-            if name not in known:
-                raise BadInput(f"{where}.numbers.{place}: {unknown(name, known)}; expected a product of its inputs")
-            out[:, PLACES.index(place)] += value * known[name]
-    return out
+    if rig.weak_laws is None:
+        return np.zeros((len(time), COEFFICIENTS))
+    inputs, parts = FurtherInputs(rig), []
+    absolute = signals[:, : len(rig.signals)] + np.array(list(rig.signals.values()))
+    for begin, end in zip(first[:-1], first[1:], strict=True):
+        inputs.reset()
+        rows = slice(begin, end)
+        parts.append(inputs.follow(np.rint(1e9 * time[rows]).astype(np.int64), pressure[rows], absolute[rows]))
+    return np.concatenate([np.zeros((0, SIGNALS + COEFFICIENTS)), *parts])[:, SIGNALS:]
 
 
 def beside_signals(signals: Floats, driven: Floats) -> Floats:

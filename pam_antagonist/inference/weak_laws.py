@@ -19,19 +19,11 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from pam_antagonist.estimation.further import FADING, OWN, PLACES, fading
 from pam_antagonist.inference.episodes import EpisodeModel, Squares
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.threads import side_by_side
-from pam_antagonist.inference.weak_features import (
-    FADING,
-    LASTING,
-    OWN,
-    PLACES,
-    beside_signals,
-    fading,
-    features,
-    inputs_of,
-)
+from pam_antagonist.inference.weak_features import LASTING, beside_signals, features, inputs_of
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import Inputs
 from pam_antagonist.model.effects.base import COEFFICIENTS

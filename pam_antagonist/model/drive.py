@@ -283,7 +283,9 @@ class Inputs:
         return out
 
 
-def course(x0: Floats, command: Floats, p: Floats, dt: float, substeps: int) -> tuple[Floats, Floats]:
+def course(
+    x0: Floats, command: Floats, p: Floats, dt: float, substeps: int, signals: Floats | None = None
+) -> tuple[Floats, Floats]:
     """The model alone, driven by commands at an even period: states (N, n) and torques (N,) [N m].
 
     Args:
@@ -292,13 +294,15 @@ def course(x0: Floats, command: Floats, p: Floats, dt: float, substeps: int) -> 
         p: parameter vector (P,).
         dt: period of the rows [s].
         substeps: steps of the integration a row.
+        signals: further inputs of the model (N, S), if there are any.
     """
-    states, shown = Inputs.even(len(command), dt, substeps, command=command).driven(x0[None], p, TORQUE)
+    given = {"command": command} if signals is None else {"command": command, "signals": signals}
+    states, shown = Inputs.even(len(command), dt, substeps, **given).driven(x0[None], p, TORQUE)
     return states, shown[0]
 
 
 def simulate(
-    x0: Floats, command: Floats, p: Floats, dt: float, substeps: int
+    x0: Floats, command: Floats, p: Floats, dt: float, substeps: int, signals: Floats | None = None
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """States and torques of :func:`course`, and the subsystem σ (N,) at each row.
 
@@ -308,6 +312,7 @@ def simulate(
         p: parameter vector (P,).
         dt: period of the rows [s].
         substeps: steps of the integration a row.
+        signals: likewise.
     """
-    states, torques = course(x0, command, p, dt, substeps)
+    states, torques = course(x0, command, p, dt, substeps, signals)
     return states, torques, np.asarray(_subsystems(states, p))

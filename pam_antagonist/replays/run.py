@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pam_antagonist._jit import COMPILING
 from pam_antagonist.errors import BadInput, number
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics, possible, simulate_model
+from pam_antagonist.estimation.further import FurtherInputs
 from pam_antagonist.estimation.memory import read_angle
 from pam_antagonist.estimation.metrics import (
     ChannelErrors,
@@ -48,7 +49,7 @@ from pam_antagonist.replays.result import (
     Timing,
 )
 from pam_antagonist.rig import Reading, Rig, RigIdentity, differences, fingerprint
-from pam_antagonist.rig.units import unread as unread_of
+from pam_antagonist.shown import percent
 
 FloatArray = NDArray[np.float64]
 
@@ -205,7 +206,8 @@ def _estimate(
         for low in range(segment.first, end, _CHUNK):
             high = min(low + _CHUNK, end)
             kept = low + np.flatnonzero(given.had[low:high])
-            part = estimator.run(stamps[kept], given.pressure[kept], given.voltage[kept], given.angle[kept])
+            signals = {name: one.values[kept] for name, one in recording.signals.items() if name in estimator.signals}
+            part = estimator.run(stamps[kept], given.pressure[kept], given.voltage[kept], given.angle[kept], signals)
             parts.append(dataclasses.replace(part, index=kept[part.index]))
             progress(high - low)
     if not parts:
@@ -239,6 +241,7 @@ def _model_alone(
         index, begins = np.concatenate((before, index)), begins + len(before)
     count = len(index)
     track = ModelTrack(np.empty(count), np.empty(count), np.empty((count, 2)))
+    inputs = FurtherInputs.of(rig)
     for first, end in zip([0, *begins], [*begins, count], strict=True):
         # The model runs on the recording's grid and holds the voltages over missing samples.
         samples = index[first:end]
@@ -249,6 +252,15 @@ def _model_alone(
         if recording.external_torque is not None:
             external = np.zeros(len(voltage))
             external[step] = recording.external_torque[samples]
+        further = None
+        if inputs is not None:
+            inputs.reset()
+            signals = {name: one.values[samples] for name, one in recording.signals.items()}
+            known = inputs.follow(
+                recording.stamp_ns[samples], recording.pressure[samples], inputs.columns(signals, len(samples))
+            )
+            # On the grid, the inputs of the last sample hold over missing ones.
+            further = known[np.searchsorted(step, np.arange(len(voltage)), side="right") - 1]
         alone = simulate_model(
             rig,
             voltage,
@@ -257,6 +269,7 @@ def _model_alone(
             lock_angle=joint.lock_angle,
             external_torque=external,
             period=period,
+            further=further,
         )
         track.angle[first:end] = alone.angle[step]
         track.torque[first:end] = alone.torque[step]
@@ -325,7 +338,7 @@ def _judged(
                 *_sealed(recording, rig),
                 *_other_joint(recording, rig),
                 *filter(None, [seen_in_words(recording, rig.fitted, rig.name)]),
-                *unread(rig),
+                *_signals(recording, rig),
             ),
             _rigs(recording, rig),
         ),
@@ -342,9 +355,19 @@ def _judged(
     )
 
 
-def unread(rig: Rig) -> list[str]:
-    """Issue for a rig with further signals or weak laws, which the filter does not read."""
-    return [f"rig {rig.name}: {what}"] if (what := unread_of(rig)) else []
+def _signals(recording: Recording, rig: Rig) -> list[str]:
+    """Issues for further signals of a rig that a recording does not have, or not throughout."""
+    out = []
+    for name, reference in rig.signals.items():
+        known = recording.signals.get(name)
+        lost = 1.0 if known is None else float(np.mean(~np.isfinite(known.values)))
+        if lost > 0.0:
+            where = "throughout" if lost == 1.0 else f"in {percent(lost)} of the samples"
+            out.append(
+                f"signal {name} is missing {where}: the model takes its value in the rig file there "
+                f"({reference:.4g} in SI units), and errors may be larger than their intervals say"
+            )
+    return out
 
 
 def _live(recording: Recording, run: EstimateRun, planned: ReplayPlan, begin_ns: int | None) -> LiveComparison | None:

@@ -13,6 +13,7 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
 from pam_antagonist.diagnosis.result import MODELS, FoundEffect, Size
+from pam_antagonist.identification.episode_filter import EpisodeFilter
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
 from pam_antagonist.inference.free_parameters import moved
@@ -27,6 +28,7 @@ from pam_antagonist.report.identify_episodes import (
     ABOUT,
     BY_SIGNAL,
     about_episodes,
+    filter_notes,
     interval,
     intervals_frame,
     removes,
@@ -82,7 +84,7 @@ def next_step(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
     if not diagnosis.is_better:
         return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
     if what := unread(extended(diagnosis, joint)):
-        return f"Next: use rig_extended.yaml in identify and close_loop; {what}."
+        return f"Next: use rig_extended.yaml in identify, close_loop and replay; {what}."
     return "Next: use rig_extended.yaml, which every command and node takes."
 
 
@@ -282,6 +284,7 @@ class EpisodesDiagnoseResult(Result):
     found: EpisodeDiagnosis  # effects, and errors on whole held-out episodes
     joint: PressureDriven
     hashes: tuple[str, ...]  # SHA-256 of the recordings, a whole held-out one last
+    filtered: EpisodeFilter | None = None  # the rig's filter; None without commands
 
     @override
     def _brief(self) -> str:
@@ -322,8 +325,8 @@ class EpisodesDiagnoseResult(Result):
 
     @property
     def rig_extended(self) -> Rig:
-        """The rig with the effects, and the further signals that they need."""
-        return extended(self.found, self.joint)
+        """The rig with the effects, the further signals that they need, and its filter."""
+        return extended(self.found, self.joint) if self.filtered is None else self.filtered.rig
 
     @override
     def to_json(self) -> dict[str, Any]:
@@ -348,6 +351,7 @@ class EpisodesDiagnoseResult(Result):
             },
             "slopes": [{**picked(one, "of", "by", "unit", "parts"), "agrees": one.agrees} for one in found.slopes],
             **picked(found, "values", "tried"),
+            "filter": None if self.filtered is None else self.filtered.to_json(),
             "forecast_deg": found.forecast,
             "coverage95": {"later": found.coverage[0], "interleaved": found.coverage[1]},
             "not_told_apart": [{"effect": a, "instead_of": b, "errors_deg": row} for a, b, row in found.others],
@@ -373,8 +377,8 @@ class EpisodesDiagnoseResult(Result):
         drawn: Sequence[Figure] = slopes_figure(found, joint.rig) if figures else ()
         slopes = (Section("What torque and friction go with", (slopes_table(found, joint.rig), *drawn), 2, "slopes"),)
         blocks = (
-            tiles, Findings(findings(found, joint)), errors_table(found), values_table(found, joint.rig),
-            *(slopes if found.slopes else ()),
+            tiles, Findings((*findings(found, joint), *filter_notes(self.filtered))), errors_table(found),
+            values_table(found, joint.rig), *(slopes if found.slopes else ()),
             Section("All candidates", (tried_table(found),), 2, "candidates"),
         )  # fmt: skip
         kicker, words_of = "What the model of a joint lacks", "close_loop of episodes"

@@ -13,6 +13,7 @@ from typing import Any
 
 from typing_extensions import override
 
+from pam_antagonist.identification.episode_filter import EpisodeFilter
 from pam_antagonist.identification.episodes import EpisodesIdentified, is_fair
 from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
@@ -101,6 +102,11 @@ def intervals_frame(values: Mapping[str, Interval]) -> DataFrame:
     return frame_of(rows, ("value_of", "value", "low", "high"), "value_of")
 
 
+def filter_notes(filtered: EpisodeFilter | None) -> tuple[Statement, ...]:
+    """What the rig's filter does on later episodes."""
+    return () if filtered is None else (note(filtered.sentence),)
+
+
 def units_findings(joint: PressureDriven) -> tuple[Statement, ...]:
     """Findings about a rig that was fitted to the episodes before, unknown units, and episodes that were left out."""
     out, units = [], joint.rig.units
@@ -175,6 +181,7 @@ class EpisodesIdentifyResult(Result):
     found: EpisodesIdentified  # the values with their intervals, and errors on whole held-out episodes
     joint: PressureDriven
     hashes: tuple[str, ...]  # SHA-256 of the recording, a tuple of one
+    filtered: EpisodeFilter | None = None  # the rig's filter; None without commands
 
     @override
     def _brief(self) -> str:
@@ -187,7 +194,10 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        return {**self.found.to_json(), "recordings_sha256": self.hashes, "rejected": self.rejected}
+        filtered = None if self.filtered is None else self.filtered.to_json()
+        return {
+            **self.found.to_json(), "filter": filtered, "recordings_sha256": self.hashes, "rejected": self.rejected
+        }  # fmt: skip
 
     @override
     def document(self, figures: bool = True) -> Document:
@@ -212,7 +222,10 @@ class EpisodesIdentifyResult(Result):
         tables = () if found.regulators is None else (regulators_table(found.regulators, found.rig),)
         return page(
             "Identified joint", self.joint.name,
-            (Findings((*remarks, *units_findings(self.joint))), _errors(found), values, *tables),
+            (
+                Findings((*remarks, *units_findings(self.joint), *filter_notes(self.filtered))), _errors(found),
+                values, *tables,
+            ),
             "identify of episodes", [("Rig", found.start.name), ("Recording", self.hashes[0])], ABOUT,
             do_not_use(self.rejected) if self.rejected else said,
         )  # fmt: skip
