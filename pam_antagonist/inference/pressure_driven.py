@@ -75,7 +75,7 @@ class PressureDriven(Episodes):
         for name, effect in CATALOGUE.items():
             if "regulator" not in effect.tested_with:
                 continue
-            by_signal = [item for item in effect.parameters if item.unit.endswith("/SI")]
+            by_signal = [item for item in effect.parameters if item.signal]
             if by_signal:
                 for item, signal in zip(by_signal, self.rig.signals, strict=False):
                     others = tuple(other.name for other in by_signal if other is not item)

@@ -73,16 +73,6 @@ def readings(pressure, p):
     return shown
 
 
-@kernel
-def pressures_behind(shown, p):
-    """The pressures (N, 2) [Pa] behind readings of both sensors (N, 2) [Pa]; the inverse of :func:`readings`."""
-    pressure = np.empty(shown.shape)
-    for k in range(len(shown)):
-        for i in range(2):
-            pressure[k, i] = pressure_behind(i, shown[k, i], p)
-    return pressure
-
-
 @inlined
 def chamber_pressure(i, x, p):
     """Pressure [Pa] in muscle i: P_i of the state, the pressure at the sensor, unless an effect changes it."""

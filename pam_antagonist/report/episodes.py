@@ -16,7 +16,7 @@ from pam_antagonist.diagnosis.result import MODELS, FoundEffect, Size
 from pam_antagonist.identification.episode_filter import EpisodeFilter
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
-from pam_antagonist.inference.free_parameters import moved
+from pam_antagonist.inference.free_parameters import EFFECT_PARAMETERS, moved
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.total_slopes import LEVEL, PARTS, TotalSlope
 from pam_antagonist.inference.weak_laws import WEAK_LAWS
@@ -101,8 +101,8 @@ def further_signals(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> dict[
     """The further signals that the extended rig needs, with their values in its file [SI]."""
     if diagnosis.weak is not None:
         return dict(joint.rig.signals)
-    values = joint.values(diagnosis.model)
-    last = max((int(path[-1]) for path in values if "_by_signal." in path), default=0)
+    known = (EFFECT_PARAMETERS.get(path) for path in joint.values(diagnosis.model))
+    last = max((item.signal or 0 for item in known if item is not None), default=0)
     return dict(list(joint.rig.signals.items())[:last])
 
 

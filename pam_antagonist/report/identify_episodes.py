@@ -18,6 +18,7 @@ from pam_antagonist.identification.episodes import EpisodesIdentified, is_fair
 from pam_antagonist.identification.held_out import do_not_use
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.inference.free_parameters import EFFECT_PARAMETERS
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.report.document import Document, Findings, Statement, Table, note, page, warn
 from pam_antagonist.report.result import DataFrame, Result, frame_of
@@ -71,9 +72,10 @@ def unit(rig: Rig, name: str) -> tuple[str, float]:
 
 def value_name(rig: Rig, name: str) -> str:
     """Name of a value in a report."""
-    title = name.removeprefix("effects.")
-    effect = title.partition(".")[0]
-    return f"{effect}, {list(rig.signals)[int(title[-1]) - 1]}" if effect in BY_SIGNAL else title
+    title, item = name.removeprefix("effects."), EFFECT_PARAMETERS.get(name)
+    if item is None or item.signal is None:
+        return title
+    return f"{title.partition('.')[0]}, {list(rig.signals)[item.signal - 1]}"
 
 
 def shown(rig: Rig, name: str, value: Interval, digits: int = 3) -> tuple[str, str, str]:

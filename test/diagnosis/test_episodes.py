@@ -107,7 +107,7 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
     assert "friction that grows with other" in result.sentence
     # That no other command reads the signal is said where the rig file is proposed.
     step = result.summary().split("Next: ")[1]
-    assert "in identify and close_loop" in step and "do not read" in step and "every command" not in step
+    assert "in identify, close_loop and replay" in step and "do not read" in step and "every command" not in step
     assert set(found.effects) == {"friction", "friction_by_signal: other"}
     base, coulomb, extended = found.rows[1:]
     assert extended.later.high < 0.5 * coulomb.later.low < base.later.low

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import models, warnings
+from pam_antagonist import diagnose
+from pam_antagonist.api.diagnose import DiagnoseResult
+from pam_antagonist.diagnosis import judgement, models, verdicts, warnings
 from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
 from pam_antagonist.diagnosis.hypotheses import Kept, Ranking, ResumeFolder, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
@@ -153,3 +155,16 @@ def test_a_damaged_file_is_worked_out_anew(tmp_path: Path, text: str) -> None:
 def test_nothing_is_kept_without_a_folder() -> None:
     ResumeFolder().save("a", Kept(Point(np.zeros(1)), 1.0, 0.0))
     assert ResumeFolder().load("a") is None
+
+
+@pytest.mark.slow(10)
+def test_a_verdict_of_ones_own_is_a_line_and_the_rule_that_gives_it(recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`verdicts.py` has the line, the table of rules in `judgement.py` the rule; page and report.json follow."""
+    own = judgement.Rule(None, lambda case: case.judged("doubtful", None), "two people saw it otherwise")
+    monkeypatch.setattr(judgement, "RULES", (own, *judgement.RULES))
+    monkeypatch.setitem(verdicts.TITLES, "doubtful", "Nobody knows")
+    found = diagnose(recorded(seconds=20.0), "shin2022", profiles=False, estimator=False)
+    assert isinstance(found, DiagnoseResult)
+    assert found.verdict == "doubtful" and found.to_json()["verdict"] == "doubtful"
+    assert verdicts.overall(["none", "doubtful"]) == "none"
+    assert found.document(figures=False).title == "Nobody knows"

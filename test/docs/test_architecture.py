@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 from pathlib import Path
@@ -38,6 +39,33 @@ def test_files_of_the_first_table_exist() -> None:
     assert len(named) > 25
     for path in named:
         assert (ROOT / "pam_antagonist" / path).exists() or (ROOT / path).exists() or "NAME" in path, path
+
+
+def named_in(word: str) -> list[str]:
+    """Files of the package whose code has a string, docstrings left out."""
+    out = []
+    for path in sorted((ROOT / "pam_antagonist").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        said = {
+            id(node.body[0].value) for node in ast.walk(tree)
+            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and isinstance(node.body[0], ast.Expr)
+        }  # fmt: skip
+        if any(isinstance(node, ast.Constant) and node.value == word and id(node) not in said
+               for node in ast.walk(tree)):  # fmt: skip
+            out.append(path.name)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("word", "files"),
+    [
+        ("hildebrandt", ["force_forms.py", "muscle.py"]), ("exchange", ["places.py"]), ("doubtless", []),
+        ("unexplained", ["verdicts.py"]), ("warm_up", ["registry.py", "warm_up.py"]),
+    ],
+    ids=["a force law", "a place", "nothing", "a verdict", "an effect"],
+)  # fmt: skip
+def test_what_is_added_has_its_name_where_the_first_table_says(word: str, files: list[str]) -> None:
+    assert named_in(word) == files
 
 
 def test_every_folder_of_the_package_stands_in_the_table() -> None:

@@ -19,6 +19,7 @@ from pam_antagonist.api.history import entry
 from pam_antagonist.cli.identify import main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import episodes as of_episodes
+from pam_antagonist.identification.episode_filter import with_filter
 from pam_antagonist.identification.episodes import identify as identify_episodes
 from pam_antagonist.identification.regulators import of_commands
 from pam_antagonist.inference.bootstrap import Interval
@@ -115,6 +116,23 @@ def test_a_check_compares_each_episode_from_its_own_start() -> None:
     assert {finding.status for finding in check(whole, RIG).findings} <= {"good", "untested"}
     backwards = check(replace(whole, angle=-whole.angle), RIG)
     assert any("counts the wrong way round" in item.text for item in backwards.findings if item.status == "wrong")
+
+
+@pytest.mark.slow(8)
+def test_the_filter_of_episodes_is_as_sure_as_it_is_right_on_later_ones() -> None:
+    """A rig a little off the joint, whose file is sure of itself."""
+    whole, _ = episodes(pause_ns=1_500_000_000, count=24)
+    sure = RIG.replaced(uncertainty={}, directions={})
+    found = with_filter(sure, whole, 1.0 / 3.0)
+    assert found is not None and found.rig.uncertainty
+    assert 0.9 <= found.coverage <= 1.0 and f"{found.error_deg:.3g}"[:4] in found.sentence
+    later = whole.slice(whole.time_s[whole.episodes[16].start], np.inf)
+    for rig, holds in ((found.rig, True), (sure, False)):
+        angle = replay(later, rig).report.ukf.angle
+        assert angle is not None and angle.coverage95 is not None
+        assert (angle.coverage95 >= 0.9) == holds
+        assert not holds or (angle.rmse, angle.coverage95) == (found.error_deg, found.coverage)
+    assert with_filter(sure, replace(whole, voltage=np.full_like(whole.voltage, np.nan)), 1.0 / 3.0) is None
 
 
 @pytest.mark.slow(6)

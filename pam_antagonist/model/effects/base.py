@@ -80,6 +80,11 @@ class EffectParameter(_Named):
     fixed: bool = False
 
     @property
+    def signal(self) -> int | None:
+        """Number of the further signal that it goes with, from 1; None where it goes with none."""
+        return int(self.name[-1]) if self.unit.endswith("/SI") else None
+
+    @property
     def is_size(self) -> bool:
         """Whether the effect vanishes where this parameter is 0: sizes are neutral at 0, shapes are not."""
         return self.neutral == 0.0
