@@ -33,7 +33,7 @@ def as_recording(bag: Bag, rig: Rig, also: Sequence[str] = ()) -> Recording:
     if isinstance(bag, Recording):
         return bag if bag.corrected else calibration(rig).applied(bag)
     if isinstance(bag, (str, Path)):
-        return read_bag(bag, corrections=calibration(rig), also=also)
+        return read_bag(bag, corrections=calibration(rig), also=also, known=tuple(rig.signals))
     raise BadInput(
         f"recording: found a value of type {type(bag).__name__}, expected a recording or the path of its bag"
     )

@@ -9,7 +9,7 @@ regulators (drive: regulator) takes such recordings as well, or many short episo
 which whole ones are held out.
 
 Writes DIR/report.html, DIR/report.json and DIR/rig_extended.yaml, which every command and node takes (what depends on
-further signals, --also, only identify and close_loop do); of several recordings also DIR/rig_extended_1.yaml ..., each
+further signals, --also, nodes and simulate leave out); of several recordings also DIR/rig_extended_1.yaml ..., each
 with one recording's own values. A file is left out if it would be worse on held-out data than the rig given. The last
 lines name the one file to use next (it may be DIR/rig_recalibrated.yaml, without effects), or say that you keep the
 rig given.

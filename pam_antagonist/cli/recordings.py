@@ -71,7 +71,7 @@ def read_one(bag: Path, rig: Rig, arguments: argparse.Namespace, **how: Any) -> 
     given = corrections.from_options(arguments, known)
     own = corrections.from_options(arguments).options()
     try:
-        recording = read_bag(bag, corrections=given, **how)
+        recording = read_bag(bag, corrections=given, known=tuple(rig.signals), **how)
     except BadInput as exc:
         if own and _can_be_read(bag, known, how):
             raise BadInput(f"{exc}; it can be read without {' '.join(own)}: leave that out") from None

@@ -72,6 +72,7 @@ def read_bag(
     corrections: Corrections | None = None,
     judge: bool = True,
     also: Sequence[str] = (),
+    known: Sequence[str] = (),
 ) -> Recording:
     """Read a rosbag2 recording of a rig.
 
@@ -90,6 +91,7 @@ def read_bag(
         corrections: Corrections of the recorded values; None for none.
         judge: False reads values in any unit, for :mod:`pam_antagonist.checks`.
         also: Topics of further signals, in addition to those below ``also/`` in the joint's namespace.
+        known: Names of further signals that are read where the bag has them: those of a rig file.
 
     Raises:
         SeveralJoints: The bag holds several joints, and ``namespace`` names none.
@@ -114,7 +116,8 @@ def read_bag(
         if path.is_dir():
             bag.issues += noted_issues(path)
         chosen = _chosen(bag, topics, namespace, joint_name, restarts == "last", fixes.align_clocks)
-        recording = _recording(bag, chosen, partial(_converted, bag, fixes, judge), also)
+        there = [name for name in known if signals.topic_of(name) in bag.topics]
+        recording = _recording(bag, chosen, partial(_converted, bag, fixes, judge), [*also, *there])
         recording = recording if corrections is None else corrections.arranged(recording)
     except MemoryError:
         what = "needs more memory than there is; split the recording, or use a larger machine"

@@ -41,6 +41,11 @@ FRAME = "joint"
 """Frame and joint name in the messages that are written."""
 
 
+def topic_of(name: str) -> str:
+    """The topic that the name of a further signal means, if it is none below ``also/``."""
+    return name if name.startswith("/") else f"/{name}"
+
+
 def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[str] = ()) -> dict[str, FurtherSignal]:
     """Further signals of a bag at the samples (N,), by the part after ``also/``, or the entry of ``wanted``.
 
@@ -52,7 +57,7 @@ def read_signals(bag: RawBag, namespace: str, samples: Stamps, wanted: Sequence[
     for name in wanted:
         if name in topics:
             continue
-        actual = name if name.startswith("/") else f"/{name}"
+        actual = topic_of(name)
         if actual not in bag.topics:
             listed = ", ".join([*topics, *(t for t, raw in bag.topics.items() if raw.msgtype in KINDS)])
             raise BadInput(f"{bag.path}: no signal {name!r}; expected one of {listed or 'none, there is no other'}")

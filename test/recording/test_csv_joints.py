@@ -111,6 +111,8 @@ def test_episodes_keep_the_date_of_the_first(lab: Lab) -> None:
 def test_episodes_and_further_signals_come_back_from_a_bag(lab: Lab, tmp_path: Path) -> None:
     made = episodes(lab, also=NEXT).read()
     write_bag(tmp_path / "bag", made)
+    read = read_bag(tmp_path / "bag", known=["/pam/pressure_2", "/nowhere"])
+    assert "/pam/pressure_2" in read.signals and "/nowhere" not in read.signals
     read = read_bag(tmp_path / "bag", also=["/pam/pressure_2"])
     assert [part.stop - part.start for part in read.episodes] == [12, 20, 15]
     for begin, before in zip(read.episodes[1:], read.episodes, strict=False):
