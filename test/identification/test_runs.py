@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pam_antagonist import load_rig
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation import simulate_model
+from pam_antagonist.identification import air_stage
 from pam_antagonist.identification.runs import Run, notes_of, runs_of
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition, joint_condition
@@ -98,3 +101,22 @@ def test_pressures_that_swing_from_row_to_row_are_named_and_those_that_rest_are_
         runs(replace(calm, pressure=calm.pressure + 6e4 * np.resize([[1.0, 0.0], [-1.0, 0.0]], (len(calm), 2))))
     )
     assert note.startswith("The pressures of made swing from row to row")
+
+
+@pytest.mark.parametrize(("jitter", "rows"), [(0.0, 1000), (0.1, 4000)])
+def test_commands_that_scatter_within_a_row_are_not_averaged(jitter: float, rows: int) -> None:
+    """A loop passes on its sensors' noise: a valve about its closed centre opens and closes by turns."""
+    rng, rig = np.random.default_rng(1), load_rig("shin2022")
+    one = rig.valve_1
+    wide = {"overlap": 0.05, "inflow_area": 30.0 * one.inflow_area, "outflow_area": 30.0 * one.outflow_area}
+    rig = rig.replaced(valve_1=one.replaced(**wide), valve_2=rig.valve_2.replaced(**wide))
+    voltage = (
+        5.0 + 0.3 * np.repeat(rng.uniform(-1.0, 1.0, (8, 2)), 500, axis=0) + jitter * rng.standard_normal((4000, 2))
+    )
+    shown = simulate_model(rig, voltage, np.full(2, 4e5))
+    stamps = np.arange(1, 4001) * 1_000_000
+    recording = Recording(Path("loop"), stamps, shown.pressure, voltage, shown.angle, None)
+    found = runs_of(recording, free(recording), "loop")
+    assert [len(run) for run in found] == [rows]
+    of_model, of_rest = air_stage.errors(rig, found)
+    assert of_model < 0.01 * of_rest
