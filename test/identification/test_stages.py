@@ -20,9 +20,11 @@ from pam_antagonist.identification.runs import Run, runs_of
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.unknowns import Fit, Unknown, refined
 from pam_antagonist.recording import Recording
+from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition, joint_condition
 from pam_antagonist.rig.physical import unphysical
 from pam_antagonist.simulation.plant import Plant
+from validation.rigs import fresh
 
 RIG = described(0.01)
 TRUE = drawn(RIG, 3)
@@ -208,3 +210,24 @@ def test_a_regulator_that_holds_its_pressure_lets_the_exponent_of_the_volume_van
         assert (met.reasons["gas.polytropic_volume"] == "none is seen") == vanishes
         small = moved(rig, {"gas.polytropic_volume": 0.05})
         assert ("gas.polytropic_volume 0.05: expected above 0.2" in unphysical(small)) != vanishes
+
+
+@pytest.mark.slow(8)
+@pytest.mark.parametrize("seed", [945, 946, 948, 952])
+def test_true_values_leave_the_noise_of_the_pressures_at_every_rate(seed: int) -> None:
+    """Valves at 50 and 1000 Hz, regulators at 100 and 50. A start at a reading adds its noise, which a shut valve keeps.
+
+    It was more where a memory was a row old at each restart, and where commands that scatter were averaged.
+    """
+    lab = fresh.laboratory(seed)
+    zero, late = lab.truth[joint_stage.ZERO], lab.truth[joint_stage.DELAY]
+    p, left = lab.true.parameters("locked"), []
+    for recording in lab.fit:
+        state = joint_condition(recording, "auto", None, lab.true.joint.stop)
+        corrected = Corrections(encoder_zero=zero, delay_angle=late).applied(recording)
+        for run in runs_of(corrected, state, "run") if state.condition == "free" else []:
+            shown, starts = air_stage.simulated(run, p, 0.0, 1.0)
+            averaged = max(round(run.period / recording.sample_period_s), 1)
+            left.append((run.pressure - shown)[~starts] * math.sqrt(averaged) / lab.true.sensors.error("pressure"))
+    every = np.concatenate(left)
+    assert 0.9 < np.sqrt(np.nanmean(every**2)) < 1.5
