@@ -215,7 +215,7 @@ def test_a_regulator_that_holds_its_pressure_lets_the_exponent_of_the_volume_van
 @pytest.mark.slow(8)
 @pytest.mark.parametrize("seed", [945, 946, 948, 952])
 def test_true_values_leave_the_noise_of_the_pressures_at_every_rate(seed: int) -> None:
-    """Valves at 50 and 1000 Hz, regulators at 100 and 50. A start at a reading adds its noise, which a shut valve keeps.
+    """Valves at 50 and 1000 Hz, regulators at 100 and 50. A start at a reading adds its noise; a shut valve keeps it.
 
     It was more where a memory was a row old at each restart, and where commands that scatter were averaged.
     """
