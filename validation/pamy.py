@@ -31,6 +31,7 @@ from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row, diagnose
 from pam_antagonist.identification.episode_filter import with_filter
 from pam_antagonist.identification.regulators import of_commands, pressures_of
 from pam_antagonist.inference.bootstrap import Interval, rmse
+from pam_antagonist.inference.episodes import whole_episodes
 from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.optional import available
@@ -86,7 +87,8 @@ def _run(arguments: argparse.Namespace) -> int:
     regulators = of_commands(joint, held, _progress)
     commanded = by_commands(found, joint, held, pressures_of(regulators, joint))
     started = regulators.on(report.extended(found, joint))
-    filtered = with_filter(started, recording, _SHARE, None, arguments.jobs, _progress)
+    whole = whole_episodes(recording, joint.rig.signals)
+    filtered = with_filter(started, recording, whole, _SHARE, None, arguments.jobs, _progress)
     book = by_parts(recording, arguments.jobs)
     took = time.perf_counter() - begin
     digest = hashlib.sha256(arguments.file.read_bytes()).hexdigest()

@@ -21,6 +21,7 @@ from pam_antagonist.identification.episodes import identify as _identify_episode
 from pam_antagonist.identification.from_pressures import identify as _identify
 from pam_antagonist.identification.result import held_of
 from pam_antagonist.identification.sealed import identify_sealed
+from pam_antagonist.inference.episodes import whole_episodes
 from pam_antagonist.inference.expected import with_known_curves
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording, bag_name, recording_hash
@@ -139,7 +140,8 @@ def _episodes(
     found = _identify_episodes(joint, holdout, progress or silent)
     source = f"identified from {bag_name(recordings[0].path)}; started from: {rig.source.strip()}"
     identified = found.rig.replaced(name=f"{rig.name}_identified", source=" ".join(source.split()))
-    filtered = with_filter(identified, recordings[0], holdout, None, jobs, progress or silent)
+    whole = whole_episodes(recordings[0], joint.rig.signals)
+    filtered = with_filter(identified, recordings[0], whole, holdout, None, jobs, progress or silent)
     own = identified if filtered is None else filtered.rig
     return EpisodesIdentifyResult(own, found, joint, (recording_hash(recordings[0]),), filtered)
 
@@ -207,9 +209,9 @@ def diagnose(
         first = PressureDriven.of(fitted[0], chosen, also, jobs)
         later = PressureDriven.of(kept[0], first.rig, jobs=jobs) if kept else None
         found = _of_episodes(first, holdout, later, progress or silent)
-        filtered = with_filter(
-            extended(found, first), fitted[0], holdout, kept[0] if kept else None, jobs, progress or silent
-        )
+        episodes, last = whole_episodes(fitted[0], first.rig.signals), kept[0] if kept else None
+        rig_found = extended(found, first)
+        filtered = with_filter(rig_found, fitted[0], episodes, holdout, last, jobs, progress or silent)
         return EpisodesDiagnoseResult(found, first, hashes, filtered)
     settings: dict[str, Any] = {
         "joint": joint, "lock_angle": lock_angle, "holdout": holdout, "jobs": jobs, "seed": seed,

@@ -7,12 +7,11 @@ first angle is as uncertain as friction makes it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pam_antagonist.identification.filter_stage import with_process_noise, with_unknown_torque
 from pam_antagonist.identification.runs import is_long
@@ -52,14 +51,15 @@ class EpisodeFilter:
 
 
 def with_filter(
-    rig: Rig, recording: Recording, share: float, later: Recording | None = None, jobs: int = 1,
-    progress: Callable[[str], None] = lambda text: None,
+    rig: Rig, recording: Recording, episodes: Sequence[slice], share: float, later: Recording | None = None,
+    jobs: int = 1, progress: Callable[[str], None] = lambda text: None,
 ) -> EpisodeFilter | None:  # fmt: skip
     """A rig with the noise and the covariance of its filter; None without commands or episodes of a second.
 
     Args:
         rig: fitted to the episodes of the recording.
         recording: with all episodes.
+        episodes: rows of those that are whole (E,), of which the fits have held out the same ones.
         share: of them that is held out at the end, where no other recording is.
         later: a recording that is held out as a whole.
         jobs: threads.
@@ -67,8 +67,8 @@ def with_filter(
     """
     if recording.drive != rig.drive or not np.isfinite(recording.voltage).all():
         return None
-    held = held_out(len(recording.episodes), 0.0 if later is not None else share)
-    fitted, last = held.pool[-_USED:], held.later
+    held = held_out(len(episodes), 0.0 if later is not None else share)
+    fitted, last = ([episodes[k] for k in which] for which in (held.pool[-_USED:], held.later))
     seen = _part(recording, fitted)
     if not any(is_long(seen.time_s[rows]) for rows in seen.episodes):
         return None
@@ -84,14 +84,12 @@ def with_filter(
     return EpisodeFilter(covered, angle.rmse, alone.rmse, angle.coverage95)
 
 
-def _part(recording: Recording, episodes: NDArray[np.intp]) -> Recording:
+def _part(recording: Recording, episodes: Sequence[slice]) -> Recording:
     """The recording from the first to the last of some episodes, without the angles of others in between."""
     angle = np.full(len(recording), np.nan)
     assert recording.angle is not None
-    for one in episodes:
-        rows = recording.episodes[one]
-        angle[rows.start : rows.stop] = recording.angle[rows.start : rows.stop]
-    begin, end = recording.episodes[episodes[0]].start, recording.episodes[episodes[-1]].stop
-    time = recording.time_s
+    for rows in episodes:
+        angle[rows] = recording.angle[rows]
+    time, end = recording.time_s, episodes[-1].stop
     until = time[end] if end < len(time) else np.inf
-    return replace(recording, angle=angle).slice(float(time[begin]), float(until))
+    return replace(recording, angle=angle).slice(float(time[episodes[0].start]), float(until))

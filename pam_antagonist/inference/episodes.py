@@ -119,12 +119,7 @@ class Episodes(Driven):
         _refuse_commands(recording, name)
         columns = [recording.signals[signal].values for signal in names]
         signals = np.column_stack(columns) if columns else np.empty((len(recording), 0))
-        whole: NDArray[np.bool_] = np.asarray(np.isfinite(np.column_stack([recording.pressure, signals])).all(axis=1))
-        parts = [
-            part
-            for part in recording.episodes
-            if part.stop - part.start >= LEAST_ROWS and whole[part].all() and np.isfinite(recording.angle[part.start])
-        ]
+        parts = whole_episodes(recording, names)
         if recording.episode_ns is None and (jumped := resets(recording)) is not None:
             raise BadInput(f"{name}: {jumped.sentence}")
         if len(parts) < LEAST_EPISODES:
@@ -324,6 +319,17 @@ class Episodes(Driven):
         """Values of :meth:`shown`, with 95 % intervals by episode."""
         best = self.shown(model)
         return {name: Interval.of(best[name], values) for name, values in self.draws(model).items()}
+
+
+def whole_episodes(recording: Recording, signals: Iterable[str] = ()) -> list[slice]:
+    """Rows of the episodes that are long enough and have pressures, such signals and the first angle."""
+    known = np.isfinite(np.column_stack([recording.pressure, *(recording.signals[name].values for name in signals)]))
+    whole: NDArray[np.bool_] = np.asarray(known.all(axis=1))
+    assert recording.angle is not None
+    return [
+        part for part in recording.episodes
+        if part.stop - part.start >= LEAST_ROWS and whole[part].all() and np.isfinite(recording.angle[part.start])
+    ]  # fmt: skip
 
 
 def noise_of(readings: Floats) -> float:

@@ -23,6 +23,7 @@ from pam_antagonist.identification.episode_filter import with_filter
 from pam_antagonist.identification.episodes import identify as identify_episodes
 from pam_antagonist.identification.regulators import of_commands
 from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.inference.episodes import whole_episodes
 from pam_antagonist.inference.held_episodes import held_out
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.recording import Recording, write_bag
@@ -123,7 +124,7 @@ def test_the_filter_of_episodes_is_as_sure_as_it_is_right_on_later_ones() -> Non
     """A rig a little off the joint, whose file is sure of itself."""
     whole, _ = episodes(pause_ns=1_500_000_000, count=24)
     sure = RIG.replaced(uncertainty={}, directions={})
-    found = with_filter(sure, whole, 1.0 / 3.0)
+    found = with_filter(sure, whole, whole.episodes, 1.0 / 3.0)
     assert found is not None and found.rig.uncertainty
     assert 0.9 <= found.coverage <= 1.0 and f"{found.error_deg:.3g}"[:4] in found.sentence
     later = whole.slice(whole.time_s[whole.episodes[16].start], np.inf)
@@ -132,7 +133,19 @@ def test_the_filter_of_episodes_is_as_sure_as_it_is_right_on_later_ones() -> Non
         assert angle is not None and angle.coverage95 is not None
         assert (angle.coverage95 >= 0.9) == holds
         assert not holds or (angle.rmse, angle.coverage95) == (found.error_deg, found.coverage)
-    assert with_filter(sure, replace(whole, voltage=np.full_like(whole.voltage, np.nan)), 1.0 / 3.0) is None
+    assert with_filter(sure, replace(whole, voltage=np.full_like(whole.voltage, np.nan)), whole.episodes, 1 / 3) is None
+
+
+def test_the_filter_is_judged_on_the_episodes_that_the_fits_have_held_out() -> None:
+    """Two of the first episodes are left out, as they are of the fits: the later ones are still those of the fits."""
+    whole = commanded(dead_time=0)
+    pressure = whole.pressure.copy()
+    pressure[np.r_[whole.episodes[1], whole.episodes[4]]] = np.nan
+    broken = replace(whole, pressure=pressure)
+    there, joint = whole_episodes(broken), PressureDriven.of(broken, UNKNOWN)
+    assert len(there) == len(joint) == EPISODES - 2
+    later = held_out(len(there), 1.0 / 3.0).later
+    assert [broken.angle[there[k].start] for k in later] == joint.angle[joint.first[later]].tolist()
 
 
 @pytest.mark.slow(6)
