@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "pam_antagonist"
 
 BASE = "base"  # errors, optional, blas, numbers, program, shown, start, _jit: what every module may use
-FILES = "files"  # paths, strict_yaml, strict_json: reading and writing files
+FILES = "files"  # paths, strict_yaml, strict_json, report_keys: reading and writing files
 PLACES = {
     "errors": BASE,
     "blas": BASE,
@@ -31,6 +31,7 @@ PLACES = {
     "paths": FILES,
     "strict_yaml": FILES,
     "strict_json": FILES,
+    "report_keys": FILES,
 }
 """Layer of a module that lies in no folder. A folder is a layer of its own name."""
 

@@ -14,7 +14,8 @@ from pam_antagonist.api.diagnose import EpisodesIdentifyResult, IdentifyResult
 from pam_antagonist.api.replay import CheckResult
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.result import FromPressures
-from pam_antagonist.inference.unknowns import Fit, parameters
+from pam_antagonist.inference.fit import Fit
+from pam_antagonist.inference.unknown import parameters
 from pam_antagonist.model import muscle
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording, bag_name, recording_hash

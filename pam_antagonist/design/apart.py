@@ -89,7 +89,7 @@ class Distinction:
         self, rig: Rig, effect: str, rival: str, start: Plan, channels: Sequence[int], step: float = STEP
     ) -> None:
         sizes = {parameter_path(effect, item.name) for item in CATALOGUE[effect].parameters if item.is_size}
-        size = Departure(effect, {path: rig.value(path) for path in sizes if rig.value(path)}, share=-0.1)
+        size = Departure(effect, adds={path: rig.value(path) for path in sizes if rig.value(path)}, share=-0.1)
         base = [item for item in unknowns(without(rig, effect)) if not item.name.startswith("effects.")]
         others = _departures(rig, rival)
         further, self._spread = optimal.uncertainty_of(rig, base)
@@ -145,7 +145,7 @@ def _departures(rig: Rig, rival: str) -> list[Departure]:
     for shapes in candidate.grid():
         for size in candidate.sizes:
             name = f"{size.path} {shapes}"
-            out.append(Departure(name, dict.fromkeys(size.paths, size.item.scale), fixed=shapes))
+            out.append(Departure(name, adds=dict.fromkeys(size.paths, size.item.scale), fixed=shapes))
     return out
 
 

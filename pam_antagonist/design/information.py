@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.free_parameters import Direction, free_parameters
+from pam_antagonist.inference.free_parameters import free_parameters
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, TORQUE
+from pam_antagonist.inference.unknown import Unknown, change_of
 from pam_antagonist.model import drive, dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -32,7 +33,7 @@ _SHARE = 1e-3
 
 
 @dataclass(frozen=True)
-class Departure(Direction):
+class Departure(Unknown):
     """A direction towards a model with further parameters."""
 
     # What only the neighbour has, by dotted path: the shapes of an effect.
@@ -48,9 +49,9 @@ def block_noise(rig: Rig) -> Floats:
     return np.asarray(np.maximum(raw / np.sqrt(size), [1e-5, 1e-4, *[10.0] * 5]))
 
 
-def unknowns(rig: Rig) -> tuple[Direction, ...]:
+def unknowns(rig: Rig) -> tuple[Unknown, ...]:
     """The parameters that ``identify`` moves, each by one standard deviation of its prior."""
-    return tuple(Direction(item.name, {item.name: item.prior_std}) for item in free_parameters(rig))
+    return tuple(change_of(item.name, {item.name: item.prior_std}) for item in free_parameters(rig))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ class Information:
     def __init__(
         self,
         rig: Rig,
-        directions: Sequence[Direction],
+        directions: Sequence[Unknown],
         joint: str = "free",
         lock_angle: float = 0.0,
         central: bool = False,
@@ -95,7 +96,7 @@ class Information:
         for direction in self.directions:
             for sign in signs:
                 share = sign * _share(direction)
-                moved = {name: base[par.INDEX[name]] + share * change for name, change in direction.changes.items()}
+                moved = {name: base[par.INDEX[name]] + share * amount for name, amount in direction.adds.items()}
                 fixed = direction.fixed if isinstance(direction, Departure) else {}
                 self.vectors.append(par.changed(base, {**fixed, **moved}))
 
@@ -153,7 +154,7 @@ class Information:
         return np.asarray(flat.T @ flat)
 
 
-def _share(direction: Direction) -> float:
+def _share(direction: Unknown) -> float:
     return direction.share if isinstance(direction, Departure) else _SHARE
 
 

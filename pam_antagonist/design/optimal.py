@@ -22,7 +22,8 @@ from scipy.stats import qmc
 
 from pam_antagonist.design.information import Information, SimulatedPiece, predicted_std, unknowns
 from pam_antagonist.errors import BadInput
-from pam_antagonist.inference.free_parameters import Direction, free_parameters
+from pam_antagonist.inference.free_parameters import free_parameters
+from pam_antagonist.inference.unknown import Unknown, change_of
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import steady_voltage
 from pam_antagonist.shown import Shown
@@ -128,31 +129,31 @@ class Limits:
         return ""
 
 
-def uncertain_directions(rig: Rig) -> tuple[Direction, ...]:
+def uncertain_directions(rig: Rig) -> tuple[Unknown, ...]:
     """What the rig file leaves uncertain, as independent changes of one standard deviation each.
 
     These are the directions and uncertainties that the estimator considers, and the priors of the other parameters
     that a fit would free. Of a force map with a declared uncertainty only that counts: its coefficients nearly cancel
     in the force, so their priors would say nothing about it.
     """
-    found = [Direction(name, changes) for name, changes in rig.directions.items()]
-    found += [Direction(name, {name: std}) for name, std in rig.uncertainty.items()]
-    declared = {name for direction in found for name in direction.changes}
+    found = [change_of(name, changes) for name, changes in rig.directions.items()]
+    found += [change_of(name, {name: std}) for name, std in rig.uncertainty.items()]
+    declared = {name for direction in found for name in direction.adds}
     maps = {name.rsplit(".", 1)[0] for name in declared if ".force." in name}
     for item in free_parameters(rig):
         if item.name not in declared and item.name.rsplit(".", 1)[0] not in maps:
-            found.append(Direction(item.name, {item.name: item.prior_std}))
+            found.append(change_of(item.name, {item.name: item.prior_std}))
     return tuple(found)
 
 
-def uncertainty_of(rig: Rig, sought: Sequence[Direction]) -> tuple[tuple[Direction, ...], Floats]:
+def uncertainty_of(rig: Rig, sought: Sequence[Unknown]) -> tuple[tuple[Unknown, ...], Floats]:
     """:func:`uncertain_directions` in terms of directions that are simulated anyway."""
-    place = {next(iter(direction.changes)): k for k, direction in enumerate(sought)}
+    place = {next(iter(direction.adds)): k for k, direction in enumerate(sought)}
     ways: list[dict[int, float]] = []
-    further: list[Direction] = []
+    further: list[Unknown] = []
     for direction in uncertain_directions(rig):
-        if set(direction.changes) <= set(place):
-            column = {place[n]: change / sought[place[n]].changes[n] for n, change in direction.changes.items()}
+        if set(direction.adds) <= set(place):
+            column = {place[n]: amount / sought[place[n]].adds[n] for n, amount in direction.adds.items()}
         else:
             column = {len(sought) + len(further): 1.0}
             further.append(direction)

@@ -26,9 +26,9 @@ from pam_antagonist.diagnosis.preparation import DRIVEN
 from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Judged, Size
 from pam_antagonist.diagnosis.search import about
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.unknown import of_effect
 from pam_antagonist.model.effects import CATALOGUE, EffectParameter, parameter_path
 from pam_antagonist.rig import Rig
 
@@ -155,12 +155,12 @@ def _with_loop(experiment: AngleDriven, fitted: Fitted, name: str) -> Fitted:
     rest = {path: value for path, value in fitted.point.effects.items() if path.split(".")[1] not in _LOOPS}
     sizes, size = tuple(parameter_path(name, one) for one in loop.sizes), _item(name, loop.sizes[0])
     start = dict.fromkeys(sizes, loop.torque if size.unit == "N m" else loop.torque / rig.geometry.radius)
-    free, starts = [FreeEffectParameter(sizes, size)], [start]
+    free, starts = [of_effect(sizes, size)], [start]
     if loop.width:
         path, width = parameter_path(name, loop.width), _item(name, loop.width)
         # As narrow as the encoder's step: while the drive sticks, nothing shows the motion within it.
         narrow = float(np.sqrt(12.0)) * rig.sensors.angle_std * rig.geometry.radius / loop.widths_a_turn
-        free.append(FreeEffectParameter((path,), replace(width, low=min(narrow, width.low))))
+        free.append(of_effect((path,), replace(width, low=min(narrow, width.low))))
         starts = [{**start, path: value} for value in (narrow, 4.0 * narrow, *loop.widths)]
     fits = [refit(experiment, Point(fitted.point.theta, {**rest, **one}), free, rounds=20) for one in starts]
     return min(fits, key=lambda one: one.cost)
@@ -211,7 +211,7 @@ def either_muscle(experiments: Sequence[AngleDriven], fits: Sequence[Fitted], ef
             alone = refit(
                 experiment,
                 start,
-                (*others, FreeEffectParameter((path,), both.item)),
+                (*others, of_effect((path,), both.item)),
                 blocks_per_error=fitted.scale.blocks_per_error,
             )
             gap = cost_of(experiment, alone.point, alone.residual, fitted.scale) - fitted.cost

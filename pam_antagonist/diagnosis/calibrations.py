@@ -28,12 +28,13 @@ from pam_antagonist.diagnosis.models import (
 from pam_antagonist.diagnosis.result import FoundCalibration
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, prior_cost, refit, relinearised
 from pam_antagonist.inference.likelihood import LinearProblem
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.standard_errors import settled, well_known
 from pam_antagonist.inference.starts import best_of_starts
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.recording.corrections import Corrections
 
 _FIXED = ("torque_scale",)
@@ -248,7 +249,7 @@ def _hidden(model: Model, number: int) -> list[TriedCandidate]:
     gains = in_threads(_first_order, ((*model.pairs[r], candidate) for r, candidate in tasks), model.jobs)
     tasks = [task for task, gain in zip(tasks, gains, strict=True) if gain > thresholds.STRONG]
 
-    def fitted(r: int, more: Sequence[FreeEffectParameter]) -> Fitted:
+    def fitted(r: int, more: Sequence[Unknown]) -> Fitted:
         experiment, now = model.pairs[r]
         point = Point(now.point.theta, {**now.point.effects, **{free.path: 0.0 for free in more}})
         return refit(
@@ -310,9 +311,7 @@ def _is_within(fitted: Fitted, name: str) -> bool:
     return item.low + edge < value < item.high - edge
 
 
-def _with(
-    experiment: Experiment, fitted: Fitted, values: Mapping[str, float], free: Sequence[FreeEffectParameter]
-) -> Fitted:
+def _with(experiment: Experiment, fitted: Fitted, values: Mapping[str, float], free: Sequence[Unknown]) -> Fitted:
     """A model with further calibrations, fitted from where it was."""
     point = Point(fitted.point.theta, {**fitted.point.effects, **values})
     found = refit(experiment, point, (*fitted.free, *free), fitted.base, renewals=2, beside=fitted)

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.models import in_threads
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, effect_jacobian, refit
 from pam_antagonist.inference.likelihood import LinearProblem
 from pam_antagonist.inference.point import Point, Span
 from pam_antagonist.inference.trial import Mask, Split
+from pam_antagonist.inference.unknown import Unknown
 
 Floats = NDArray[np.float64]
 
@@ -90,13 +90,13 @@ def _bounces(experiment: Experiment, point: Point) -> Mask:
     return blocks
 
 
-def fitted_to_all(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter] = ()) -> Fitted:
+def fitted_to_all(experiment: Experiment, point: Point, free: Sequence[Unknown] = ()) -> Fitted:
     """A model fitted to all of a recording, held out or not, as a model that is right."""
     alone = replace(experiment, fitted=experiment.trial.whole_blocks(len(experiment.trial)), split=None, judged=())
     return _as_right(alone, point, free)
 
 
-def _as_right(experiment: Experiment, point: Point, free: Sequence[FreeEffectParameter] = ()) -> Fitted:
+def _as_right(experiment: Experiment, point: Point, free: Sequence[Unknown] = ()) -> Fitted:
     """A model fitted as one that is right: every block counts."""
     return refit(experiment, point, free, rounds=_LAST_ROUNDS, renewals=2, blocks_per_error=1.0, careful=2)
 

@@ -22,6 +22,7 @@ from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.program import typed as typed_command
 from pam_antagonist.program import versions
 from pam_antagonist.recording.corrections import Corrections
+from pam_antagonist.report_keys import CLOSE_LOOP, with_all_keys
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal, write_rig
 from pam_antagonist.rig.schema import Calibration
@@ -130,56 +131,59 @@ class ClosedLoop(Diagnosis):
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``report.json``."""
-        return {
-            **picked(self, "verdict", "sentence", "effects", "ambiguous_with"),
-            "experiments": self.experiment,
-            "ambiguities": self.ambiguities,
-            "share_explained": self.share,
-            **picked(self, "parts", "reference", "base_friction_removed", "errors"),
-            "filter_errors": {name: one.ukf for name, one in self.of_one_rig.items()},
-            "recordings": self.recordings,
-            "ranking": [
-                {
-                    "name": item.effect,
-                    **picked(item, "part", "round", "score", "delta_bic", "held_out_evidence"),
-                    "holdout_gain": None if item.shares is None else item.shares[0],
-                    "taken": item.taken,
-                    "score_by_muscle": item.muscles,
-                }
-                for item in self.ranking
-            ],
-            "profiles": self.profiles,
-            "remaining": [item.line() for item in self.remaining],
-            "left": self.remaining,
-            **picked(self, "unseen", "warnings", "notes"),
-            "settings": {
-                "rig": self.start.name,
-                "rig_source": " ".join(self.start.source.split()),
-                "seed": self.seed,
-                "holdout": self.kept,
-                "strong_evidence": thresholds.STRONG,
-                "first_share": thresholds.FIRST_SHARE,
-                "further_share": thresholds.FURTHER_SHARE,
-                "explained_share": thresholds.EXPLAINED,
+        return with_all_keys(
+            CLOSE_LOOP,
+            {
+                **picked(self, "verdict", "sentence", "effects", "ambiguous_with"),
+                "experiments": self.experiment,
+                "ambiguities": self.ambiguities,
+                "share_explained": self.share,
+                **picked(self, "parts", "reference", "base_friction_removed", "errors"),
+                "filter_errors": {name: one.ukf for name, one in self.of_one_rig.items()},
+                "recordings": self.recordings,
+                "ranking": [
+                    {
+                        "name": item.effect,
+                        **picked(item, "part", "round", "score", "delta_bic", "held_out_evidence"),
+                        "holdout_gain": None if item.shares is None else item.shares[0],
+                        "taken": item.taken,
+                        "score_by_muscle": item.muscles,
+                    }
+                    for item in self.ranking
+                ],
+                "profiles": self.profiles,
+                "remaining": [item.line() for item in self.remaining],
+                "left": self.remaining,
+                **picked(self, "unseen", "warnings", "notes"),
+                "settings": {
+                    "rig": self.start.name,
+                    "rig_source": " ".join(self.start.source.split()),
+                    "seed": self.seed,
+                    "holdout": self.kept,
+                    "strong_evidence": thresholds.STRONG,
+                    "first_share": thresholds.FIRST_SHARE,
+                    "further_share": thresholds.FURTHER_SHARE,
+                    "explained_share": thresholds.EXPLAINED,
+                },
+                "timing": self.seconds,
+                "software": versions(),
+                "splits": self.splits,
+                "calibration": [
+                    {
+                        **picked(item, "name", "value", "std", "unit"),
+                        "sentence": item.in_words(),
+                        "delta_bic": item.delta_bic,
+                        "shared": item.is_shared,
+                        "recordings": {name: Size(*each, item.unit) for name, each in item.by_recording.items()},
+                        "ambiguous_with": item.rivals,
+                    }
+                    for item in self.calibrations
+                ],
+                "corrections": self.corrections,
+                "assumption": assumption(self.start),
+                **picked(self, "next_steps", "next_rig"),
             },
-            "timing": self.seconds,
-            "software": versions(),
-            "splits": self.splits,
-            "calibration": [
-                {
-                    **picked(item, "name", "value", "std", "unit"),
-                    "sentence": item.in_words(),
-                    "delta_bic": item.delta_bic,
-                    "shared": item.is_shared,
-                    "recordings": {name: Size(*each, item.unit) for name, each in item.by_recording.items()},
-                    "ambiguous_with": item.rivals,
-                }
-                for item in self.calibrations
-            ],
-            "corrections": self.corrections,
-            "assumption": assumption(self.start),
-            **picked(self, "next_steps", "next_rig"),
-        }
+        )
 
     def write_rigs(self, folder: Path) -> None:
         """Write the rig files into a folder that exists."""

@@ -18,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.blas import one_blas_thread
-from pam_antagonist.diagnosis.thresholds import MARGIN
+from pam_antagonist.diagnosis.remaining import RemainingResidual, Surroundings, described
+from pam_antagonist.diagnosis.thresholds import EXPLAINED, MARGIN
+from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED, Verdict
 from pam_antagonist.inference.bootstrap import Interval, ratio, rmse
 from pam_antagonist.inference.episode_search import ABOVE_NOISE, LEAST_REMOVED, Searched, Tried, search, with_effect
 from pam_antagonist.inference.episodes import EpisodeModel, Squares
 from pam_antagonist.inference.held_episodes import EpisodeSplit, held_out, thinned
+from pam_antagonist.inference.point import Channel
 from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.total_slopes import TotalSlope, total_slopes
 from pam_antagonist.inference.weak_laws import WEAK_LAWS, WeakFit, WeakModel
@@ -41,6 +44,8 @@ _FORECASTS = ((0.5, 0.75), (0.75, 1.0))
 _BINS = 12
 """Parts of the way that the joint has gone since an episode's start, each with its own variance of the error."""
 _IN_95 = 1.96
+NAMED = "with the effects"
+"""Name of the model with the effects that have a name, without weak laws."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,23 @@ class EpisodeDiagnosis:
     # squared error of the effects alone over what the noise of the readings alone would leave.
     left: Interval | None = None
     longest_step: float = 0.0  # of the integration [s]
+    remaining: tuple[RemainingResidual, ...] = ()  # what the last model leaves above noise
+
+    @property
+    def share(self) -> float:
+        """Share of the excess over noise that effects and weak laws remove, of later episodes after recalibration."""
+        named = next((row for row in self.rows if row.model == NAMED), self.rows[-1])
+        noise = 0.0 if self.left is None else named.later.value**2 / max(self.left.value, 1.0)
+        before, after = (row.later.value**2 for row in (self.rows[1], self.rows[-1]))
+        return (before - after) / (before - noise) if before > noise else 0.0
+
+    @property
+    def verdict(self) -> Verdict:
+        """By the rule of all recordings: an effect explains enough of the excess, or there is hardly any."""
+        if self.effects and self.share >= EXPLAINED:
+            return EFFECT
+        hardly_any = not self.effects and self.left is not None and self.left.low <= ABOVE_NOISE
+        return NONE if hardly_any else UNEXPLAINED
 
     @property
     def is_better(self) -> bool:
@@ -139,11 +161,11 @@ def diagnose(
     starts |= {} if coulomb is None else {"with Coulomb friction alone": coulomb}
     pool = joint.take(thinned(held.pool, _USED))
     fits, squares = {}, {"rig as configured": episodes.of_model(joint.as_configured)}
-    for name, start in {**starts, "with the effects": model}.items():
+    for name, start in {**starts, NAMED: model}.items():
         progress(f"errors: {name}")
         fits[name] = pool.fit(start, _ROUNDS)
         squares[name] = episodes.of_model(fits[name])
-    named = fits["with the effects"]
+    named = fits[NAMED]
     others = []
     for (name, instead_of), start in searched.replaced.items():
         progress(f"errors: {name} in the place of {instead_of}")
@@ -162,7 +184,7 @@ def diagnose(
     forecast, coverage = _forecast(episodes, named, weak, progress)
     compared = None
     if coulomb is not None:
-        compared = ratio(squares["with the effects"][1].sums, squares["with Coulomb friction alone"][1].sums)
+        compared = ratio(squares[NAMED][1].sums, squares["with Coulomb friction alone"][1].sums)
     return EpisodeDiagnosis(
         effects=(*taken, *(() if weak is None else (WEAK_LAWS,))),
         tried=tried,
@@ -179,7 +201,30 @@ def diagnose(
         ratio=compared,
         left=searched.left,
         longest_step=searched.longest_step,
+        remaining=_remaining(episodes, named, weak, searched.left),
     )
+
+
+def _remaining(
+    episodes: _Episodes, named: EpisodeModel, weak: tuple[WeakFit, WeakModel] | None, left: Interval
+) -> tuple[RemainingResidual, ...]:
+    """What the last model leaves of the angle, described on the fitted episodes; none where it is hardly noise."""
+    whole, later = episodes.whole
+    some = thinned(np.concatenate([episodes.held.pool, later]), _USED)
+    part, model = (whole.take(some), named) if weak is None else weak[0].part(some, weak[1].numbers)
+    model = named if weak is None else weak[1].model
+    states = part.course(model)
+    values, counts = np.degrees(part.apart(states[:, :1])[:, 0]), _counts(part)
+    alone = np.degrees(whole.take(some).apart(whole.take(some).simulated(named)))[counts, 0]
+    noise = float(np.sqrt(np.mean(alone**2) / max(left.value, 1.0)))
+    over = float(np.sqrt(np.mean(values[counts] ** 2))) / noise
+    if over**2 <= ABOVE_NOISE:
+        return ()
+    late = np.repeat(np.isin(some, later), np.diff(part.first))[counts]
+    time = part.time[counts]
+    around = Surroundings(part.pressure[counts], None, time - time[0], states[counts, 0], states[counts, 1])
+    angle, step = Channel("Angle", "°", 1.0), float(np.median(np.diff(part.time)))
+    return (described(part.name, angle, over, (values[counts], noise), late, around, step),)
 
 
 def _row(name: str, squares: tuple[Squares, Squares]) -> Row:

@@ -11,15 +11,15 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.models import HELD, Model, contradict, evidence_of, further_share, of_size, price, without
 from pam_antagonist.diagnosis.result import FoundEffect, Size, SizeProfile
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.profile import effect_profile
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 
 _Seen = dict[int, tuple[float, float]]
 """Value and standard deviation of a parameter in each recording that shows it, by its number."""
-_Numbers = dict[FreeEffectParameter, _Seen]
+_Numbers = dict[Unknown, _Seen]
 _Part = tuple[int | None, _Numbers]
 
 
@@ -156,13 +156,13 @@ def _differences(effect: str, numbers: _Numbers, names: Sequence[str]) -> list[s
     return out
 
 
-def free_of(model: Model, effect: str) -> tuple[FreeEffectParameter, ...]:
+def free_of(model: Model, effect: str) -> tuple[Unknown, ...]:
     """Parameters of an effect that are free in any recording, in the order of the catalogue, sizes first."""
     path = f"effects.{effect}."
     return tuple(dict.fromkeys(u for fitted in model.fits for u in fitted.free if u.path.startswith(path)))
 
 
-def _sizes(model: Model, free: FreeEffectParameter, certain: bool = True) -> _Seen:
+def _sizes(model: Model, free: Unknown, certain: bool = True) -> _Seen:
     """Value of a parameter in every recording in which it is free, not 0, and not small beside the other muscle's.
 
     `certain`: whether a size must be more than two standard deviations from 0.

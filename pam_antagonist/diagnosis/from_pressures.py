@@ -30,8 +30,8 @@ from pam_antagonist.identification.from_pressures import FromPressures, conclude
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import HeldRecording
 from pam_antagonist.identification.said import CLEAR, put_back
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
-from pam_antagonist.inference.unknowns import Fit, Unknown, fitted, within_bounds
+from pam_antagonist.inference.fit import Fit, fitted, within_bounds
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.model.effects import parameter_path
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal
@@ -312,9 +312,9 @@ def _with_effects(judged: Judged) -> Fit:
     """The values of a part of the model with its effects, fitted once more with the identification's own weights."""
     (experiment,), (found,) = judged.model.experiments, judged.model.fits
     assert isinstance(experiment, ModelPart)
-    extra = [_unknown(free) for free in found.free]
+    extra = [_with_prior(free) for free in found.free]
     unknown = [*experiment.start.unknowns, *extra]
-    known = [item.amount(found.point.effects[free.path]) for item, free in zip(extra, found.free, strict=True)]
+    known = [item.coordinate(found.point.effects[free.path]) for item, free in zip(extra, found.free, strict=True)]
     begin, runs, rig = np.concatenate([found.point.theta, known]), experiment.runs, experiment.rig
     if experiment.part == JOINT:
         residual = joint_stage.residual_of(rig, runs, unknown, math.inf)
@@ -339,9 +339,7 @@ def _with_values(judged: Judged, fit: Fit) -> Judged:
     )  # fmt: skip
 
 
-def _unknown(free: FreeEffectParameter) -> Unknown:
-    item, paths = free.item, free.paths
-    if item.is_size:
-        return Unknown(paths[0], paths, 0.0, _SIZE_STD * item.scale, low=item.low, high=item.high)
-    start = min(max(item.scale, item.low), item.high)
-    return Unknown(paths[0], paths, start, _SHAPE_STD, True, item.low, item.high)
+def _with_prior(free: Unknown) -> Unknown:
+    if free.item.is_size:
+        return replace(free, std=_SIZE_STD * free.item.scale, unit=0.0)
+    return replace(free, start=free.bounded(free.item.scale), std=_SHAPE_STD, unit=0.0)

@@ -8,7 +8,7 @@ priors, so that the search and the rules of the verdict are those of all other j
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -22,11 +22,12 @@ from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.from_pressures import parts_of
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
+from pam_antagonist.inference.fit import Fit
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial
-from pam_antagonist.inference.unknowns import Fit, Unknown
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.inference.valve_driven import TITLES
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, places
@@ -57,19 +58,6 @@ _DISSIPATES = {"friction": {"coulomb": 0.0, "stribeck": 0.0}, "hysteresis": {"am
 _ANEW_S = air_stage.HORIZONS[-1]
 
 
-@dataclass(frozen=True)
-class _OfUnknown(FreeDirection):
-    """An unknown of the identification, whose amounts are in standard deviations of its prior."""
-
-    item: Unknown = field(kw_only=True)
-
-    @override
-    def in_words(self, amount: float) -> str:
-        if self.item.positive:
-            return f"{100.0 * (self.item.value(amount) / self.item.start - 1.0):+.0f} %"
-        return f"{amount * self.item.std:+.2g} in SI units"
-
-
 @dataclass(frozen=True, eq=False)
 class ModelPart(Experiment):
     """All runs of the recordings as one experiment of a part of the model.
@@ -82,11 +70,10 @@ class ModelPart(Experiment):
     runs: tuple[Run, ...] = ()  # each cut to whole blocks
     start: Fit = Fit((), np.zeros(0), np.zeros((0, 0)), 0.0)  # of the identification
 
-    @cached_property
+    @property
     @override
-    def directions(self) -> tuple[FreeDirection, ...]:
-        items = self.start.unknowns
-        return tuple(_OfUnknown(item.name, dict.fromkeys(item.paths, 0.0), 1.0, item=item) for item in items)
+    def directions(self) -> tuple[Unknown, ...]:
+        return self.start.unknowns
 
     @property
     @override

@@ -189,9 +189,9 @@ def uncertain(rig: Rig) -> list[dict[str, float]]:
     if rig.drive == "valve":
         declared += [{parameter_path("valve_offset", f"voltage_{i}"): _CONVERTER} for i in (1, 2)]
     names = {name for step in declared for name in step}
-    others = [each for each in base_directions(rig) if names.isdisjoint(each.changes)]
+    others = [each for each in base_directions(rig) if names.isdisjoint(each.adds)]
     return declared + [
-        {name: change * (each.prior if each.unit else _KNOWN_TO) for name, change in each.changes.items()}
+        {name: change * (_KNOWN_TO if each.shown_in == "%" else each.std) for name, change in each.adds.items()}
         for each in others
     ]
 

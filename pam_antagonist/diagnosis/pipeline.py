@@ -323,7 +323,12 @@ def _covered(
     free = [given for given in parts if is_free(given)]
     if not free:
         return rig
-    moved_by_fit = {path for part in compared for direction in part.experiment.directions for path in direction.changes}
+    moved_by_fit = {
+        path
+        for part in compared
+        for direction in part.experiment.directions
+        for path in (*direction.paths, *direction.adds)
+    }
     kept = {path: std for path, std in rig.uncertainty.items() if path not in moved_by_fit}
     report, jobs = settings.progress, settings.jobs
     turned = {name: steps for name, steps in rig.directions.items() if moved_by_fit.isdisjoint(steps)}

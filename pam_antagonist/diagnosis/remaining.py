@@ -265,11 +265,24 @@ def _described(
         late: which of its values are not described (N,).
         span: block means that one value covers.
     """
-    (values, noise), step = scaled, span * experiment.trial.block_s
+    return described(experiment.trial.name, channel, over, scaled, late, around, span * experiment.trial.block_s)
+
+
+def described(
+    recording: str,
+    channel: Channel,
+    over: float,
+    scaled: tuple[Floats, float],
+    late: NDArray[np.bool_],
+    around: Surroundings,
+    step: float,
+) -> RemainingResidual:
+    """A residual in words, as of :func:`_described`; `step`: time between two of its values [s]."""
+    values, noise = scaled
     begin, end = above_noise(values[:, None], np.array([noise]))
     early, then = values[~late], around.take(~late)
     return RemainingResidual(
-        recording=experiment.trial.name,
+        recording=recording,
         channel=channel.title[0].lower() + channel.title[1:],
         unit=unit_of(channel),
         times_noise=over,

@@ -20,11 +20,12 @@ from pam_antagonist.diagnosis.hypotheses import Hypothesis, Kept, Ranking, Resum
 from pam_antagonist.diagnosis.models import Model, as_configured, evidence, in_threads, price, shared
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, prior_cost, refit, relinearised
 from pam_antagonist.inference.likelihood import LinearProblem, Solution
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import STARTS, best_of_starts
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.model.effects import CATALOGUE, experiment_between
 
 _REFITTED = 5
@@ -222,7 +223,7 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
         misfits = scale.misfits_of(step.squares, len(here.residual))
         return float(misfits.sum()) + prior_cost(experiment, here.point.theta + step.theta)
 
-    def score(candidate: Candidate, shape: Mapping[str, float], sizes: Sequence[FreeEffectParameter]) -> Score:
+    def score(candidate: Candidate, shape: Mapping[str, float], sizes: Sequence[Unknown]) -> Score:
         while sizes:
             linear = everything.among([*range(known), *(place[_key(size, shape)] for size in sizes)])
             each = (linear.solved(scale, experiment.prior, here.point.theta, 4, first=first) for first in firsts)
@@ -255,12 +256,12 @@ def score_all(experiment: Experiment, fitted: Fitted, at: Fitted | None = None) 
     return result
 
 
-def _key(size: FreeEffectParameter, shape: Mapping[str, float]) -> _Key:
+def _key(size: Unknown, shape: Mapping[str, float]) -> _Key:
     """What a step along a size depends on: the parameters that move, and the effect's shape."""
     return size.paths, tuple(sorted(shape.items()))
 
 
-def _with(point: Point, size: FreeEffectParameter, shape: Mapping[str, float]) -> Point:
+def _with(point: Point, size: Unknown, shape: Mapping[str, float]) -> Point:
     """A point with an effect of a shape, neither small nor large."""
     values = dict.fromkeys(size.paths, size.item.scale)
     return Point(point.theta, {**point.effects, **shape, **values})

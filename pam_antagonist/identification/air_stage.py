@@ -16,18 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.identification.runs import Run
+from pam_antagonist.inference.fit import Fit, Residual, Values, deviations, fitted, refined, within_bounds
 from pam_antagonist.inference.fit_errors import Rows, with_errors
-from pam_antagonist.inference.unknowns import (
-    Fit,
-    Residual,
-    Unknown,
-    Values,
-    deviations,
-    fitted,
-    parameters,
-    refined,
-    within_bounds,
-)
+from pam_antagonist.inference.unknown import Unknown, parameters
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import Inputs
 from pam_antagonist.rig import Rig

@@ -19,9 +19,10 @@ from pam_antagonist.identification.held_out import WORSE
 from pam_antagonist.identification.regulators import RegulatorsFound, of_commands
 from pam_antagonist.inference.bootstrap import Interval, rmse
 from pam_antagonist.inference.episodes import EpisodeModel
-from pam_antagonist.inference.free_parameters import FreeEffectParameter, moved
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.held_episodes import held_out, thinned
 from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.inference.unknown import of_effect
 from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import refusal
@@ -119,7 +120,7 @@ def is_fair(joint: PressureDriven) -> bool:
 def _start(joint: PressureDriven) -> EpisodeModel:
     """The rig's own model; the sizes of the effects that it has may move."""
     free = tuple(
-        FreeEffectParameter((f"effects.{name}.{item.name}",), item)
+        of_effect((f"effects.{name}.{item.name}",), item)
         for name, values in joint.rig.effects.items()
         if "regulator" in CATALOGUE[name].tested_with
         for item in CATALOGUE[name].parameters

@@ -55,9 +55,10 @@ from pam_antagonist.identification.result import (
 from pam_antagonist.identification.runs import Run, notes_of
 from pam_antagonist.identification.said import CLEAR, values_in_words
 from pam_antagonist.identification.valve_curve import identify_curves
+from pam_antagonist.inference.fit import Fit, Residual, fitted, within_bounds
 from pam_antagonist.inference.free_parameters import free_parameters, moved
 from pam_antagonist.inference.trial import make_trial
-from pam_antagonist.inference.unknowns import Fit, Residual, Unknown, fitted, parameters, within_bounds
+from pam_antagonist.inference.unknown import Unknown, parameters
 from pam_antagonist.recording import recording_hash, seen_in_words, seen_until
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.rig import Rig

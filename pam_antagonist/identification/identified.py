@@ -26,11 +26,14 @@ from pam_antagonist.identification.held_out import (
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.result import FromPressures, HeldRecording, pooled
 from pam_antagonist.identification.sealed import ASSUMED, SealedIdentified
-from pam_antagonist.inference.unknowns import Fit, Unknown
+from pam_antagonist.inference.bootstrap import Interval
+from pam_antagonist.inference.fit import Fit
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.program import versions
 from pam_antagonist.recording import Recording, recording_hash
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.replays.result import JointFacts
+from pam_antagonist.report_keys import IDENTIFY, with_all_keys
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import RefusedRig, refusal, write_rig, write_unread
 from pam_antagonist.rig.units import assumption, unit_of
@@ -77,6 +80,16 @@ class ParameterEntry(NamedTuple):
     reason: str
     record: str | None
     unit: str
+
+    @classmethod
+    def of_interval(cls, name: str, rig: Rig, start: float, found: Interval) -> ParameterEntry:
+        """A value that has a 95 % interval and no prior."""
+        std = (found.high - found.low) / (2.0 * 1.96)
+        reason = "" if found.is_known else "the episodes do not determine it"
+        return cls(
+            name, start, found.value, std, _relative(start, found.value), math.nan, None, found.is_known, reason,
+            recording_that_shows(name) if reason else None, unit_of(rig, name),
+        )  # fmt: skip
 
 
 class Difference(NamedTuple):
@@ -185,41 +198,24 @@ class Identified(Shown):
     def to_json(self) -> dict[str, Any]:
         """The content of ``report.json``."""
         found = self.found
-        own = self._full_json(found) if isinstance(found, FromPressures) else self._sealed_json(found)
-        about = {"assumption": assumption(found.start, identified=True), "rejected": self.rejected}
-        return {"held_out": [entry(held) for held in self.held], **own, "software": versions(), **about}
-
-    def _full_json(self, fit: FromPressures) -> dict[str, Any]:
-        now, before = fit.rig.tuning("default"), fit.start.tuning("default")
-        coverage, own = self.coverage95
-        return {
+        coverage, of_own = self.coverage95
+        common = {
+            "held_out": [entry(held) for held in self.held],
             "coverage95": coverage,
-            "coverage95_own": own,
+            "coverage95_own": of_own,
             "errors_deg": self.errors_deg,
             "parameters": [item._asdict() for item in self.parameters],
-            "stages": [
-                picked(step, "name", "source")
-                | {"values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()}}
-                | picked(step, "before", "after", "note")
-                for step in fit.steps
-            ],
             "correlations": [{"first": a, "second": b, "correlation": value} for a, b, value in self.correlations],
             "between": {"differences": [item._asdict() for item in self.between]} if self.between else None,
-            "noise": {"declared": _noise(fit.start), "found": _noise(fit.rig)},
-            "tuning": {
-                "process": now.process,
-                "process_before": before.process,
-                "measurement": now.measurement,
-                "measurement_before": before.measurement,
-                "unknown_torque_nm": fit.covered.torque,
-                "directions": fit.rig.directions,
-            },
+            "noise": {"declared": _noise(found.start), "found": _noise(found.rig)},
             "recordings": self._recordings(),
-            "warnings": fit.notes,
-            "settings": {
-                "rig": fit.start.name, **picked(fit.options, "free", "frozen", "holdout", "starts", "seed")
-            },
-        }  # fmt: skip
+            "warnings": found.notes,
+            "software": versions(),
+            "assumption": assumption(found.start, identified=True),
+            "rejected": self.rejected,
+        }
+        own = _full_json(found) if isinstance(found, FromPressures) else self._sealed_json(found)
+        return with_all_keys(IDENTIFY, {**common, **own})
 
     def _recordings(self) -> list[dict[str, Any]]:
         whole, out = {held.name: held for held in self.held}, []
@@ -233,7 +229,6 @@ class Identified(Shown):
 
     def _sealed_json(self, fit: SealedIdentified) -> dict[str, Any]:
         known = {item.name: item for item in self.parameters}
-        keys = ("name", "sha256", "duration_s", "fitted_until_s")
         return {
             "stages": [
                 {
@@ -248,7 +243,7 @@ class Identified(Shown):
             ],
             "tuning": fit.tuning,
             "assumed": ASSUMED,
-            "recordings": [{key: one[key] for key in keys} for one in self._recordings()],
+            "settings": {"rig": fit.start.name, "seed": self.seed},
         }
 
     def write_rigs(self, folder: Path) -> None:
@@ -276,6 +271,28 @@ class Identified(Shown):
             remark = f"The values of {name} alone, which deviate a little from the common ones in rig.yaml."
             with suppress(RefusedRig):  # nobody is asked to use it
                 write_rig(own, folder / f"rig_{number}.yaml", [*about, remark])
+
+
+def _full_json(fit: FromPressures) -> dict[str, Any]:
+    """What only an identification from pressures has."""
+    now, before = fit.rig.tuning("default"), fit.start.tuning("default")
+    return {
+        "stages": [
+            picked(step, "name", "source")
+            | {"values": {name: {"before": old, "after": new} for name, (old, new) in step.values.items()}}
+            | picked(step, "before", "after", "note")
+            for step in fit.steps
+        ],
+        "tuning": {
+            "process": now.process,
+            "process_before": before.process,
+            "measurement": now.measurement,
+            "measurement_before": before.measurement,
+            "unknown_torque_nm": fit.covered.torque,
+            "directions": fit.rig.directions,
+        },
+        "settings": {"rig": fit.start.name, **picked(fit.options, "free", "frozen", "holdout", "starts", "seed")},
+    }
 
 
 def _relative(start: float, value: float) -> float:

@@ -18,19 +18,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
+from pam_antagonist.inference.fit import Fit, Residual, Values, deviations, fitted, refined, within_bounds
 from pam_antagonist.inference.fit_errors import Rows, with_errors
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
-from pam_antagonist.inference.unknowns import (
-    Fit,
-    Residual,
-    Unknown,
-    Values,
-    deviations,
-    fitted,
-    parameters,
-    refined,
-    within_bounds,
-)
+from pam_antagonist.inference.unknown import Unknown, parameters
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import TORQUE, Inputs

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import Run
+from pam_antagonist.inference.fit import Fit
 from pam_antagonist.inference.trial import converter_step, white_std
-from pam_antagonist.inference.unknowns import Fit
 from pam_antagonist.model import parameters as par
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig

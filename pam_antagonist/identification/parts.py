@@ -13,9 +13,9 @@ from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.filter_stage import Given
 from pam_antagonist.identification.joint_stage import DELAY, ZERO, model_values
 from pam_antagonist.identification.runs import Run, runs_of
+from pam_antagonist.inference.fit import Fit
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.trial import check, make_trial
-from pam_antagonist.inference.unknowns import Fit
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition

@@ -15,8 +15,8 @@ from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.filter_stage import Given, UnknownTorque
 from pam_antagonist.identification.parts import held_runs, is_free
 from pam_antagonist.identification.runs import SWINGS, Run
+from pam_antagonist.inference.fit import Fit
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
-from pam_antagonist.inference.unknowns import Fit
 from pam_antagonist.model import parameters as par
 from pam_antagonist.replays import Replay, after, replay
 from pam_antagonist.replays.result import ReplayReport

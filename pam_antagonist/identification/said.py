@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pam_antagonist.identification.air_stage import SUPPLY
 from pam_antagonist.identification.joint_stage import DELAY
-from pam_antagonist.inference.unknowns import FAR, Fit
+from pam_antagonist.inference.fit import FAR, Fit
 
 CLEAR = 3.0
 """A zero or a delay is said from so many standard errors on. It was 5 while these left out errors that last, and was

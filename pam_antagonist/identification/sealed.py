@@ -11,7 +11,7 @@ pressure. Then the filter is tuned (:mod:`~pam_antagonist.identification.sealed_
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.sealed_tuning import drift_size, tuned
 from pam_antagonist.inference.angle_driven import SLIDING, chamber_directions
+from pam_antagonist.inference.fit import Fit, Values, refined
 from pam_antagonist.inference.fit_errors import with_errors
-from pam_antagonist.inference.free_parameters import Direction, moved, start_values, values_along
+from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.inference.trial import BLOCK_S
-from pam_antagonist.inference.unknowns import Fit, Unknown, Values, refined
+from pam_antagonist.inference.unknown import Unknown, change_of, parameters, start_values
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
@@ -136,8 +137,9 @@ def closed_chambers(trials: Sequence[SealedTrial], rig: Rig, muscle: int) -> Sea
     def errors(p: Floats) -> Floats:
         return np.array([equilibrium.closed_pressure(muscle, at, p) for at in angle]) - shown
 
-    directions = chamber_directions(start, number)
-    values, std, residual = _fitted(start, directions, errors, (-np.inf, -np.inf), (0.1, 1e-3), _LEAST_PRESSURE)
+    slope, charge = chamber_directions(start, number)
+    free = (replace(slope, std=np.inf, unit=0.1), replace(charge, std=np.inf, unit=1e-3))
+    values, std, residual = _fitted(start, free, errors, _LEAST_PRESSURE)
     volume = f"muscle_{number}.volume.d2"
     return SealedStage(
         f"closed chamber of muscle {number}",
@@ -164,8 +166,8 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
         )
     names = [name for name in ("joint.stiffness", "joint.viscous_friction", "friction.shaft") if rig.value(name)]
     forces = {f"muscle_{number}.force.w2": way for number, way in ((1, 1.0), (2, -1.0))}
-    directions = [Direction(name, {name: rig.value(name)}) for name in names]
-    directions.append(Direction("difference of the muscles' forces", forces))
+    free = [replace(change_of(name, {name: rig.value(name)}), unit=0.3, low=-0.999) for name in names]
+    free.append(replace(change_of("difference of the muscles' forces", forces), unit=5.0))
 
     def errors(p: Floats) -> Floats:
         parts = []
@@ -176,8 +178,7 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
             parts.append(needed - trial.external[mask])
         return np.concatenate(parts)
 
-    lowest, sizes = [-0.999] * len(names) + [-np.inf], [0.3] * len(names) + [5.0]
-    values, std, residual = _fitted(rig, directions, errors, lowest, sizes, _LEAST_TORQUE)
+    values, std, residual = _fitted(rig, free, errors, _LEAST_TORQUE)
     spread = {name: rig.value(name) * std[k] for k, name in enumerate(names)}
     spread |= {f"muscle_{number}.force.w2": std[-1] for number in (1, 2)}
     return SealedStage(
@@ -192,26 +193,21 @@ def balance(trials: Sequence[SealedTrial], rig: Rig) -> SealedStage:
 
 
 def _fitted(
-    rig: Rig, directions: Sequence[Direction], errors: Callable[[Floats], Floats], lowest: Sequence[float],
-    sizes: Sequence[float], least: float,
-) -> tuple[dict[str, float], Floats, float]:  # fmt: skip
-    """Values by dotted path, standard errors of the directions' amounts (D,), and the RMS of what is left.
+    rig: Rig, free: Sequence[Unknown], errors: Callable[[Floats], Floats], least: float
+) -> tuple[dict[str, float], Floats, float]:
+    """Values by dotted path, standard errors of the unknowns (D,), and the RMS of what is left.
 
-    `lowest`, `sizes`: least amount of each direction, and its usual size. `least`: least size of an error.
+    `least`: least size of an error.
     """
-    known = start_values(rig, directions)
-    free = tuple(
-        Unknown(direction.name, (), 0.0, size, low=low, reach=np.inf, has_prior=False)
-        for direction, size, low in zip(directions, sizes, lowest, strict=True)
-    )
+    known = start_values(rig, free)
 
-    def along(amounts: Mapping[str, float]) -> dict[str, float]:
-        return values_along(known, directions, [amounts[item.name] for item in free])
+    def along(values: Mapping[str, float]) -> dict[str, float]:
+        return parameters(free, values, start=known)
 
     def left(each: Sequence[Values]) -> list[dict[str, Floats]]:
         return [{"error": errors(rig.parameters(changes=along(amounts)))} for amounts in each]
 
-    start = Fit(free, np.zeros(len(free)), np.eye(len(free)), np.inf)
+    start = Fit(tuple(free), np.zeros(len(free)), np.eye(len(free)), np.inf)
     fit = refined(start, (), left, {"error": least}, _EVALUATIONS)
     fit = with_errors(fit, lambda each: [fit.scale["error"] * one["error"] for one in left(each)])
     rms = float(np.sqrt(np.mean(left([fit.values])[0]["error"] ** 2)))

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.free_run import StartedModel, predict, start_of
 from pam_antagonist.inference.likelihood import in_mean_squares
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, PRESSURE_2, TORQUE, Trial, block_noise
+from pam_antagonist.inference.unknown import Unknown, change_of
 from pam_antagonist.model import dynamics, equilibrium
 from pam_antagonist.model.drive import NEEDED, Inputs
 from pam_antagonist.model.effects import CATALOGUE, places
@@ -101,7 +102,7 @@ def motion_of(measured: Floats, dt: float) -> Motion:
     return Motion(angle, velocity, np.gradient(velocity, dt), direction)
 
 
-def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirection]:
+def chamber_directions(rig: Rig, number: int) -> tuple[Unknown, Unknown]:
     """Directions that the pressure of a sealed muscle determines: the slope of its volume, and its charge.
 
     `number`: of the muscle, 1 or 2.
@@ -110,8 +111,8 @@ def chamber_directions(rig: Rig, number: int) -> tuple[FreeDirection, FreeDirect
     # The volume at angle 0 does not change.
     turned = {f"muscle_{number}.volume.d2": slope, f"muscle_{number}.volume.d3": -slope * rig.geometry.length}
     return (
-        FreeDirection(f"muscle_{number}.volume, slope", turned, 0.1),
-        FreeDirection(charge, {charge: rig.value(charge)}, 0.01),
+        change_of(f"muscle_{number}.volume, slope", turned, 0.1),
+        change_of(charge, {charge: rig.value(charge)}, 0.01),
     )
 
 
@@ -125,14 +126,14 @@ class AngleDriven(Experiment):
 
     @cached_property
     @override
-    def directions(self) -> tuple[FreeDirection, ...]:
+    def directions(self) -> tuple[Unknown, ...]:
         rig = self.rig
         if self.part == BALANCE:
             apart = {"muscle_1.force.w2": _FORCE, "muscle_2.force.w2": -_FORCE}
             return (
-                FreeDirection("joint.stiffness", {"joint.stiffness": max(rig.joint.stiffness, 1.0)}, 1.0),
-                FreeDirection("difference of the muscles' forces", apart, 1.0),
-                FreeDirection("joint.viscous_friction", {"joint.viscous_friction": _VISCOUS}, 1.0),
+                change_of("joint.stiffness", {"joint.stiffness": max(rig.joint.stiffness, 1.0)}, 1.0),
+                change_of("difference of the muscles' forces", apart, 1.0),
+                change_of("joint.viscous_friction", {"joint.viscous_friction": _VISCOUS}, 1.0),
             )
         return tuple(direction for number in (1, 2) for direction in chamber_directions(rig, number))
 

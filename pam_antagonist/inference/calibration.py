@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from pam_antagonist.inference.free_parameters import Candidate, FreeEffectParameter
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.unknown import Unknown, of_effect
 from pam_antagonist.model.effects import EffectParameter
 from pam_antagonist.recording.rows import curve
 
@@ -74,8 +75,8 @@ class CalibrationCandidate(Candidate):
 
     @property
     @override
-    def free(self) -> tuple[FreeEffectParameter, ...]:
-        return (FreeEffectParameter((path(self.effect),), CALIBRATIONS[self.effect]),)
+    def free(self) -> tuple[Unknown, ...]:
+        return (of_effect((path(self.effect),), CALIBRATIONS[self.effect]),)
 
     @override
     def grid(self) -> list[dict[str, float]]:

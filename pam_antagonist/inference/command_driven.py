@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.inference.episodes import EpisodeModel, Episodes, noise_of
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
+from pam_antagonist.inference.free_parameters import Candidate, relative
 from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import Inputs
 from pam_antagonist.model.effects import CATALOGUE, Form, parameter_path
@@ -55,9 +56,9 @@ class CommandDriven(Episodes):
 
     @cached_property
     @override
-    def directions(self) -> tuple[FreeDirection, ...]:
+    def directions(self) -> tuple[Unknown, ...]:
         paths = [parameter_path("regulator_lag", name) for name in _LAG]
-        return tuple(FreeDirection(path, {path: max(self.rig.value(path), 1e-2)}) for path in paths)
+        return tuple(relative(self.rig, path, least=1e-2) for path in paths)
 
     @override
     def candidates(self, taken: Mapping[str, float]) -> dict[str, tuple[Candidate, ...]]:

@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.inference.free_parameters import FreeDirection, start_values
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.threads import side_by_side
+from pam_antagonist.inference.unknown import Unknown, start_values
 from pam_antagonist.model.lane_values import LANES
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.schema import limits
@@ -35,7 +35,7 @@ class Driven(ABC):
 
     @property
     @abstractmethod
-    def directions(self) -> tuple[FreeDirection, ...]:
+    def directions(self) -> tuple[Unknown, ...]:
         """Free base directions (K)."""
 
     @abstractmethod
@@ -84,7 +84,7 @@ class Driven(ABC):
     def _line(self) -> tuple[Floats, Floats]:
         """Values of these parameters in the rig file (M,), and their change in each direction (K, M)."""
         start = list(start_values(self.rig, self.directions).values())
-        change = [[direction.changes.get(name, 0.0) for name in self._moved] for direction in self.directions]
+        change = [[direction.adds.get(name, 0.0) for name in self._moved] for direction in self.directions]
         return np.array(start), np.array(change).reshape(len(self.directions), len(start))
 
     @cached_property

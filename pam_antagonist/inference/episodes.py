@@ -22,22 +22,17 @@ from typing_extensions import override
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.bootstrap import Interval, steps
 from pam_antagonist.inference.driven import Driven
-from pam_antagonist.inference.free_parameters import (
-    EFFECT_PARAMETERS,
-    Candidate,
-    FreeDirection,
-    FreeEffectParameter,
-)
+from pam_antagonist.inference.free_parameters import Candidate
 from pam_antagonist.inference.gauss_newton import effect_jacobian
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.inference.weak_features import beside_signals, coefficients
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.recording import Recording, bag_name
 from pam_antagonist.recording.csv_import import LEAST_ROWS
 from pam_antagonist.recording.rows import resets
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.physical import is_positive
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -62,7 +57,7 @@ _CONVERGED = 1e-4
 class EpisodeModel(Point):
     """A point in the space of models, with the parameters of its effects that a fit moves."""
 
-    free: tuple[FreeEffectParameter, ...] = ()
+    free: tuple[Unknown, ...] = ()
 
     def without(self, paths: Sequence[str]) -> EpisodeModel:
         """The model without some of its effects' parameters."""
@@ -284,9 +279,8 @@ class Episodes(Driven):
 
     def fit(self, model: EpisodeModel, rounds: int = ROUNDS) -> EpisodeModel:
         """The model with the least squared error. `rounds`: most simulations with derivatives."""
-        bounds = [self._bounds(direction) for direction in self.directions]
-        bounds += [(item.coordinate(item.item.low), item.coordinate(item.item.high)) for item in model.free]
-        low, high = np.array(bounds).T
+        each = [*self.directions, *model.free]
+        low, high = np.array([(item.coordinate(item.low), item.coordinate(item.high)) for item in each]).T
         found = least_squares(
             lambda z: self.residual(self.moved(model, z)).ravel(),
             np.clip(self.coordinates(model), low + 1e-9, high - 1e-9),
@@ -294,17 +288,6 @@ class Episodes(Driven):
             bounds=(low, high), x_scale="jac", ftol=_CONVERGED, xtol=_CONVERGED, max_nfev=rounds,
         )  # fmt: skip
         return self.moved(model, found.x)
-
-    def _bounds(self, direction: FreeDirection) -> tuple[float, float]:
-        """Least and largest amount of a direction: parameters that are positive in any rig stay positive."""
-        path = direction.name
-        if path not in direction.changes or not (is_positive(path) or path in EFFECT_PARAMETERS):
-            return -np.inf, np.inf
-        low, high = 0.0, np.inf
-        if path in EFFECT_PARAMETERS:
-            low, high = EFFECT_PARAMETERS[path].low, EFFECT_PARAMETERS[path].high
-        now, change = self.rig.value(path), direction.changes[path]
-        return (low - now) / change, (high - now) / change
 
     def draws(self, model: EpisodeModel, seed: int = 0) -> dict[str, Floats]:
         """Values of :meth:`shown` in draws of a bootstrap by episode, each by one Gauss-Newton step (D,)."""

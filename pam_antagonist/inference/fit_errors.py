@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from pam_antagonist.inference.unknowns import NARROWED, Fit, Pulled, Residual, priors, robust, seen
+from pam_antagonist.inference.fit import NARROWED, Fit, Pulled, Residual, priors, robust, seen
 
 Floats = NDArray[np.float64]
 

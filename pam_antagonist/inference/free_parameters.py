@@ -1,23 +1,21 @@
-"""Free parameters of a fit, with their priors and bounds.
+"""What a rig leaves unknown, with priors and bounds.
 
-The common concept is the :class:`Direction`: parameters that move together. A fit of several recordings moves single
-parameters (:class:`~pam_antagonist.inference.unknowns.Unknown`). A fit of one recording moves combinations that the
-data can separate
-(:class:`FreeDirection`), and the parameters of its effects (:class:`FreeEffectParameter`). An effect that may be added
-to a model, with its free parameters, is a :class:`Candidate`.
+A fit of several recordings moves single parameters (:func:`free_parameters`). A fit of one recording moves combinations
+that the data can separate (:func:`base_directions`), and the parameters of its effects. An effect that may be added to
+a model, with its free parameters, is a :class:`Candidate`.
 """
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.expected import expected_sizes
-from pam_antagonist.inference.unknowns import Unknown
+from pam_antagonist.inference.unknown import Unknown, change_of, of_effect
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, Effect, EffectParameter, Form, parameter_path
 from pam_antagonist.model.force_forms import FORMS
@@ -54,14 +52,6 @@ EFFECT_PARAMETERS = {
     parameter_path(effect.name, item.name): item for effect in CATALOGUE.values() for item in effect.parameters
 }
 """Parameters of all effects, by dotted path."""
-
-
-@dataclass(frozen=True)
-class Direction:
-    """Parameters that move together."""
-
-    name: str
-    changes: Mapping[str, float]  # change of each parameter for an amount of 1, by dotted path
 
 
 def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = ()) -> list[Unknown]:
@@ -144,23 +134,7 @@ def _bounds(name: str, start: float) -> tuple[float, float]:
     return start - 5.0 * abs(start), start + 5.0 * abs(start)
 
 
-@dataclass(frozen=True)
-class FreeDirection(Direction):
-    """One direction in which the base model may differ from its file.
-
-    Its amount is a relative change, or the value of a parameter that is 0 in the file.
-    """
-
-    prior: float = RELATIVE_PRIOR
-    free_only: bool = False
-    unit: str = ""
-
-    def in_words(self, amount: float) -> str:
-        """An amount with its unit, or in per cent."""
-        return f"{amount:+.2g} {self.unit}" if self.unit else f"{100 * amount:+.0f} %"
-
-
-def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
+def base_directions(rig: Rig) -> tuple[Unknown, ...]:
     """The directions of a rig.
 
     Parameters that cannot be measured directly (Proposition 1 of Shin et al. 2022) are free. The linear force map
@@ -181,14 +155,15 @@ def base_directions(rig: Rig) -> tuple[FreeDirection, ...]:
         found.append(_single(rig, "supply.pressure"))
         sizes = expected_sizes(rig)
         found += [
-            FreeDirection(path, {path: 1.0}, rig.priors[path], unit=EFFECT_PARAMETERS[path].unit) for path in sizes
+            replace(change_of(path, {path: 1.0}, rig.priors[path]), shown_in=EFFECT_PARAMETERS[path].unit)
+            for path in sizes
         ]
     for path in (*_MOTION, *_FRICTION[rig.model.friction]):
         found.append(_single(rig, path, free_only=True))
-    return tuple(direction for direction in found if any(direction.changes.values()))
+    return tuple(direction for direction in found if any(direction.adds.values()))
 
 
-def measured_directions(rig: Rig) -> tuple[Direction, ...]:
+def measured_directions(rig: Rig) -> tuple[Unknown, ...]:
     """Directions that are measured directly, so that no fit of one recording moves them; changes of one std each.
 
     `rig`: the values; its ``priors`` and ``uncertainty`` replace the 1 % of a direction that is a single parameter.
@@ -199,19 +174,28 @@ def measured_directions(rig: Rig) -> tuple[Direction, ...]:
         if len(names) == 1 and (value := abs(rig.value(names[0]))):
             known = rig.uncertainty.get(names[0], rig.priors.get(names[0]))
             share = share if known is None else known / value
-        found.append(Direction(names[0], {name: share * rig.value(name) for name in names}))
-    return tuple(direction for direction in found if any(direction.changes.values()))
+        found.append(change_of(names[0], {name: share * rig.value(name) for name in names}))
+    return tuple(direction for direction in found if any(direction.adds.values()))
 
 
-def _single(rig: Rig, path: str, free_only: bool = False) -> FreeDirection:
+def _single(rig: Rig, path: str, free_only: bool = False) -> Unknown:
     value = rig.value(path)
     prior = rig.priors.get(path)
-    return FreeDirection(
-        path, {path: value}, prior / abs(value) if prior and value else _relative_prior(path), free_only
-    )
+    std = prior / abs(value) if prior and value else _relative_prior(path)
+    return replace(change_of(path, {path: value}, std), free_only=free_only)
 
 
-def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
+def relative(rig: Rig, path: str, least: float) -> Unknown:
+    """A change of one parameter, relative to its value or to a least size, within the bounds of a rig file."""
+    now = rig.value(path)
+    size = max(now, least)
+    item = EFFECT_PARAMETERS.get(path)
+    low, high = (item.low, item.high) if item else (0.0, math.inf)
+    free = change_of(path, {path: size}, RELATIVE_PRIOR)
+    return replace(free, low=(low - now) / size, high=(high - now) / size)
+
+
+def _force_map(rig: Rig, path: str) -> list[Unknown]:
     if rig.model.force != "linear":
         return [_single(rig, f"{path}{name}") for name in FORMS[rig.model.force].moves]
     middle = rig.geometry.length
@@ -219,69 +203,12 @@ def _force_map(rig: Rig, path: str) -> list[FreeDirection]:
     for slope, intercept in (("v1", "v2"), ("w1", "w2")):
         steep = rig.value(path + slope)
         value = steep * middle + rig.value(path + intercept)
-        directions.append(FreeDirection(f"{path}{slope[0]}, value at the middle length", {path + intercept: value}))
+        name, std = f"{path}{slope[0]}", RELATIVE_PRIOR
+        directions.append(change_of(f"{name}, value at the middle length", {path + intercept: value}, std))
         # The value at the middle length does not change with the slope.
         turned = {path + slope: steep, path + intercept: -steep * middle}
-        directions.append(FreeDirection(f"{path}{slope[0]}, slope", turned, free_only=True))
+        directions.append(replace(change_of(f"{name}, slope", turned, std), free_only=True))
     return directions
-
-
-@dataclass(frozen=True)
-class FreeEffectParameter:
-    """A parameter of an effect that a fit may move."""
-
-    paths: tuple[str, ...]  # dotted paths of the parameters with this value: several if only their sum is observable
-    item: EffectParameter
-
-    @property
-    def path(self) -> str:
-        """Dotted path of the first parameter."""
-        return self.paths[0]
-
-    @property
-    def muscle(self) -> int | None:
-        """Muscle of the parameter; None if it does not belong to a single muscle."""
-        return self.item.muscle if len(self.paths) == 1 else None
-
-    def value(self, coordinate: float) -> float:
-        """Value at a coordinate: sizes in units of their scale, shapes by their logarithm."""
-        if self.item.is_size:
-            return coordinate * self.item.scale
-        return math.exp(coordinate)
-
-    def coordinate(self, value: float) -> float:
-        """Coordinate of a value."""
-        return value / self.item.scale if self.item.is_size else math.log(value)
-
-    def slope(self, value: float) -> float:
-        """Derivative of the value by its coordinate."""
-        return self.item.scale if self.item.is_size else value
-
-    def bounded(self, value: float) -> float:
-        """The nearest value within the bounds of the catalogue."""
-        return min(max(value, self.item.low), self.item.high)
-
-    def step(self, value: float) -> float:
-        """Step of a difference quotient at a value, in coordinates; sizes that cannot shrink step upwards."""
-        if not self.item.is_size:
-            return -0.1 if value * 1.1 > self.item.high else 0.1
-        return 0.1 * max(1.0, abs(value / self.item.scale))
-
-
-def start_values(rig: Rig, directions: Iterable[Direction]) -> dict[str, float]:
-    """A rig's values of the parameters that directions move, by dotted path."""
-    return {name: rig.value(name) for direction in directions for name in direction.changes}
-
-
-def values_along(
-    start: Mapping[str, float], directions: Iterable[Direction], amounts: Iterable[float]
-) -> dict[str, float]:
-    """Values of the parameters that directions move, by dotted path."""
-    total: dict[str, float] = {}
-    for direction, amount in zip(directions, amounts, strict=False):
-        for name, change in direction.changes.items():
-            total[name] = total.get(name, start[name]) + change * float(amount)
-    return total
 
 
 def moved(rig: Rig, values: Mapping[str, float]) -> Rig:
@@ -323,7 +250,7 @@ class Candidate:
         return self.catalogued.form if self.form is None else self.form
 
     @property
-    def free(self) -> tuple[FreeEffectParameter, ...]:
+    def free(self) -> tuple[Unknown, ...]:
         """Its free parameters, sizes first."""
         form = self._form
         items = [item for item in self.catalogued.parameters if item.name not in form.without]
@@ -331,9 +258,7 @@ class Candidate:
         for item in sorted(items, key=lambda item: not item.is_size):
             groups.setdefault(item.family if form.tied else item.name, []).append(item)
         return tuple(
-            FreeEffectParameter(
-                tuple(parameter_path(self.effect, item.name) for item in group), _as_formed(group[0], form)
-            )
+            of_effect(tuple(parameter_path(self.effect, item.name) for item in group), _as_formed(group[0], form))
             for group in groups.values()
         )
 
@@ -343,12 +268,12 @@ class Candidate:
         return {}
 
     @property
-    def sizes(self) -> tuple[FreeEffectParameter, ...]:
+    def sizes(self) -> tuple[Unknown, ...]:
         """Free sizes: the effect vanishes where they are 0."""
         return tuple(parameter for parameter in self.free if parameter.item.is_size)
 
     @property
-    def shapes(self) -> tuple[FreeEffectParameter, ...]:
+    def shapes(self) -> tuple[Unknown, ...]:
         """Free shapes, such as times and widths."""
         return tuple(parameter for parameter in self.free if not parameter.item.is_size)
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.inference.driven import Driven
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.likelihood import LinearProblem, Scale, Solution
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import Mask
+from pam_antagonist.inference.unknown import Unknown
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Fitted:
     """A model of a recording at its best."""
 
     point: Point
-    free: tuple[FreeEffectParameter, ...]
+    free: tuple[Unknown, ...]
     residual: Floats  # measured minus simulated (B, C) of the part that was fitted
     base: Floats  # its derivatives by the base coordinates (B, C, K + S)
     effect: Floats  # its derivatives by the effects' coordinates (B, C, m)
@@ -64,7 +64,7 @@ def cost_of(experiment: Experiment, point: Point, residual: Floats, scale: Scale
 
 
 def effect_jacobian(
-    experiment: Driven, point: Point, residual: Floats, free: Sequence[FreeEffectParameter], share: float = 1.0
+    experiment: Driven, point: Point, residual: Floats, free: Sequence[Unknown], share: float = 1.0
 ) -> Floats:
     """Derivatives of the residual by the coordinates of effects (B, C, m). `residual`: it leaves (B, C)."""
     result = np.zeros((*residual.shape, len(free)))
@@ -83,7 +83,7 @@ def effect_jacobian(
 def refit(
     experiment: Experiment,
     point: Point,
-    free: Sequence[FreeEffectParameter] = (),
+    free: Sequence[Unknown] = (),
     base: Floats | None = None,
     rounds: int = _ROUNDS,
     renewals: int = 3,
@@ -177,7 +177,7 @@ def _begun(experiment: Experiment, point: Point, beside: Fitted | None) -> tuple
 def _step(
     experiment: Experiment,
     point: Point,
-    free: Sequence[FreeEffectParameter],
+    free: Sequence[Unknown],
     linear: LinearProblem,
     scale: Scale,
     number: int,
@@ -275,7 +275,7 @@ def relinearised(experiment: Experiment, fitted: Fitted) -> Fitted:
     return refit(experiment, fitted.point, fitted.free, rounds=0, blocks_per_error=fitted.scale.blocks_per_error)
 
 
-def moved_by(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, effect: Floats) -> Point:
+def moved_by(point: Point, free: Sequence[Unknown], theta: Floats, effect: Floats) -> Point:
     """A point after a step, within the bounds of the effects' parameters.
 
     `theta`: change of the base coordinates (K + S,). `effect`: change of the effects' coordinates (m,).
@@ -289,7 +289,7 @@ def moved_by(point: Point, free: Sequence[FreeEffectParameter], theta: Floats, e
     return Point(point.theta + theta, effects)
 
 
-def _held(point: Point, free: Sequence[FreeEffectParameter]) -> list[int]:
+def _held(point: Point, free: Sequence[Unknown]) -> list[int]:
     """Shapes of an effect without size: nothing depends on them."""
     held = []
     for k, parameter in enumerate(free):

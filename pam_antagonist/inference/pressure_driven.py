@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from pam_antagonist.inference.episodes import Episodes, noise_of
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection
+from pam_antagonist.inference.free_parameters import RELATIVE_PRIOR, Candidate, relative
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.trial import converter_step, white_std
+from pam_antagonist.inference.unknown import Unknown, change_of
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import Inputs
 from pam_antagonist.model.effects import CATALOGUE, Form
@@ -45,7 +46,7 @@ class PressureDriven(Episodes):
 
     @cached_property
     @override
-    def directions(self) -> tuple[FreeDirection, ...]:
+    def directions(self) -> tuple[Unknown, ...]:
         rig, middle = self.rig, self.rig.geometry.length
         forces = []
         for i in (1, 2):
@@ -53,16 +54,16 @@ class PressureDriven(Episodes):
             area = abs(rig.value(path + "v1") * middle + rig.value(path + "v2"))
             usual = self.usual[i - 1]
             # The force at the usual pressure does not change, so that rest angle and stiffness stay as they are.
-            forces.append(FreeDirection(f"{path}v, value", {path + "v2": area, path + "w2": -area * usual}))
+            forces.append(change_of(f"{path}v, value", {path + "v2": area, path + "w2": -area * usual}, RELATIVE_PRIOR))
             turned = {path + "v1": area / middle, path + "v2": -area}
             turned |= {path + "w1": -area / middle * usual, path + "w2": area * usual}
-            forces.append(FreeDirection(f"{path}v, slope", turned))
+            forces.append(change_of(f"{path}v, slope", turned, RELATIVE_PRIOR))
         apart = {"muscle_1.force.w2": _FORCE, "muscle_2.force.w2": -_FORCE}
         return (
             *forces,
-            FreeDirection("difference of the muscles' forces", apart, 1.0),
-            FreeDirection("joint.stiffness", {"joint.stiffness": max(rig.joint.stiffness, 0.1)}),
-            FreeDirection("joint.viscous_friction", {"joint.viscous_friction": max(rig.joint.viscous_friction, 1e-3)}),
+            change_of("difference of the muscles' forces", apart, 1.0),
+            relative(rig, "joint.stiffness", least=0.1),
+            relative(rig, "joint.viscous_friction", least=1e-3),
         )
 
     @override

@@ -13,9 +13,9 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.gauss_newton import Fitted, prior_cost, refit
 from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.unknown import Unknown
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Profile(NamedTuple):
     flat: bool  # whether half of the size explains the recordings as well
 
 
-def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffectParameter, jobs: int = 1) -> Profile:
+def effect_profile(experiment: Experiment, fitted: Fitted, parameter: Unknown, jobs: int = 1) -> Profile:
     """Profile of an effect's size in one recording: at 0, at half of the best value, and near the best value.
 
     `parameter`: a free size of the model that is not 0.
@@ -58,7 +58,7 @@ def effect_profile(experiment: Experiment, fitted: Fitted, parameter: FreeEffect
     return Profile(best, std, value, 0.5 * rise, half < _CHI_SQUARE)
 
 
-def _along(fitted: Fitted, k: int, parameter: FreeEffectParameter, value: float) -> Point:
+def _along(fitted: Fitted, k: int, parameter: Unknown, value: float) -> Point:
     """The model with one parameter at another value, and the others moved by their covariance with it."""
     best = fitted.point.effects[parameter.path]
     step = parameter.coordinate(value) - parameter.coordinate(best)
@@ -72,7 +72,7 @@ def _along(fitted: Fitted, k: int, parameter: FreeEffectParameter, value: float)
 
 
 def _rise(
-    experiment: Experiment, fitted: Fitted, start: Point, parameter: FreeEffectParameter, value: float
+    experiment: Experiment, fitted: Fitted, start: Point, parameter: Unknown, value: float
 ) -> tuple[float, float]:
     """Least rise of −2 log posterior with one parameter held: in the scale of standard errors, and of evidence."""
     effects = {**start.effects, **dict.fromkeys(parameter.paths, value)}

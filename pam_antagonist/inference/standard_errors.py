@@ -15,16 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import (
-    Direction,
-    measured_directions,
-    moved,
-    start_values,
-    values_along,
-)
+from pam_antagonist.inference.free_parameters import measured_directions, moved
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, moved_by, relinearised
 from pam_antagonist.inference.likelihood import LinearProblem
 from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.unknown import Unknown, parameters, start_values
 
 Floats = NDArray[np.float64]
 
@@ -110,11 +105,11 @@ def _slopes(experiment: Experiment, fitted: Fitted) -> tuple[Floats, Floats]:
     return base, effect
 
 
-def _slope(experiment: Experiment, point: Point, direction: Direction) -> Floats:
+def _slope(experiment: Experiment, point: Point, direction: Unknown) -> Floats:
     """Derivative of the residual (B, C) by a measured direction, for one standard deviation."""
 
     def left(share: float) -> Floats:
-        values = values_along(start_values(experiment.rig, (direction,)), (direction,), (share,))
+        values = parameters((direction,), {direction.name: share}, start=start_values(experiment.rig, (direction,)))
         return replace(experiment, rig=moved(experiment.rig, values)).residual(point)
 
     return (left(_SHARE) - left(-_SHARE)) / (2.0 * _SHARE)

@@ -19,7 +19,7 @@ from typing_extensions import override
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.expected import expected_sizes
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, base_directions, candidates
+from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
 from pam_antagonist.inference.free_run import (
     Key,
     Phase,
@@ -33,6 +33,7 @@ from pam_antagonist.inference.free_run import (
 )
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, Trial
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.dynamics import small_signal_lags
 from pam_antagonist.model.effects import places
@@ -67,7 +68,7 @@ class ValveDriven(Experiment):
 
     @cached_property
     @override
-    def directions(self) -> tuple[FreeDirection, ...]:
+    def directions(self) -> tuple[Unknown, ...]:
         return base_directions(self.rig)
 
     @cached_property

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.diagnosis.episodes import EpisodeDiagnosis, Row
-from pam_antagonist.diagnosis.result import MODELS, FoundEffect, Size
+from pam_antagonist.diagnosis.episodes import NAMED, EpisodeDiagnosis, Row
+from pam_antagonist.diagnosis.result import MODELS, FoundEffect, PartVerdict, Size
+from pam_antagonist.diagnosis.verdicts import UNEXPLAINED
 from pam_antagonist.identification.episode_filter import EpisodeFilter
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.episode_search import ABOVE_NOISE
@@ -22,6 +23,7 @@ from pam_antagonist.inference.total_slopes import LEVEL, PARTS, TotalSlope
 from pam_antagonist.inference.weak_laws import WEAK_LAWS
 from pam_antagonist.program import versions
 from pam_antagonist.replays.result import joined
+from pam_antagonist.report.close_loop_findings import left
 from pam_antagonist.report.document import Document, Findings, Section, Statement, Table, Tile, Tiles, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, Axis, Band, Figure, Line, Panel, Reference
 from pam_antagonist.report.identify_episodes import (
@@ -37,6 +39,7 @@ from pam_antagonist.report.identify_episodes import (
     units_findings,
 )
 from pam_antagonist.report.result import DataFrame, Result
+from pam_antagonist.report_keys import CLOSE_LOOP, with_all_keys
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.units import assumption, unit_of, unread
@@ -66,21 +69,41 @@ def verdict(diagnosis: EpisodeDiagnosis) -> str:
     """The result in one or two sentences."""
     given, before, *_, after = (number(row.later.value) for row in diagnosis.rows)
     if not diagnosis.effects:
-        return (
-            f"No effect that was offered is needed: the error on later episodes is {after}°, with the rig as "
-            f"configured {given}°."
-        )
+        what = "No effect that was offered is needed"
+        if diagnosis.verdict == UNEXPLAINED and diagnosis.left is not None:
+            what = (
+                "The model lacks something that none of the offered effects is: its squared error is "
+                f"{interval(diagnosis.left)} times what the noise of the readings alone would leave"
+            )
+        return f"{what}. The error on later episodes is {after}°, with the rig as configured {given}°."
     errors = [row.later.value for row in (diagnosis.rows[0], diagnosis.rows[1], diagnosis.rows[-1])]
     change = "falls" if errors[1] < errors[0] else "changes"
     then = "to" if errors[2] < errors[1] else "is"
+    names = joined(list(map(in_words, diagnosis.effects)))
+    what = f"What the model lacks is {names}."
+    if diagnosis.verdict == UNEXPLAINED:
+        what = (
+            f"The model lacks more than what was found: {names} explains {percent(max(diagnosis.share, 0.0))} of the "
+            "excess over noise."
+        )
     return (
-        f"What the model lacks is {joined(list(map(in_words, diagnosis.effects)))}. The error on later episodes "
-        f"{change} from {given}° as configured to {before}° by a fit without that, and {then} {after}° with it."
+        f"{what} The error on later episodes {change} from {given}° as configured to {before}° by a fit without that, "
+        f"and {then} {after}° with it."
     )
 
 
 def next_step(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
-    """Which rig file to use, in a sentence."""
+    """Which rig file to use, in a sentence or two."""
+    further = ""
+    if diagnosis.verdict == UNEXPLAINED:
+        further = (
+            " Read in section What is left on what the remaining residual depends. What else acts on the joint, such "
+            "as the pressures of a neighbour, is tried where it is recorded and named by --also."
+        )
+    return _rig_to_use(diagnosis, joint) + further
+
+
+def _rig_to_use(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
     if not diagnosis.is_better:
         return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
     if what := unread(extended(diagnosis, joint)):
@@ -186,7 +209,7 @@ def _not_told_apart(diagnosis: EpisodeDiagnosis, name: str, instead_of: str, row
     assert taken.removed is not None and other.removed is not None
     after = [item.score for item in diagnosis.tried if item.name == name and item.round > taken.round]
     left = f" With the first in the model, the second scores {percent(after[0])}." if after else ""
-    alone = next(one for one in diagnosis.rows if one.model == "with the effects")
+    alone = next(one for one in diagnosis.rows if one.model == NAMED)
     return warn(
         f"The episodes do not decide between two effects: {in_words(instead_of)} removes "
         f"{percent(taken.removed.value)} of the remaining error, {in_words(name)} "
@@ -331,9 +354,26 @@ class EpisodesDiagnoseResult(Result):
     @override
     def to_json(self) -> dict[str, Any]:
         found, rig = self.found, self.joint.rig
-        return {
-            "verdict": "effect" if found.effects else "none",
+        said = findings(found, self.joint)
+        return with_all_keys(CLOSE_LOOP, {
+            "verdict": found.verdict,
             "sentence": self.sentence,
+            "share_explained": found.share if found.effects else None,
+            "parts": [PartVerdict("joint", found.verdict, found.share if found.effects else None)],
+            "ambiguous_with": [name for name, _, _ in found.others],
+            "ranking": [
+                {
+                    "name": item.name, "part": "joint", "round": item.round, "score": item.score, "delta_bic": None,
+                    "held_out_evidence": None, "holdout_gain": None if item.removed is None else item.removed.value,
+                    "taken": item.taken, "score_by_muscle": None,
+                }
+                for item in found.tried
+            ],
+            "remaining": [item.line() for item in found.remaining],
+            "left": found.remaining,
+            "recordings": [{"recording": name, "sha256": value} for name, value in self._recordings],
+            "warnings": [item.text for item in said if item.status == "warn"],
+            "notes": [item.text for item in said if item.status != "warn"],
             "next_steps": [next_step(found, self.joint)],
             "next_rig": self.next_rig,
             "effects": [{**effect.to_json(), "signal": signal} for effect, signal in self._effects],
@@ -361,7 +401,13 @@ class EpisodesDiagnoseResult(Result):
             "assumption": assumption(rig),
             "units": picked(rig.units, "pressure", "force"),
             "recordings_sha256": self.hashes,
-        }  # fmt: skip
+        })  # fmt: skip
+
+    @property
+    def _recordings(self) -> list[tuple[str, str]]:
+        """Names and checksums; a recording that is held out as a whole is the last one."""
+        names = (self.joint.name, "held out")
+        return list(zip(names[: len(self.hashes)], self.hashes, strict=True))
 
     @override
     def document(self, figures: bool = True) -> Document:
@@ -376,9 +422,10 @@ class EpisodesDiagnoseResult(Result):
         made = [("Rig", joint.rig.name), *((f"Recording {k}", value) for k, value in enumerate(self.hashes, 1))]
         drawn: Sequence[Figure] = slopes_figure(found, joint.rig) if figures else ()
         slopes = (Section("What torque and friction go with", (slopes_table(found, joint.rig), *drawn), 2, "slopes"),)
+        remains = (Section("What is left", left(found.remaining, figures), 2, "left"),)
         blocks = (
             tiles, Findings((*findings(found, joint), *filter_notes(self.filtered))), errors_table(found),
-            values_table(found, joint.rig), *(slopes if found.slopes else ()),
+            values_table(found, joint.rig), *(slopes if found.slopes else ()), *(remains if found.remaining else ()),
             Section("All candidates", (tried_table(found),), 2, "candidates"),
         )  # fmt: skip
         kicker, words_of = "What the model of a joint lacks", "close_loop of episodes"

@@ -16,15 +16,19 @@ from typing_extensions import override
 from pam_antagonist.identification.episode_filter import EpisodeFilter
 from pam_antagonist.identification.episodes import EpisodesIdentified, is_fair
 from pam_antagonist.identification.held_out import do_not_use
+from pam_antagonist.identification.identified import ParameterEntry
 from pam_antagonist.identification.regulators import RegulatorsFound
 from pam_antagonist.inference.bootstrap import Interval
 from pam_antagonist.inference.free_parameters import EFFECT_PARAMETERS
 from pam_antagonist.inference.pressure_driven import PressureDriven
+from pam_antagonist.model.parameters import INDEX
+from pam_antagonist.program import versions
 from pam_antagonist.report.document import Document, Findings, Statement, Table, note, page, warn
 from pam_antagonist.report.result import DataFrame, Result, frame_of
+from pam_antagonist.report_keys import IDENTIFY, with_all_keys
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig, write_unread
-from pam_antagonist.rig.units import readable, unit_of
+from pam_antagonist.rig.units import assumption, readable, unit_of
 from pam_antagonist.shown import MISSING, number, percent
 
 _OTHER_SCALE = 0.03
@@ -196,10 +200,23 @@ class EpisodesIdentifyResult(Result):
 
     @override
     def to_json(self) -> dict[str, Any]:
-        filtered = None if self.filtered is None else self.filtered.to_json()
-        return {
-            **self.found.to_json(), "filter": filtered, "recordings_sha256": self.hashes, "rejected": self.rejected
-        }  # fmt: skip
+        start = self.found.start
+        return with_all_keys(IDENTIFY, {
+            "parameters": [
+                ParameterEntry.of_interval(name, start, start.value(name), value)._asdict()
+                for name, value in self.found.values.items()
+                if name in INDEX
+            ],
+            "recordings": [{"name": self.joint.name, "sha256": value} for value in self.hashes],
+            "warnings": [item.text for item in units_findings(self.joint) if item.status == "warn"],
+            "settings": {"rig": start.name},
+            "software": versions(),
+            "assumption": assumption(start, identified=True),
+            **self.found.to_json(),
+            "filter": None if self.filtered is None else self.filtered.to_json(),
+            "recordings_sha256": self.hashes,
+            "rejected": self.rejected,
+        })  # fmt: skip
 
     @override
     def document(self, figures: bool = True) -> Document:

@@ -118,6 +118,12 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
     assert found.values["joint.stiffness"].value / inertia == pytest.approx(STIFFNESS, rel=0.05)
     assert found.values["joint.viscous_friction"].value / inertia == pytest.approx(VISCOUS, rel=0.15)
 
+    assert result.report["verdict"] == "effect" and result.report["share_explained"] > 0.99
+    # The report has the keys of all others.
+    kept = json.loads((Path(__file__).parents[1] / "golden" / "close_loop.json").read_text(encoding="utf-8"))
+    assert list(result.report)[: len(kept)] == list(kept)
+    assert list(result.report["ranking"][0]) == list(kept["ranking"][0])
+
     # What counts is the gain over the rig that the user had.
     given = found.rows[0].later.value
     assert f"falls from {number(given)}° as configured to" in result.sentence and result.next_rig == "rig_extended.yaml"
@@ -126,6 +132,19 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
     assert no_better.next_rig is None and "Next: keep the rig file of regulator_joint" in no_better.summary()
     no_better.save(tmp_path / "out", figures=False)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
+
+
+@pytest.mark.slow(4)
+def test_an_effect_that_explains_a_part_only_is_no_explanation(tied: Recording) -> None:
+    """Friction that goes with a signal, which nobody names: constant friction takes a third of the error."""
+    result = pam_antagonist.diagnose(tied, "regulator_joint")
+    assert isinstance(result, EpisodesDiagnoseResult)
+    report = result.report
+    assert report["verdict"] == "unexplained" and report["share_explained"] < 0.4
+    assert result.sentence.startswith("The model lacks more than what was found: constant (Coulomb) friction explains")
+    (left,) = report["left"]
+    assert left["channel"] == "angle" and left["times_noise"] > 100.0
+    assert "named by --also" in report["next_steps"][-1] and "What is left" in result.summary()
 
 
 @pytest.mark.slow(8)

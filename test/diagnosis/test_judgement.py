@@ -16,8 +16,8 @@ from pam_antagonist.diagnosis.ambiguity import distinguishing_experiments
 from pam_antagonist.diagnosis.hypotheses import Kept, Ranking, ResumeFolder, TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.estimation.metrics import ChannelErrors
-from pam_antagonist.inference.free_parameters import FreeEffectParameter
 from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.unknown import of_effect
 from pam_antagonist.model.effects import CATALOGUE
 
 NO_MODEL = Model()
@@ -93,7 +93,7 @@ RECORDED: Any = SimpleNamespace(trial=SimpleNamespace(name="free"))
 def ended(values: dict[str, float], effect: str) -> Model:
     """A recording's model whose fit ended at some values of an effect."""
     items = {item.name: item for item in CATALOGUE[effect].parameters}
-    free = tuple(FreeEffectParameter((f"effects.{effect}.{name}",), items[name]) for name in values)
+    free = tuple(of_effect((f"effects.{effect}.{name}",), items[name]) for name in values)
     point = Point(np.zeros(0), {f"effects.{effect}.{name}": value for name, value in values.items()})
     fitted: Any = SimpleNamespace(point=point, free=free)
     return Model((RECORDED,), (fitted,), (effect,))

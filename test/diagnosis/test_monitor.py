@@ -15,7 +15,7 @@ from pam_antagonist.rig import Encoder, load_rig
 from pam_antagonist.rig.physical import rest_voltage
 
 RIG = load_rig("shin2022").replaced(encoder=Encoder(std=5e-4))
-ONSET, SECONDS, AREA = 60, 90, 5e-10
+ONSET, SECONDS, AREA = 60, 90, 3e-10
 START_NS = 10**18
 
 

@@ -18,9 +18,10 @@ from pam_antagonist.diagnosis.remaining import surroundings
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.fit import Fit
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.point import Point
-from pam_antagonist.inference.unknowns import Fit, Unknown
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig

@@ -107,6 +107,7 @@ def test_each_recording_has_its_own_rig_beside_the_common_one(recorded, joint) -
     assert own[0] < found.rig_recalibrated.valves.charge_1 / joint.valves.charge_1 < own[1]
 
 
+@pytest.mark.slow(4)
 def test_a_wide_hysteresis_is_not_called_friction(recorded, joint) -> None:
     found = diagnosed(recorded({"hysteresis": {"amplitude_1": 12.0, "amplitude_2": 12.0, "width": 4e-4}}), joint)
     assert [effect.name for effect in found.effects] == ["hysteresis"]

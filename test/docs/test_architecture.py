@@ -45,7 +45,10 @@ def named_in(word: str) -> list[str]:
     """Files of the package whose code has a string, docstrings left out."""
     out = []
     for path in sorted((ROOT / "pam_antagonist").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if word not in text:
+            continue
+        tree = ast.parse(text)
         said = {
             id(node.body[0].value) for node in ast.walk(tree)
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and isinstance(node.body[0], ast.Expr)

@@ -161,6 +161,8 @@ def test_identify_writes_a_rig_with_the_regulators_that_it_found(tmp_path: Path,
     assert rig.joint.viscous_friction / rig.joint.inertia == pytest.approx(VISCOUS, rel=0.05)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert rig.value("effects.regulator_lag.frequency_1") == pytest.approx(25.0, rel=0.01)
+    kept = json.loads((Path(__file__).parents[1] / "golden" / "identify.json").read_text(encoding="utf-8"))
+    assert list(report)[: len(kept)] == list(kept), "the report has the keys of all others"
     assert report["episodes"] == {"fitted": 22, "later": 13, "interleaved": 5}
     again = identify(tmp_path / "bag", "regulator_joint")
     assert isinstance(again, EpisodesIdentifyResult)

@@ -210,6 +210,8 @@ def test_identify_takes_a_sealed_joint_through_the_same_command(joint, tmp_path,
     found = load_rig(tmp_path / "out" / "rig.yaml")
     assert found.joint.stiffness == pytest.approx(joint.joint.stiffness, rel=0.05)
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    kept = json.loads((Path(__file__).parents[1] / "golden" / "identify.json").read_text(encoding="utf-8"))
+    assert list(report)[: len(kept)] == list(kept), "the report has the keys of all others"
     (held,) = report["held_out"]
     assert held["identified"]["ukf"]["angle"]["rmse_deg"] < 0.1
     assert (

@@ -17,8 +17,9 @@ from pam_antagonist.identification.air_stage import SUPPLY
 from pam_antagonist.identification.joint_stage import ZERO
 from pam_antagonist.identification.parts import with_joint
 from pam_antagonist.identification.runs import Run, runs_of
+from pam_antagonist.inference.fit import Fit, refined
 from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.inference.unknowns import Fit, Unknown, refined
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.corrections import Corrections
 from pam_antagonist.recording.joint import JointCondition, joint_condition

@@ -46,7 +46,7 @@ def test_blocks_leave_out_what_is_missing() -> None:
 def test_a_slope_turns_the_force_map_about_the_middle(rig) -> None:
     direction = next(k for k in base_directions(rig) if k.name == "muscle_1.force.v, slope")
     middle = rig.geometry.length
-    assert direction.changes["muscle_1.force.v1"] * middle + direction.changes["muscle_1.force.v2"] == pytest.approx(
+    assert direction.adds["muscle_1.force.v1"] * middle + direction.adds["muscle_1.force.v2"] == pytest.approx(
         0.0, abs=1e-18
     )
 

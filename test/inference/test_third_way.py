@@ -13,12 +13,13 @@ from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.remaining import describe
 from pam_antagonist.diagnosis.residual_statistics import statistics
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import Candidate, FreeDirection, moved
+from pam_antagonist.inference.free_parameters import Candidate, moved
 from pam_antagonist.inference.gauss_newton import refit, relinearised
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.profile import effect_profile
 from pam_antagonist.inference.starts import best_of_starts
 from pam_antagonist.inference.trial import PRESSURE_1, TORQUE, Trial
+from pam_antagonist.inference.unknown import Unknown, change_of
 from pam_antagonist.model import dynamics
 from pam_antagonist.rig import Rig
 
@@ -31,8 +32,8 @@ class RegulatorDriven(Experiment):
     """A locked joint behind pressure regulators: the measured pressures are the input, the torque is compared."""
 
     @cached_property
-    def directions(self) -> tuple[FreeDirection, ...]:
-        return tuple(FreeDirection(f"muscle_{i}, gain", self._gain(i), 0.05) for i in (1, 2))
+    def directions(self) -> tuple[Unknown, ...]:
+        return tuple(change_of(f"muscle_{i}, gain", self._gain(i), 0.05) for i in (1, 2))
 
     def _gain(self, number: int) -> Mapping[str, float]:
         names = [f"muscle_{number}.force.{name}" for name in ("v1", "v2", "w1", "w2")]

@@ -14,7 +14,8 @@ import pytest
 from pam_antagonist import diagnose
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import runs_of
-from pam_antagonist.inference.unknowns import Fit, Unknown
+from pam_antagonist.inference.fit import Fit
+from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from validation import frozen, oracle

@@ -35,8 +35,8 @@ from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
 from pam_antagonist.identification.runs import Run
+from pam_antagonist.inference.fit import Fit
 from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.inference.unknowns import Fit
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.new import Facts, starting_point
@@ -246,7 +246,7 @@ def compared(fit: Fit, truth: dict[str, float]) -> dict[str, float]:
     """How far the determined values are from the true ones, in standard errors, by name."""
     stds, reasons = np.sqrt(np.diag(fit.covariance)), fit.reasons
     return {
-        item.name: float((item.amount(truth[item.name]) - amount) / std)
+        item.name: float((item.coordinate(truth[item.name]) - amount) / std)
         for item, amount, std in zip(fit.unknowns, fit.amounts, stds, strict=True)
         if item.name in truth and not reasons[item.name]
     }

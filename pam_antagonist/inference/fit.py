@@ -1,8 +1,6 @@
-"""Unknown numbers of a rig with their priors and bounds, and the fit that finds them.
+"""The fit of unknown numbers to residuals in known units, within their bounds.
 
-A positive number is unknown by its logarithm, so that no fit makes it negative. All unknowns are in standard deviations
-of their priors; those without a prior are in usual sizes of a change. A fit stays inside the bounds of the rig file's
-schema.
+It stays inside the bounds of the rig file's schema.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ from scipy.optimize import least_squares
 
 from pam_antagonist.estimation.metrics import correlation_length
 from pam_antagonist.inference.threads import side_by_side
+from pam_antagonist.inference.unknown import Unknown, parameters
 from pam_antagonist.model.lane_values import LANES
 
 Floats = NDArray[np.float64]
@@ -32,8 +31,6 @@ Errors = Callable[[Sequence[Values]], Sequence[Mapping[str, Floats]]]
 OfAmounts = Callable[[Sequence[Floats]], list[Floats]]
 """The same for each of several amounts of the unknowns (F,)."""
 
-_WIDEST = 5.0
-"""A fit moves a number by at most so many standard deviations of its prior; an unknown may have its own reach."""
 _STEP = 1e-3
 """Step of the derivatives, in standard deviations of the priors."""
 _ROBUST = 20.0
@@ -53,53 +50,6 @@ _SHARES = (1.0, 0.5, 0.25)
 """Of a step that are tried."""
 _FAILED = 1e3
 """Residual of a simulation that is not finite."""
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """A number that a fit may find."""
-
-    name: str  # what it is; a dotted path where it is a single parameter
-    paths: tuple[str, ...]
-    start: float
-    std: float  # of the prior; of the logarithm where ``positive``
-    positive: bool = False  # whether it stays above 0
-    low: float = -math.inf
-    high: float = math.inf
-    # parameters that are a sum of unknowns: factor of this one in each, by dotted path.
-    adds: Mapping[str, float] = field(default_factory=dict)
-    recording: str = ""
-    reach: float = _WIDEST  # how far a fit may move it, in standard deviations of the prior
-    may_vanish: bool = False  # whether its least value is none at all, such as of a friction
-    has_prior: bool = True  # else ``std`` is the usual size of a change
-
-    @property
-    def prior_std(self) -> float:
-        """Standard deviation of the prior, in the unknown's unit."""
-        return self.std * self.start if self.positive else self.std
-
-    def value(self, amount: float) -> float:
-        """Value at an amount, in standard deviations from the start."""
-        if self.positive:
-            return self.start * math.exp(self.std * amount)
-        return self.start + self.std * amount
-
-    def amount(self, value: float) -> float:
-        """The inverse of :meth:`value`."""
-        return (math.log(value / self.start) if self.positive else value - self.start) / self.std
-
-    def is_none(self, amount: float) -> bool:
-        """Whether a bound that was met at an amount means that there is none of it."""
-        return self.may_vanish and amount < 0.0
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Least and largest amount."""
-        low = -self.reach if self.positive and self.low <= 0.0 else max(-self.reach, self._limited(self.low))
-        return min(low, 0.0), max(min(self.reach, self._limited(self.high)), 0.0)
-
-    def _limited(self, value: float) -> float:
-        return self.amount(value) if math.isfinite(value) else math.copysign(self.reach, value)
 
 
 class Pulled(NamedTuple):
@@ -150,7 +100,7 @@ class Fit:
         """Standard error of each unknown, by name, in its unit."""
         found = self.values
         return {
-            item.name: item.std * math.sqrt(variance) * (abs(found[item.name]) if item.positive else 1.0)
+            item.name: item.scale * math.sqrt(variance) * (abs(found[item.name]) if item.positive else 1.0)
             for item, variance in zip(self.unknowns, np.diag(self.covariance), strict=True)
         }
 
@@ -182,7 +132,7 @@ def _reason(item: Unknown, amount: float, std: float, at_bound: bool) -> str:
         return "none is seen" if item.is_none(amount) else "met a bound"
     if std >= NARROWED:
         return "stays near its prior" if abs(amount) <= 1.0 else "moved, but uncertain"
-    if not item.positive and item.start and _NORMAL * std * item.std >= abs(item.value(amount)):
+    if not item.positive and item.start and _NORMAL * std * item.scale >= abs(item.value(amount)):
         return "uncertain by more than its value"
     return "contradicts its prior" if abs(amount) > FAR else ""
 
@@ -200,16 +150,6 @@ def scale_of(errors: Mapping[str, Floats], least: Mapping[str, float]) -> dict[s
         if np.isfinite(values).sum() > 2:
             size = max(float(np.sqrt(np.nanmean(values**2))), least[kind])
             out[kind] = 1.0 / (size * math.sqrt(correlation_length(values)))
-    return out
-
-
-def parameters(unknowns: Sequence[Unknown], values: Mapping[str, float], recording: str = "") -> dict[str, float]:
-    """Value of each parameter, by dotted path."""
-    out = {path: values[item.name] for item in unknowns for path in item.paths}
-    for item in unknowns:
-        if item.recording in ("", recording):
-            for path, factor in item.adds.items():
-                out[path] = out.get(path, 0.0) + factor * values[item.name]
     return out
 
 
@@ -387,7 +327,7 @@ def _bounds(unknowns: Sequence[Unknown]) -> tuple[Floats, Floats]:
 
 def priors(unknowns: Sequence[Unknown]) -> Floats:
     """1 for each unknown with a prior, else 0 (F,)."""
-    return np.array([float(item.has_prior) for item in unknowns])
+    return np.array([float(math.isfinite(item.std)) for item in unknowns])
 
 
 def robust(unknowns: Sequence[Unknown], residual: Residual, jobs: int) -> OfAmounts:

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.inference import fit_errors, unknowns
+from pam_antagonist.inference import fit as fits
+from pam_antagonist.inference import fit_errors
+from pam_antagonist.inference.fit import Fit
 from pam_antagonist.inference.fit_errors import Rows
-from pam_antagonist.inference.unknowns import Fit, Unknown
+from pam_antagonist.inference.unknown import Unknown
 
 TIME = np.linspace(0.0, 3.0, 200)
 GAIN = Unknown("gain", ("a.gain", "b.gain"), 2.0, 0.5, positive=True)
@@ -25,7 +27,7 @@ def each(of: Callable[[Mapping[str, float]], Any]):
 
 
 def fitted(items: Sequence[Unknown], of: Callable[[Mapping[str, float]], np.ndarray], *rest: Any, **more: Any) -> Fit:
-    return unknowns.fitted(items, each(of), *rest, **more)
+    return fits.fitted(items, each(of), *rest, **more)
 
 
 def with_errors(
@@ -35,7 +37,7 @@ def with_errors(
 
 
 def within_bounds(fit: Fit, of: Callable[[Mapping[str, float]], np.ndarray]) -> Fit:
-    return unknowns.within_bounds(fit, each(of))
+    return fits.within_bounds(fit, each(of))
 
 
 def residual(true: tuple[float, float], noise: float = 0.0, unit: float = 0.01):
@@ -208,7 +210,7 @@ def test_values_that_are_all_at_bounds_stay_as_they_are() -> None:
     found = fitted([narrow], lambda values: np.full(5, 100.0 * (values["gain"] - 3.0)))
     errors = {"angle": np.ones(20)}
     assert with_errors(found, lambda values: np.ones(5)).reasons == {"gain": "met a bound"}
-    assert unknowns.refined(found, [], each(lambda values: errors), {"angle": 1.0}, 2).unknowns == found.unknowns
+    assert fits.refined(found, [], each(lambda values: errors), {"angle": 1.0}, 2).unknowns == found.unknowns
 
 
 def test_what_the_other_recordings_hardly_tell_contradicts_none_of_them() -> None:
