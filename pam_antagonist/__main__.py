@@ -32,7 +32,6 @@ _COMMANDS = {
     "reachable": "compute which angles and torques a joint can reach, and with which stiffness",
     "history": "tell what has changed in a rig over weeks, from its log book",
     "static": "fit volume and force map of a muscle to tables of measurements",
-    "device_emulator": "emulate a rig's microcontroller, with a simulated joint",
 }
 _NODES = {
     "plant": "a simulated joint that publishes what its sensors show",

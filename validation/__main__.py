@@ -23,6 +23,9 @@ COMMANDS: dict[str, Command] = {
     ),
     "pamy": Command("validation.pamy:main", "apply close_loop to the recording of a real arm with regulators"),
     "broken": Command("validation.broken:main", "break behaviours in a copy, count how many the tests notice"),
+    "device_emulator": Command(
+        "validation.device.command:main", "emulate a rig's microcontroller, with a simulated joint"
+    ),
     "faults": Command(
         "validation.faults.command:main",
         "make every fault in a running pipeline and report what the valves did",

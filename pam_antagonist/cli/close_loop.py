@@ -4,7 +4,7 @@ Give recordings of a joint that moves (free) and of one that is held (locked), w
 base parameters are recalibrated first, so that a wrong parameter is not called an effect; then each effect of the
 catalogue is tested. The verdict is an effect, "none" or "unexplained". The end of each recording, or a separate
 recording (--holdout), is held out: no fit uses it, and the result is judged on it. A rig whose valves are sealed needs
-a recording of its joint driven to and fro by a known torque (docs/evidence/sealed_joint.md). A rig with pressure
+a recording of its joint driven to and fro by a known torque (docs/evidence/measured.md). A rig with pressure
 regulators (drive: regulator) takes such recordings as well, or many short episodes in one recording (import_csv), of
 which whole ones are held out.
 

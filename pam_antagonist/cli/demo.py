@@ -131,7 +131,7 @@ def _main(arguments: argparse.Namespace) -> int:
     if mode is Mode.IMPEDANCE and DISTURBANCE not in rig.effects:
         raise BadInput(
             f"--mode impedance: rig {rig.name} does not have the state {DISTURBANCE}; leave --rig out, or see "
-            "docs/interaction.md for what to write into its file"
+            "docs/explanation/control.md for what to write into its file"
         )
     out: Path = arguments.out or Path(datetime.now().strftime("demo-%Y%m%d-%H%M%S"))
     common.check_output(out)

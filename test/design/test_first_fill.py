@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from pam_antagonist.design import Plan
 from pam_antagonist.design.first_fill import faults, first_fill, turns_visibly
 from pam_antagonist.errors import BadInput
-from pam_antagonist.hardware.line_faults import FaultPlan, Miswired, parse_fault
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
+from validation.device.line_faults import FaultPlan, Miswired, parse_fault
 
 Floats = NDArray[np.float64]
 RIG = load_rig("shin2022")

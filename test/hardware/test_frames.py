@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from pam_antagonist.hardware import protocol
 from pam_antagonist.hardware.device import DeviceLost
-from pam_antagonist.hardware.firmware import Firmware, Readings
 from pam_antagonist.hardware.protocol import (
     LONGEST_PAYLOAD,
     Command,
@@ -28,6 +27,7 @@ from pam_antagonist.hardware.protocol import (
 )
 from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.safety import SafeAction
+from validation.device.firmware import Firmware, Readings
 
 payloads = st.binary(min_size=1, max_size=LONGEST_PAYLOAD)
 COMMAND = Command(7, 65535, 3, 5.5, 0.0)

@@ -83,7 +83,7 @@ class Line:
             self.processes.start(name, arguments)
         self.probe.until(lambda: self.probe.statuses("pam/bridge: device") != [], 60.0, "a start")
         self.probe.until(lambda: self.probe.matched("reference", 2), 60.0, "a controller and a recorder")
-        self.processes.start("device_emulator", self._device)
+        self.processes.start("device_emulator", self._device, module="validation")
         self.probe.until(lambda: self.logged("voltage", safe_too=False), 60.0, "a first command")
 
     def logged(self, event: str, safe_too: bool = True) -> bool:

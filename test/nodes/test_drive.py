@@ -92,7 +92,7 @@ def test_a_fault_of_the_wiring_is_named_at_once_and_nothing_else_is_begun(tmp_pa
     link, out = tmp_path / "port", tmp_path / "commissioned"
     with Processes(tmp_path) as processes:
         device = ["--rig", "shin2022", "--link", str(link), "--seed", "3", "--mismatch", "0.01"]
-        processes.start("device_emulator", [*device, "--fault", "swap_valves"])
+        processes.start("device_emulator", [*device, "--fault", "swap_valves"], module="validation")
         deadline = time.monotonic() + 60.0
         while not link.is_symlink() and time.monotonic() < deadline:
             processes.check()

@@ -113,7 +113,8 @@ class Bench:
         for name in names:
             self.start(name)
         arguments = ["--rig", self.rig, "--link", str(self._port), "--log", str(self.folder / "voltages.csv")]
-        self.processes.start("device_emulator", [*arguments, "--seed", "3", "--orders", str(self._pipe)])
+        arguments += ["--seed", "3", "--orders", str(self._pipe)]
+        self.processes.start("device_emulator", arguments, module="validation")
 
         def all_there() -> bool:
             heard = {status.part.partition(":")[0] for status in self.statuses}

@@ -22,7 +22,7 @@ _RECORDING = 1.5  # before the disk is full [s]
 
 
 def at_device(order: str) -> Cause:
-    """A fault of the device or its line: ``KIND`` or ``KIND=VALUE`` of ``hardware.line_faults``."""
+    """A fault of the device or its line: ``KIND`` or ``KIND=VALUE`` of ``validation.device.line_faults``."""
 
     def cause(bench: Bench) -> Iterator[int]:
         yield bench.order(f"+{order}")

@@ -16,9 +16,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pam_antagonist.hardware.line_faults import FaultOrders
 from pam_antagonist.nodes.processes import PARENT_VARIABLE
 from pam_antagonist.nodes.spin import hurry
+from validation.device.line_faults import FaultOrders
 
 _LOOK = 2e-4  # [s]
 

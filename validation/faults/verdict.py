@@ -9,7 +9,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pam_antagonist.hardware.emulator import LOG_HEADER
+from validation.device.emulator import LOG_HEADER
 
 if TYPE_CHECKING:
     from validation.faults.bench import Bench

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.hardware.emulator import LOG_HEADER
 from pam_antagonist.strict_json import plain
+from validation.device.emulator import LOG_HEADER
 from validation.faults import command
 from validation.faults.catalogue import FAULTS, at_device
 from validation.faults.relay import Line

@@ -29,7 +29,7 @@ from pam_antagonist.errors import BadInput
 
 def parser() -> common.Parser:
     """The arguments."""
-    from pam_antagonist.hardware.line_faults import KINDS
+    from validation.device.line_faults import KINDS
 
     kinds = "\n".join(f"  {kind.ljust(12)} {meaning}" for kind, meaning in KINDS.items())
     out = common.Parser("device_emulator", __doc__, kinds)
@@ -60,14 +60,14 @@ def parser() -> common.Parser:
 
 def _main(arguments: argparse.Namespace) -> int:
     from pam_antagonist.hardware.calibration import Converter, load_calibration
-    from pam_antagonist.hardware.emulator import Emulator, Port, VoltageLog
-    from pam_antagonist.hardware.firmware import DeviceSettings, Firmware
-    from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan, parse_fault
     from pam_antagonist.hardware.protocol import Feature
     from pam_antagonist.nodes.spin import hurry
     from pam_antagonist.rig import load_rig
     from pam_antagonist.rig.physical import rest_voltage
     from pam_antagonist.simulation.plant import Plant
+    from validation.device.emulator import Emulator, Port, VoltageLog
+    from validation.device.firmware import DeviceSettings, Firmware
+    from validation.device.line_faults import FaultOrders, FaultPlan, parse_fault
 
     faults = [parse_fault(text) for text in arguments.fault]
     if not abs(arguments.drift) <= 500.0:

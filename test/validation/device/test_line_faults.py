@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
-from pam_antagonist.hardware.line_faults import FaultOrders, FaultPlan, Miswired, parse_fault
 from pam_antagonist.rig import load_rig
 from pam_antagonist.simulation.plant import Plant
+from validation.device.line_faults import FaultOrders, FaultPlan, Miswired, parse_fault
 
 RIG = load_rig("shin2022")
 VOLTAGE = (6.6, 5.0)

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pam_antagonist.hardware import protocol
-from pam_antagonist.hardware.firmware import DeviceSettings, Firmware, Readings
 from pam_antagonist.hardware.protocol import (
     Command,
     FrameReader,
@@ -22,6 +21,7 @@ from pam_antagonist.hardware.protocol import (
     Welcome,
     frame,
 )
+from validation.device.firmware import DeviceSettings, Firmware, Readings
 
 SAFE = (5.0, 5.25)
 MS = 1000

@@ -16,17 +16,18 @@ import pytest
 from pam_antagonist.__main__ import main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.device import DeviceLost
-from pam_antagonist.hardware.line_faults import FaultPlan, parse_fault
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.safety import SafeAction
+from validation.__main__ import COMMANDS
+from validation.device.line_faults import FaultPlan, parse_fault
 
 
 def test_nothing_is_overwritten(tmp_path, capsys):
     precious = tmp_path / "precious"
     precious.write_text("data")
     for option in ("--log", "--link"):
-        assert main(["device_emulator", "--rig", "shin2022", option, str(precious)]) == 2
+        assert main(["device_emulator", "--rig", "shin2022", option, str(precious)], COMMANDS) == 2
         assert str(precious) in capsys.readouterr().err
     assert precious.read_text() == "data"
 
@@ -74,7 +75,7 @@ def emulated(
 
     def start(*options: str) -> tuple[subprocess.Popen[str], Path, Path]:
         link, log = tmp_path / "device", tmp_path / "log.csv"
-        command = [sys.executable, "-m", "pam_antagonist", "device_emulator", "--rig", "shin2022", "--no-noise"]
+        command = [sys.executable, "-m", "validation", "device_emulator", "--rig", "shin2022", "--no-noise"]
         emulator = started([*command, "--link", str(link), "--log", str(log), *options])
         assert emulator.stdout is not None
         assert emulator.stdout.readline().strip() == str(link)

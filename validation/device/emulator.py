@@ -17,10 +17,10 @@ from typing import TextIO
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.calibration import Converter
-from pam_antagonist.hardware.firmware import Firmware, Readings
-from pam_antagonist.hardware.line_faults import FaultPlan, Miswired
 from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.simulation.plant import Plant
+from validation.device.firmware import Firmware, Readings
+from validation.device.line_faults import FaultPlan, Miswired
 
 _LONGEST_CATCH_UP = 1.0  # [s] of late samples that are caught up; with more, all are skipped with the overrun flag
 _LOG_FLUSH = 0.05  # [s]
