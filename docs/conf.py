@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
 NAVIGATION = {
     "Tutorials": ["tutorials/first_hour", "tutorials/your_own_rig"],
     "How-to: a rig and its recordings": [
         "how-to/your_rig",
-        "how-to/commission",
-        "how-to/excite",
         "how-to/recording",
         "how-to/import_csv",
         "how-to/check",
@@ -31,19 +29,16 @@ NAVIGATION = {
         "how-to/hardware",
         "how-to/driver",
         "how-to/references",
-        "interaction",
         "how-to/ros2_control",
         "how-to/several_joints",
     ],
     "How-to: watch and keep it safe": [
         "how-to/safety",
         "how-to/watch",
-        "how-to/history",
         "how-to/monitor",
-        "how-to/tools",
         "how-to/security",
+        "how-to/troubleshooting",
     ],
-    "How-to: machines and problems": ["how-to/machines", "how-to/troubleshooting", "release"],
     "Reference": [
         "reference/commands",
         "reference/nodes",
@@ -60,19 +55,12 @@ NAVIGATION = {
         "explanation/control",
         "explanation/identification",
         "explanation/close_loop",
-        "explanation/look_alike",
         "architecture",
     ],
     "Evidence": [
-        "evidence/sealed_joint",
-        "pamy",
+        "evidence/measured",
         "evidence/close_loop",
-        "battery",
-        "evidence/identification",
-        "evidence/other_rigs",
         "evidence/peers",
-        "evidence/new_rig_rehearsals",
-        "evidence/force_map",
         "paper",
         "faults",
         "evidence/speed",
@@ -130,8 +118,11 @@ def _block(writer: Any, node: Any) -> None:
     raise SkipNode
 
 
-def _with_navigation(app: Any, page: str, source: list[str]) -> None:
-    """Put the table of all pages behind the first one."""
+def _completed(app: Any, page: str, source: list[str]) -> None:
+    """Put the table of all pages behind the first one, and into others what the code knows."""
+    from generate import whole
+
+    source[0] = whole(source[0])
     if page == "index":
         parts = [
             "```{toctree}\n:hidden:\n:caption: " + title + "\n\n" + "\n".join(pages) + "\n```"
@@ -148,5 +139,5 @@ def _signature(app: Any, what: str, name: str, item: Any, options: Any, argument
 def setup(app: Any) -> None:
     """Register what is special here with Sphinx."""
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
-    app.connect("source-read", _with_navigation)
+    app.connect("source-read", _completed)
     app.connect("autodoc-process-signature", _signature)

@@ -1,7 +1,7 @@
-"""Write the parts of the reference pages that the code knows: ``./run python docs/generate.py``.
+"""The parts of the reference pages that the code knows; the site has them, the committed pages do not.
 
-A page marks such a part by ``<!-- generated: NAME -->`` and ``<!-- end -->``; NAME is a function of this module. The
-JSON schema of rig files is written as well. ``./run docs`` calls this before it builds the site.
+A page marks such a part by ``<!-- generated: NAME -->`` and ``<!-- end -->``; NAME is a function of this module.
+``./run python docs/generate.py`` writes the JSON schema of rig files, which editors read in a checkout.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ import os
 import re
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from rig_schema import rig_json_schema
 
 import pam_antagonist
 from pam_antagonist.__main__ import COMMANDS
+from pam_antagonist.model.effects.page import own_sections
 from pam_antagonist.nodes import bridge, controller, estimator, joints, plant
 from pam_antagonist.nodes.parameters import AUTOSTART, DIAGNOSTICS_PERIOD, Parameter
 from pam_antagonist.program import VARIABLE
@@ -37,10 +39,9 @@ MESSAGES = ROOT / "pam_antagonist_msgs"
 def help_text(name: str) -> str:
     """What ``./run NAME --help`` prints."""
     module, function = {**COMMANDS, **MEASUREMENTS}[name].target.split(":")
-    os.environ["COLUMNS"] = "100"
-    os.environ[VARIABLE] = "./run"
     out = io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+    as_typed = mock.patch.dict(os.environ, {"COLUMNS": "100", VARIABLE: "./run"})
+    with as_typed, contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
         getattr(importlib.import_module(module), function)(["--help"])
     return out.getvalue().strip()
 
@@ -68,6 +69,8 @@ def api() -> str:
         if isinstance(item, type):
             kind = "autoexception" if issubclass(item, Exception) else "autoclass"
             options = f"   :members: {members}\n" + inherited if kind == "autoclass" else ""
+            # Its docstring has the attribute that the base class has as a property.
+            options += "   :exclude-members: report\n" if name == "ReplayResult" else ""
         else:
             kind, options = "autofunction", ""
         parts.append(f"### {name}\n\n```{{eval-rst}}\n.. {kind}:: pam_antagonist.{name}\n{options}```\n")
@@ -152,21 +155,15 @@ def _allowed(entry: dict[str, Any]) -> str:
     return text + (", null" if number is not entry else "")
 
 
-def updated(text: str) -> str:
-    """A page with its generated parts made anew."""
+def effects() -> str:
+    """A section for each effect of this package."""
+    return own_sections()
+
+
+def whole(text: str) -> str:
+    """A page with its generated parts."""
     return MARKED.sub(lambda part: f"{part[1]}\n{globals()[part[2]]()}\n{part[3]}", text)
 
 
-def main() -> None:
-    """Update every page with a generated part, and the schema."""
-    for path in sorted((ROOT / "docs").rglob("*.md")):
-        text = path.read_text(encoding="utf-8")
-        new = updated(text)
-        if new != text:
-            path.write_text(new, encoding="utf-8")
-            print(f"updated {path.relative_to(ROOT)}")
-    SCHEMA.write_text(json.dumps(rig_json_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    SCHEMA.write_text(json.dumps(rig_json_schema(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

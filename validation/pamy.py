@@ -1,7 +1,7 @@
 """Apply close_loop to a real arm's recording, compare it with models without physics, show drift and regulators.
 
-FILE is the CSV of docs/pamy.md, which is not part of this package. Other files with the same columns can be
-used as well. Writes DIR/report.html and DIR/report.json, and with --docs what the page shows. It takes some minutes.
+FILE is the CSV of docs/evidence/measured.md, which is not part of this package. Other files with the same columns can
+be used as well. Writes DIR/report.html and DIR/report.json, and with --docs what the page shows. It takes some minutes.
 
 examples:
   {run} pamy pamy_joint0.csv --out result
@@ -69,7 +69,7 @@ def parser() -> common.Parser:
     out = common.Parser("pamy", __doc__)
     out.add_argument("file", type=Path, metavar="FILE", help="the CSV file")
     out.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the report; a new one")
-    frame.add_docs(out, "tables and sentences of the page (docs/pamy.md)")
+    frame.add_docs(out, "tables and sentences")
     out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads (default: 2)")
     out.add_argument("--no-figures", action="store_true", help="leave the figure out of report.html")
     out.shared("--json", "--open")

@@ -87,8 +87,8 @@ GROUPS = (
     Group(("friction*slow*angle", "friction*fast"), "level and slopes", 0.06),
     Group(("friction*fast*angle",), "level and slopes", 0.03),
 )
-"""All weak laws. Their widths are those of a prototype on the measured arm (docs/pamy.md): what is certain there was
-less than half of them, and twice or half as wide changed little."""
+"""All weak laws. Their widths are those of a prototype on the measured arm (docs/evidence/measured.md): what is certain
+there was less than half of them, and twice or half as wide changed little."""
 
 
 @dataclass(frozen=True)

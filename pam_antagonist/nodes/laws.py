@@ -65,7 +65,7 @@ PARAMETERS = (
     ),
     Parameter("least_force", LEAST_FORCE, 0.0, 1e4).about("law model: least contraction force of a muscle [N]"),
     Parameter("governor", True).about(
-        "law model: whether references are held back so that limits are kept (docs/interaction.md)"
+        "law model: whether references are held back so that limits are kept (docs/explanation/control.md)"
     ),
     Parameter("governor_level", 0.999, 0.5, 0.999999).about("probability with which the governor keeps a limit [-]"),
     Parameter("governor_push", 0.0, 0.0, 1e3).about("torque from outside that the governor counts on [N m]"),

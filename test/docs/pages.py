@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import runpy
+import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -37,9 +39,20 @@ def name(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
+@cache
 def read(page: Path) -> str:
-    """Text of a page."""
-    return page.read_text(encoding="utf-8")
+    """Text of a page as the site has it, with what the code knows."""
+    text = page.read_text(encoding="utf-8")
+    return _generator()["whole"](text) if "<!-- generated: " in text else text
+
+
+@cache
+def _generator() -> dict[str, Any]:
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        return runpy.run_path(str(ROOT / "docs" / "generate.py"))
+    finally:
+        sys.path.remove(str(ROOT / "docs"))
 
 
 def blocks(page: Path) -> list[Block]:

@@ -39,7 +39,7 @@ def expanded(words: list[str], folder: Path) -> list[str]:
 
 
 def test_the_arm_is_claimed_as_on_episodes_that_were_kept_aside() -> None:
-    for name in ("README.md", "docs/pamy.md", "docs/evidence/peers.md"):
+    for name in ("README.md", "docs/evidence/measured.md", "docs/evidence/peers.md"):
         text = pages.read(ROOT / name)
         assert "2.72" in text and "2.16" in text and "less than the network" not in text, name
     assert "2.25°" not in pages.read(ROOT / "README.md")

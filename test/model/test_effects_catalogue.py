@@ -14,7 +14,6 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.model import drive, dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
-from pam_antagonist.model.effects.page import page
 from pam_antagonist.model.effects.registry import catalogue
 from pam_antagonist.rig import load_rig
 from pam_antagonist.rig.file import write_rig
@@ -215,15 +214,6 @@ TEXT = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
 def test_what_a_sealed_joint_shows():
     paragraph = TEXT.split("**A sealed joint**")[1].split("\n\n")[0]
     assert set(re.findall(r"`(\w+)`", paragraph)) == {name for name, item in CATALOGUE.items() if item.sealed.part}
-
-
-def test_the_page_is_up_to_date():
-    assert page(TEXT, CATALOGUE) == TEXT, "python -m pam_antagonist.model.effects.page --write docs/effects.md"
-
-
-def test_a_page_without_its_marks_is_refused():
-    with pytest.raises(BadInput, match="expected one part between <!-- begin effects -->"):
-        page(TEXT.replace("<!-- begin effects -->", ""), CATALOGUE)
 
 
 def test_a_loop_of_a_sealed_joint_names_parameters_of_its_effect() -> None:

@@ -1,20 +1,15 @@
-"""The page of the effects, ``docs/effects.md``: a section for each, generated from the catalogue.
+"""The sections of the page of the effects, ``docs/effects.md``, from the catalogue. ``./run docs`` puts them there.
 
-    python -m pam_antagonist.model.effects.page NAME ...     prints the sections of these effects
-    python -m pam_antagonist.model.effects.page --hooks      prints where an effect may act, and on what it may depend
-    python -m pam_antagonist.model.effects.page --write docs/effects.md
-
-The text between ``<!-- begin effects -->`` and ``<!-- end effects -->`` is generated; the rest is written by hand.
+python -m pam_antagonist.model.effects.page NAME ...     prints the sections of these effects
+python -m pam_antagonist.model.effects.page --hooks      prints where an effect may act, and on what it may depend
 """
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 
-from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter
 from pam_antagonist.model.effects.hooks import HOOKS, QUANTITIES, Hook
 from pam_antagonist.model.effects.registry import CATALOGUE
@@ -48,14 +43,9 @@ def sections(effects: Iterable[Effect]) -> str:
     return "\n".join(section(effect) for effect in effects)
 
 
-def page(text: str, catalogue: Mapping[str, Effect]) -> str:
-    """A page with its marked parts generated anew."""
-    own = [effect for effect in catalogue.values() if effect.module.startswith(f"{_OWN}.")]
-    begin, end = "<!-- begin effects -->\n", "<!-- end effects -->"
-    if text.count(begin) != 1 or text.count(end) != 1:
-        raise BadInput(f"page of the effects: expected one part between {begin.strip()} and {end}")
-    before, rest = text.split(begin)
-    return f"{before}{begin}\n{sections(own)}\n{end}{rest.split(end)[1]}"
+def own_sections() -> str:
+    """The sections of the effects of this package, in Markdown."""
+    return sections(effect for effect in CATALOGUE.values() if effect.module.startswith(f"{_OWN}."))
 
 
 def hooks() -> str:
@@ -114,11 +104,7 @@ def _hook(hook: Hook) -> tuple[str, ...]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print sections, or write the page."""
-    if arguments[:1] == ["--write"] and len(arguments) == 2:
-        file = Path(arguments[1])
-        file.write_text(page(file.read_text(encoding="utf-8"), CATALOGUE), encoding="utf-8")
-        return 0
+    """Print sections."""
     if arguments == ["--hooks"]:
         print(hooks(), end="")
         return 0

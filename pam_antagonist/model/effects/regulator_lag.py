@@ -63,7 +63,7 @@ EFFECT = Effect(
     meaning="A pressure regulator follows its command late, with a resonance, and no faster than it can.",
     law="d²P_i/dt² = ω_i² (P_i* − P_i) − 2 ζ ω_i dP_i/dt, beside what the joint's motion compresses; no vacuum",
     source="inner loops of pressure regulators: step responses of their data sheets; 7 Hz with a damping ratio of 0.33 "
-    "on a measured arm (docs/pamy.md)",
+    "on a measured arm (docs/evidence/measured.md)",
     signature="The measured pressures are not those of the commands for some tens of milliseconds after each step, and "
     "ring. In the steady state nothing is wrong.",
     parameters=(
