@@ -85,4 +85,4 @@ def _time(ns: int) -> str:
 
 def listed(names: Sequence[str]) -> str:
     """Names in a sentence."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

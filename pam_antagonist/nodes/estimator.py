@@ -15,6 +15,7 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.arrivals import listed
+from pam_antagonist.nodes.further import SignalTopics, SignalValues
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged, too_slow
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VOLTAGES, Sample, SamplePairing
@@ -27,7 +28,6 @@ from pam_antagonist.nodes.parameters import (
 from pam_antagonist.nodes.sources import SampleSources, SourceFinding, several
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
-from pam_antagonist.rig.units import unread
 from pam_antagonist_msgs.msg import FilterCheckpoint, JointEstimate
 from pam_antagonist_msgs.srv import SetState
 
@@ -39,7 +39,8 @@ only where it is told to (angle_sensor: encoder), and never what is measured for
 subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand);
              angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder); of a rig with drive: regulator
              pressure_state (pam_antagonist_msgs/PressureCommand) in the place of valve_state, and with
-             pressure_sensors: none nothing else
+             pressure_sensors: none nothing else; of a rig with signals also/NAME (sensor_msgs/FluidPressure, JointState
+             or Temperature)
 publishes:   joint_estimate (pam_antagonist_msgs/JointEstimate), joint_states (sensor_msgs/JointState),
              external_torque (geometry_msgs/WrenchStamped, of a rig with that state), rig (std_msgs/String),
              filter_checkpoint (pam_antagonist_msgs/FilterCheckpoint, once a second)
@@ -68,6 +69,7 @@ PARAMETERS = (
 
 _CHECKPOINT_PERIOD = 1.0  # [s]; at most this much at the start of a recording cannot be replayed bit for bit
 _LONGEST_QUEUE = 2.0  # [s] that samples may have waited on a computer that is too slow
+_LOOK = 1.0  # [s] between two looks for topics of further signals
 _CHECKS = 2  # checks for incomplete samples, within ``pairing_timeout``
 
 
@@ -90,7 +92,9 @@ class EstimatorNode(PamNode):
         measured = values["pressure_sensors"] == "measured"
         self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=self._encoder, pressures=measured)
         self._decode = {place: decode for place, (_, decode) in self._inputs.items()}
-        self._pairing = SamplePairing(values["pairing_timeout"], topics=tuple(self._inputs))
+        signals = SignalValues(len(rig.signals)) if rig.signals else None
+        self._pairing = SamplePairing(values["pairing_timeout"], topics=tuple(self._inputs), signals=signals)
+        self._signals = SignalTopics(self, tuple(rig.signals), self._take_signal)
         names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
         self._sources = None if self.linked else SampleSources(self, names, self._pairing, rig.sample_period)
         self._max_age = round(values["max_age"] * 1e9)
@@ -112,8 +116,6 @@ class EstimatorNode(PamNode):
         self._remembered: tuple[int, int] | None = None
         self.serve(Trigger, "~/reset", self._reset)
         self.serve(SetState, "~/set_state", self._set_state)
-        if what := unread(rig):
-            self.get_logger().warning(f"rig {rig.name}: {what}")
         self.announce(rig)
 
     @override
@@ -122,12 +124,18 @@ class EstimatorNode(PamNode):
         self._pairing.reset()
         self._last = self._unused = None
         self.steady_timer(_CHECKPOINT_PERIOD, self._remember)
+        self._signals.look()
+        self.steady_timer(_LOOK, self._signals.look)
         if self.linked:
             return
         for place, (name, _) in self._inputs.items():
             kind, callback = wire.message_class(name), partial(self.take_message, place)
             self.create_subscription(kind, TOPICS[name].relative, callback, qos.STREAM, raw=True)
         self.steady_timer(self.values["pairing_timeout"] / _CHECKS, lambda: self._take(self._pairing.expire()))
+
+    @override
+    def deactivate(self) -> None:
+        self._signals.close()
 
     def _remember(self) -> None:
         checkpoint = self._estimator.checkpoint()
@@ -169,14 +177,17 @@ class EstimatorNode(PamNode):
             self.values["tuning"] = changed["tuning"]
             self._filter_rises = Rises()
 
-    def sample(self, stamp_ns: int, *values: float) -> None:
-        """Take a sample of the plant in the same process. `values`: those of a :class:`Sample` after the stamp."""
+    def sample(self, stamp_ns: int, p1: float, p2: float, u1: float, u2: float, angle: float = math.nan) -> None:
+        """Take a sample of the plant in the same process: the values of a :class:`Sample`."""
         if self.active:
-            self._take(self._pairing.whole(Sample(stamp_ns, *values)))
+            self._take(self._pairing.whole(Sample(stamp_ns, p1, p2, u1, u2, angle)))
 
     def take_message(self, place: int, data: bytes) -> None:
         """Take a serialised message. `place`: of the topic in a :class:`Sample`."""
         self._take(self._pairing.add(place, *self._decode[place](data)))
+
+    def _take_signal(self, signal: int, stamp_ns: int, value: float) -> None:
+        self._take(self._pairing.add_signal(signal, stamp_ns, value))
 
     def _take(self, samples: list[Sample]) -> None:
         for sample in samples:
@@ -242,6 +253,7 @@ class EstimatorNode(PamNode):
         found = f"{lacks}; {counted}" if late or incomplete else lacks
         return {
             **(self._encoder_health(filtered["angles_used"], filtered["angles_refused"]) if self._encoder else {}),
+            **({"signals": self._signals.health(values.missing)} if (values := self._pairing.signals) else {}),
             "samples": judged(
                 samples,
                 "running",

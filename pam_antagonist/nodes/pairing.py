@@ -17,12 +17,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.nodes.arrivals import Arrivals
+
+if TYPE_CHECKING:
+    from pam_antagonist.nodes.further import SignalValues
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -45,6 +48,7 @@ class Sample(NamedTuple):
     voltage_1: float  # on valve 1 over the sample that ends at the stamp [V]
     voltage_2: float  # on valve 2 [V]
     angle: float = math.nan  # as the encoder reads it [rad]
+    signals: tuple[float, ...] = ()  # further signals of the rig, in its order [SI]
 
 
 @dataclass
@@ -63,8 +67,9 @@ class SamplePairing:
     """Combines messages to samples.
 
     Args:
-        timeout: how long a sample waits for a topic [s].
+        timeout: how long a sample waits for a topic [s]; for further signals half as long.
         clock: current time [ns], for the waiting time; a clock that always runs.
+        signals: values of further signals, which :meth:`add_signal` adds; None: there are none.
     """
 
     def __init__(
@@ -72,7 +77,9 @@ class SamplePairing:
         timeout: float,
         clock: Callable[[], int] = time.monotonic_ns,
         topics: Sequence[int] = (PRESSURE_1, PRESSURE_2, VOLTAGES),
+        signals: SignalValues | None = None,
     ) -> None:
+        self.signals = signals
         self._topics = tuple(topics)
         self._complete = sum(1 << topic for topic in self._topics)
         self.counts = PairingCounts(lacking=dict.fromkeys(self._topics, 0))
@@ -87,6 +94,8 @@ class SamplePairing:
         self._arrival: dict[int, int] = {}
         self._newest: dict[int, int | None] = dict.fromkeys(self._topics)
         self._final: int | None = None
+        if self.signals is not None:
+            self.signals.reset()
 
     def add(self, topic: int, stamp_ns: int, *values: float) -> list[Sample]:
         """Add one message.
@@ -116,10 +125,20 @@ class SamplePairing:
         self._newest[topic] = stamp_ns
         if len(self._waiting) > _LIMIT:
             return self._pop_until(min(self._waiting))
-        newest = self._newest.values()
-        if None in newest:
+        return self._pop_ready()
+
+    def add_signal(self, signal: int, stamp_ns: int, value: float) -> list[Sample]:
+        """Add a message of a further signal. `signal`: its number, from 0. `value`: [SI]."""
+        assert self.signals is not None
+        self.signals.add(signal, stamp_ns, value)
+        return self._pop_ready() if self._waiting else []
+
+    def _pop_ready(self) -> list[Sample]:
+        newest = [stamp for stamp in self._newest.values() if stamp is not None]
+        if len(newest) < len(self._newest):
             return []
-        return self._pop_until(min(newest))  # type: ignore[type-var]
+        last = min(newest)
+        return self._pop_until(last if self.signals is None else self.signals.ready(last))
 
     def whole(self, sample: Sample) -> list[Sample]:
         """Add a sample that was not split into messages; values may be NaN. Do not combine with :meth:`add`."""
@@ -130,16 +149,22 @@ class SamplePairing:
             self.counts.restarts += 1
         self._final = sample.stamp_ns
         self.counts.samples += 1
-        return [sample]
+        return [sample if self.signals is None else sample._replace(signals=self.signals.at(sample.stamp_ns))]
 
     def expire(self) -> list[Sample]:
         """The samples that have waited for too long, in the order of their stamps."""
         if not self._waiting:
             return []
-        oldest = max(stamp for stamp in self._newest.values() if stamp is not None) - self._timeout
-        now = self._clock()
+        newest, now = max(stamp for stamp in self._newest.values() if stamp is not None), self._clock()
+        out: list[Sample] = []
+        if self.signals is not None:
+            patience = self._timeout // 2
+            if now - min(self._arrival.values()) >= patience:
+                self.signals.give_up(newest - patience)
+                out = self._pop_ready()
+        oldest = newest - self._timeout
         gone = [stamp for stamp in self._waiting if stamp < oldest and now - self._arrival[stamp] >= self._timeout]
-        return self._pop_until(max(gone)) if gone else []
+        return out + (self._pop_until(max(gone)) if gone else [])
 
     def _pop_until(self, last: int | None) -> list[Sample]:
         return [self._pop(stamp) for stamp in sorted(stamp for stamp in self._waiting if stamp <= last)]  # type: ignore[operator]
@@ -153,10 +178,12 @@ class SamplePairing:
             self.counts.incomplete += 1
             for topic in self._topics:
                 self.counts.lacking[topic] += not int(values[_BITS]) & 1 << topic
-        return Sample(stamp, *values[:_BITS])
+        first, second, voltage_1, voltage_2, angle, _ = values
+        signals = () if self.signals is None else self.signals.at(stamp)
+        return Sample(stamp, first, second, voltage_1, voltage_2, angle, signals)
 
 
-COLUMNS = len(Sample._fields) - 1  # of a :class:`Feed`: both pressures, both voltages and the angle
+COLUMNS = _BITS  # of a :class:`Feed`: both pressures, both voltages and the angle
 _PATIENCE = 1.0  # [s] in a :class:`Feed`, a topic that is behind the others by more is missing
 
 
@@ -213,7 +240,7 @@ class Feed:
         if self.jumps > jumps:
             self._parts.clear()
         stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
-        rows = np.array([sample[1:] for sample in samples]).reshape(-1, COLUMNS)
+        rows = np.array([sample[1 : 1 + COLUMNS] for sample in samples]).reshape(-1, COLUMNS)
         if len(stamps):
             # To join all that is kept with each message would take longer than the monitor itself.
             self._parts.append((stamps, rows))

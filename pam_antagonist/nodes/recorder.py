@@ -18,6 +18,7 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
+from pam_antagonist.nodes.further import class_of
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import Parameter
@@ -25,7 +26,8 @@ from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.nodes.wire import Gaps, message_class, number_of, take
 from pam_antagonist.program import typed
 from pam_antagonist.recording.bag_files import FileLimits
-from pam_antagonist.recording.topics import TOPICS, Topic, normalize_namespace
+from pam_antagonist.recording.signals import KINDS
+from pam_antagonist.recording.topics import ALSO, TOPICS, Topic, normalize_namespace
 from pam_antagonist.recording.writer import BagWriter
 
 DESCRIPTION = """
@@ -44,7 +46,7 @@ options:
 
 subscribes:  pressure_1, pressure_2, valve_state, valve_command, pressure_state, pressure_command, joint_estimate,
              joint_states, reference, angle_sensor, external_torque, measured/joint_states, measured/external_torque,
-             rig, filter_checkpoint, /diagnostics
+             rig, filter_checkpoint, health, /diagnostics; further signals of the joint, also/..., as they appear
 """
 
 PARAMETERS: tuple[Parameter, ...] = ()  # beside those of every node
@@ -87,6 +89,7 @@ def _check(name: str, value: float | None, above: float, unit: str) -> None:
 
 _KEPT = ("rig", "filter_checkpoint", "health")  # topics whose last messages are kept for late subscribers
 _PERIOD = 0.02  # [s] time between two reads of the queues, which hold 250 times as much at 1 kHz
+_LOOK = 0.5  # [s] time between two looks for further signals
 _PROGRESS = 1.0  # [s] time between two updates of the progress line
 _BACKLOG = 256 << 20  # [bytes] that may wait for a slow disk: five minutes of a pipeline at 1 kHz
 _LITTLE_SPACE = 600.0  # [s] of recording that must fit on the disk; with less, there is a warning
@@ -107,6 +110,7 @@ class RecorderNode(PamNode):
         self._options = options
         self._path: Path = options.out
         self._topics: dict[str, Subscription] = {}
+        self._signals: list[Subscription] = []  # of further signals, which are found while recording
         self._counts: dict[str, int] = {}
         self._gaps: dict[str, Gaps] = {}
         self._reason: str | None = None  # why nothing more can be written
@@ -124,10 +128,13 @@ class RecorderNode(PamNode):
         self._bag = BagWriter(self._path, limits=self._options.limits, durable=True, backlog=_BACKLOG)
         self._ended = False
         for name, topic in self._wanted():
-            self._bag.add_topic(name, topic.type)
-            self._counts[name] = 0
-            self._gaps[name] = Gaps(partial(self.count_publishers, name))
+            self._add(name, topic.type)
         self.start_diagnostics(self._path.name)
+
+    def _add(self, name: str, kind: str) -> None:
+        self._bag.add_topic(name, kind)
+        self._counts[name] = 0
+        self._gaps[name] = Gaps(partial(self.count_publishers, name))
 
     def _wanted(self) -> Iterator[tuple[str, Topic]]:
         """Full name and description of each topic to record."""
@@ -149,6 +156,8 @@ class RecorderNode(PamNode):
             self._until = self._since + self._options.duration
         self.steady_timer(_PERIOD, self._collect)
         self.steady_timer(_PROGRESS, self._show)
+        self._look_for_signals()
+        self.steady_timer(_LOOK, self._look_for_signals)
         self.get_logger().info(f"recording into {self._path}")
 
     @override
@@ -156,10 +165,29 @@ class RecorderNode(PamNode):
         if self._reason is None:
             self._collect()
         self._topics = {}
+        for subscription in self._signals:
+            self._unsubscribe(subscription)
+        self._signals = []
 
     @override
     def cleanup(self) -> None:
         self._end_bag()
+
+    def _look_for_signals(self) -> None:
+        """Record the topics below ``also/`` that have come since the last look."""
+        further = ALSO.rstrip("/")
+        below = [
+            self.resolve_topic_name(further if namespace is None else f"{normalize_namespace(namespace)}/{further}")
+            + "/"
+            for namespace in self._options.namespace or (None,)
+        ]
+        for name, kinds in self.get_topic_names_and_types():
+            kind = next((one for one in kinds if one in KINDS), None)
+            if kind is None or name in self._topics or not name.startswith(tuple(below)):
+                continue
+            self._add(name, kind)
+            self._topics[name] = self.collect(class_of(kind), name, qos.RECORD)
+            self._signals.append(self._topics[name])
 
     @property
     def lost(self) -> int:

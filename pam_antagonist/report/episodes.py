@@ -107,7 +107,7 @@ def _rig_to_use(diagnosis: EpisodeDiagnosis, joint: PressureDriven) -> str:
     if not diagnosis.is_better:
         return f"Next: keep the rig file of {joint.rig.name}, since the extended rig is no better on held-out episodes."
     if what := unread(extended(diagnosis, joint)):
-        return f"Next: use rig_extended.yaml in identify, close_loop and replay; {what}."
+        return f"Next: use rig_extended.yaml in identify, close_loop, replay and the estimator; {what}."
     return "Next: use rig_extended.yaml, which every command and node takes."
 
 

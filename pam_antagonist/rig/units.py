@@ -70,17 +70,15 @@ def unit_of(rig: Rig, name: str) -> str:
 
 
 def unread(rig: Rig) -> str:
-    """What of a rig the nodes and simulate do not read, in words; empty if nothing."""
+    """What of a rig plant, controller and simulate do not read, in words; empty if nothing."""
     *others, last = rig.signals or [""]
     names = f"{', '.join(others)} and {last}" if others else last
-    parts = [f"do not read {names} yet (they take the value in the rig file throughout)"] if names else []
-    parts += ["leave out weak laws, but for the estimator"] if rig.weak_laws is not None else []
+    parts = [f"do not read {names} (they take the value in the rig file throughout)"] if names else []
+    parts += ["leave out weak laws"] if rig.weak_laws is not None else []
     if not parts:
         return ""
-    return (
-        f"nodes and simulate {' and '.join(parts)}, so their errors are larger and their 95 % intervals too narrow; "
-        "replay and the Python Estimator take all of it"
-    )
+    lack = " and ".join(parts)
+    return f"plant, controller and simulate {lack}; estimator, replay and the Python Estimator take all of it"
 
 
 def assumption(rig: Rig, tuning: str = "default", identified: bool = False) -> str | None:

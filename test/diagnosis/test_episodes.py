@@ -107,7 +107,8 @@ def test_friction_is_traced_to_the_signal_that_it_goes_with(tied: Recording, tmp
     assert "friction that grows with other" in result.sentence
     # That no other command reads the signal is said where the rig file is proposed.
     step = result.summary().split("Next: ")[1]
-    assert "in identify, close_loop and replay" in step and "do not read" in step and "every command" not in step
+    assert "in identify, close_loop, replay and the estimator" in step and "do not read" in step
+    assert "every command" not in step
     assert set(found.effects) == {"friction", "friction_by_signal: other"}
     base, coulomb, extended = found.rows[1:]
     assert extended.later.high < 0.5 * coulomb.later.low < base.later.low
@@ -335,7 +336,7 @@ def test_a_rig_that_was_fitted_to_the_episodes_is_not_compared_with_as_if_it_was
 def test_what_does_not_read_a_further_signal_is_said() -> None:
     rig = load_rig("regulator_joint", regulators=True)
     needs = rig.replaced(signals={"other": 4e5, "more": 3e5}, effects={"friction_by_signal": {"slope1": 1e-9}})
-    assert unread(rig) == "" and "nodes and simulate do not read other and more yet" in unread(needs)
+    assert unread(rig) == "" and "plant, controller and simulate do not read other and more (they" in unread(needs)
 
 
 @pytest.mark.thorough(25)
