@@ -22,6 +22,9 @@ COMMANDS: dict[str, Command] = {
         "validation.monitor_study:main", "measure what the monitor finds, how late, and how often it alarms for nothing"
     ),
     "pamy": Command("validation.pamy:main", "apply close_loop to the recording of a real arm with regulators"),
+    "arm_networks": Command(
+        "validation.peers.aged:main", "compare our model of a real arm with networks that weigh episodes by age"
+    ),
     "broken": Command("validation.broken:main", "break behaviours in a copy, count how many the tests notice"),
     "device_emulator": Command(
         "validation.device.command:main", "emulate a rig's microcontroller, with a simulated joint"

@@ -139,7 +139,8 @@ def _left(found: Iterable[Statement]) -> Findings:
     return Findings(tuple(item for item in found if not others.search(item.text)))
 
 
-def _course(joint: PressureDriven, others: bool) -> Course:
+def course(joint: PressureDriven, others: bool) -> Course:
+    """Episodes as soft sensors take them. `others`: with the further signals."""
     begin = np.repeat(joint.first[:-1], np.diff(joint.first))
     inputs = np.column_stack([joint.pressure, joint.signals] if others else [joint.pressure]) / 1e5
     return Course(inputs, joint.angle, np.ones(len(begin), bool), begin, float(np.median(np.diff(joint.time[:100]))))
@@ -183,7 +184,7 @@ def without_physics(joint: PressureDriven, held: EpisodeSplit) -> tuple[Row, ...
         def errors(
             fit: PressureDriven, *asked: PressureDriven, sensor: soft_sensors.Sensor = sensor, others: bool = others
         ) -> list[Interval]:
-            said: list[Floats] = sensor([_course(fit, others)], [_course(one, others) for one in asked]).angle
+            said: list[Floats] = sensor([course(fit, others)], [course(one, others) for one in asked]).angle
             return [rmse(*one.squares((one.angle - angle)[:, None])) for one, angle in zip(asked, said, strict=True)]
 
         rows.append(Row(name, *errors(pool, later, between)))

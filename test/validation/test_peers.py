@@ -90,3 +90,12 @@ def test_the_command_continues_and_shows_its_tables(tmp_path: Path, capsys: pyte
     assert "| the wrist |" in text and (tmp_path / "peers" / "curves.png").is_file()
     figure = command.curves_figure(entries)
     assert figure is not None and len(figure.axes) == 1
+
+
+@pytest.mark.skipif(available("torch"), reason="torch is installed")
+def test_networks_of_the_arm_need_torch_and_say_so(capsys: pytest.CaptureFixture[str]) -> None:
+    from pam_antagonist.__main__ import main
+    from validation.__main__ import COMMANDS
+
+    assert main(["arm_networks", "none.csv"], COMMANDS) == 2
+    assert "torch is not installed: pip install 'pam_antagonist[peers]'" in capsys.readouterr().err

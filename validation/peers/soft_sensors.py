@@ -109,11 +109,20 @@ class Process:
         return signal.k1.constant_value * np.exp(-0.5 * np.sum(apart**2, axis=2)) @ self.gp.alpha_ * size + offset
 
 
-def recurrent(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
-    """A gated recurrent network of two layers of 64 (torch), from all inputs; for episodes also the first angle."""
+def _drawn(rng: np.random.Generator, count: int, weights: Floats | None) -> np.ndarray:
+    return rng.integers(0, count, _BATCH) if weights is None else rng.choice(count, _BATCH, p=weights)
+
+
+def recurrent(
+    fit: Sequence[Course], held: Sequence[Course], seed: int = _SEED, weights: Floats | None = None
+) -> Sensed:
+    """A gated recurrent network of two layers of 64 (torch), from all inputs; for episodes also the first angle.
+
+    `weights`: probability with which each window or episode is drawn in a step (E,); None: all alike.
+    """
     import torch
 
-    torch.manual_seed(_SEED)
+    torch.manual_seed(seed)
     torch.set_num_threads(1)
     x = np.vstack([one.inputs for one in fit])
     middle, scale, size = x.mean(axis=0), x.std(axis=0) + 1e-9, float(np.concatenate([one.angle for one in fit]).std())
@@ -142,9 +151,9 @@ def recurrent(fit: Sequence[Course], held: Sequence[Course]) -> Sensed:
     steps = _EPOCHS * (1 + len(pairs) // _BATCH)
     optimizer = torch.optim.Adam(network.parameters(), 3e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 5e-3, total_steps=steps)
-    rng, settled = np.random.default_rng(_SEED), 0 if episodes else window // 5
+    rng, settled = np.random.default_rng(seed), 0 if episodes else window // 5
     for _ in range(steps):
-        batch = [pairs[k] for k in rng.integers(0, len(pairs), _BATCH)]
+        batch = [pairs[k] for k in _drawn(rng, len(pairs), weights)]
         longest = max(len(a) for a, _ in batch)
         padded = [np.stack([np.pad(p[k], ((0, longest - len(p[k])), (0, 0))) for p in batch]) for k in (0, 1)]
         signals, wanted = (torch.tensor(part, dtype=torch.float32) for part in padded)
