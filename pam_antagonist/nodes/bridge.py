@@ -32,6 +32,7 @@ missing, frozen or too high (docs/how-to/safety.md). The device does that by its
 command. A device that is unplugged is opened again when it is back.
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
+             joint_sample (pam_antagonist_msgs/JointSample, with samples: one),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter where there are some, for
              validation only), angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder), rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)

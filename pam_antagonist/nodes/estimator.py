@@ -18,11 +18,13 @@ from pam_antagonist.nodes.arrivals import listed
 from pam_antagonist.nodes.further import SignalTopics, SignalValues
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged, too_slow
 from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VOLTAGES, Sample, SamplePairing
+from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VOLTAGES, WHOLE, Sample, SamplePairing
 from pam_antagonist.nodes.parameters import (
     ANGLE_SENSORS,
     PRESSURE_SENSORS,
+    SAMPLES,
     SIMULATED_JOINT,
+    TOPIC_RATE,
     Parameter,
 )
 from pam_antagonist.nodes.sources import SampleSources, SourceFinding, several
@@ -36,7 +38,8 @@ Angle and torque of the joint, with their covariance, from the two muscle pressu
 unscented Kalman filter of the rig, one estimate for each sample, in the order of the stamps. It reads a measured angle
 only where it is told to (angle_sensor: encoder), and never what is measured for validation.
 
-subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand);
+subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand); with
+             samples: one joint_sample (pam_antagonist_msgs/JointSample) in the place of all of these;
              angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder); of a rig with drive: regulator
              pressure_state (pam_antagonist_msgs/PressureCommand) in the place of valve_state, and with
              pressure_sensors: none nothing else; of a rig with signals also/NAME (sensor_msgs/FluidPressure, JointState
@@ -60,6 +63,8 @@ PARAMETERS = (
         "rig with drive: regulator"
     ),
     Parameter("pairing_timeout", 0.02, 0.001, 1.0).about("longest time that a sample waits for its other topics [s]"),
+    SAMPLES,
+    TOPIC_RATE,
     Parameter("max_age", 0.0, 0.001, 10.0, left=0.0).about(
         "age beyond which an estimate is flagged LATE, as is one of unknown age [s]; 0: three samples of the rig, at "
         "least 0.02"
@@ -90,7 +95,11 @@ class EstimatorNode(PamNode):
         self._estimator = self._make(values["tuning"])
         self._encoder = values["angle_sensor"] == "encoder"
         measured = values["pressure_sensors"] == "measured"
-        self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=self._encoder, pressures=measured)
+        self._one = values["samples"] == "one"
+        self._inputs = wire.sample_inputs(
+            rig.drive, values["joint_name"], encoder=self._encoder, pressures=measured, one=self._one
+        )
+        self._beside = wire.Thinned(values["topic_rate"] if self._one else 0.0)
         self._decode = {place: decode for place, (_, decode) in self._inputs.items()}
         signals = SignalValues(len(rig.signals)) if rig.signals else None
         self._pairing = SamplePairing(values["pairing_timeout"], topics=tuple(self._inputs), signals=signals)
@@ -208,8 +217,9 @@ class EstimatorNode(PamNode):
             numbers, external = data[: 8 * wire.ESTIMATE_VALUES], data[-8 * wire.EXTERNAL_VALUES :]
             subsystem = int(row["subsystem"])
             self._estimates.send(sample.stamp_ns, *divmod(started, 10**9), numbers, subsystem, flags, external)
-            state = self._state_values(row["angle"], row["velocity"], row["torque"])
-            self._states.send(sample.stamp_ns, *state)
+            if self._beside.is_due(sample.stamp_ns):
+                state = self._state_values(row["angle"], row["velocity"], row["torque"])
+                self._states.send(sample.stamp_ns, *state)
             if self._external is not None:
                 self._external.send(sample.stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0, row["external_torque"])
             self._published += 1
@@ -289,6 +299,7 @@ class EstimatorNode(PamNode):
         sample = self._unused
         values = {PRESSURE_1: sample.pressure_1, PRESSURE_2: sample.pressure_2}
         values[VOLTAGES] = sample.voltage_1 + sample.voltage_2
+        values[WHOLE] = sum(values.values())
         lacks = [
             TOPICS[name].relative
             for place, (name, _) in self._inputs.items()

@@ -21,8 +21,8 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos, wire
 from pam_antagonist.nodes.health import Health, Level, Rate, judged
 from pam_antagonist.nodes.node import PamNode
-from pam_antagonist.nodes.pairing import ANGLE, Feed
-from pam_antagonist.nodes.parameters import ANGLE_SENSORS, SIMULATED_JOINT, Parameter
+from pam_antagonist.nodes.pairing import Feed
+from pam_antagonist.nodes.parameters import ANGLE_SENSORS, SAMPLES, SIMULATED_JOINT, Parameter
 from pam_antagonist.nodes.sources import SampleSources
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.program import started
@@ -37,13 +37,14 @@ last two minutes too, in a process of its own at low priority. It commands nothi
 
 subscribes:  pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand) or
              pressure_state (pam_antagonist_msgs/PressureCommand); angle_sensor (sensor_msgs/JointState, with
-             angle_sensor: encoder)
+             angle_sensor: encoder); with samples: one joint_sample (pam_antagonist_msgs/JointSample) alone
 publishes:   health (pam_antagonist_msgs/Health), rig (std_msgs/String)
 services:    those of a lifecycle node
 """
 
 PARAMETERS = (
     *SIMULATED_JOINT,
+    SAMPLES,
     Parameter("angle_sensor", "none", choices=ANGLE_SENSORS).about("encoder: topic angle_sensor is read as well"),
     Parameter("folder", "monitor").about(
         "where the last two minutes before a finding go as a bag, and the report; each in a folder of its own"
@@ -110,11 +111,12 @@ class MonitorNode(PamNode):
     def configure(self) -> None:
         self._rig = rig = self.load_rig()
         values = self.values
-        encoder = values["angle_sensor"] == "encoder"
+        self._encoder = encoder = values["angle_sensor"] == "encoder"
         if rig.valves.sealed:
             raise BadInput(f"rig {rig.name} is sealed: expected a joint that valves or regulators drive")
         self._monitor = Monitor(rig, values["joint"], values["lock_angle"], encoder)
-        self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=encoder)
+        one = values["samples"] == "one"
+        self._inputs = wire.sample_inputs(rig.drive, values["joint_name"], encoder=encoder, one=one)
         self._feed = Feed(tuple(self._inputs), float(WINDOW))
         names = {place: TOPICS[name].relative for place, (name, _) in self._inputs.items()}
         self._sources = SampleSources(self, names, self._feed.pairing, rig.sample_period)
@@ -126,13 +128,13 @@ class MonitorNode(PamNode):
     def activate(self) -> None:
         self._feed.reset()
         self._monitor.reset()
-        self._alarms, self._found, self._suspicion = Alarms(ANGLE in self._inputs), "", ""
+        self._alarms, self._found, self._suspicion = Alarms(self._encoder), "", ""
         self._topics = {
             place: self.collect(wire.message_class(name), TOPICS[name].relative, qos.RECORD)
             for place, (name, _) in self._inputs.items()
         }
         self.steady_timer(_POLL, self._poll)
-        if words := limits(self._rig, ANGLE in self._inputs):
+        if words := limits(self._rig, self._encoder):
             self.get_logger().warning(words)
 
     @override
@@ -158,7 +160,7 @@ class MonitorNode(PamNode):
             self.deactivate()
         if len(stamps):
             self._samples += len(stamps)
-            self._monitor.add(stamps, rows[:, :2], rows[:, 2:4], rows[:, 4] if ANGLE in self._inputs else None)
+            self._monitor.add(stamps, rows[:, :2], rows[:, 2:4], rows[:, 4] if self._encoder else None)
         if self._search is None:
             self._look()
         elif (done := self._search.poll()) is not None:
@@ -171,7 +173,7 @@ class MonitorNode(PamNode):
         if not findings or not self._alarms.due(findings, self._feed.newest_ns, time.monotonic()):
             return
         self._suspect, first = findings, findings[0]
-        if not searches(self._rig, ANGLE in self._inputs):
+        if not searches(self._rig, self._encoder):
             self._conclude(None, "")
             return
         values = self.values
@@ -223,7 +225,7 @@ class MonitorNode(PamNode):
         values: dict[str, object] = {
             "rate [Hz]": f"{rate:.1f}", "blocks": self._monitor.blocks.count, "jumps backwards": self._feed.jumps,
             "searching": self._search is not None, "last search": self._complaint or "no complaint",
-            "cannot": limits(self._rig, ANGLE in self._inputs) or "nothing", "suspicion": self._suspicion or "none",
+            "cannot": limits(self._rig, self._encoder) or "nothing", "suspicion": self._suspicion or "none",
         }  # fmt: skip
         if findings:
             values |= {"nearest": findings[0].watched.name, "its evidence": f"{findings[0].evidence:.1f}"}

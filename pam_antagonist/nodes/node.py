@@ -34,7 +34,7 @@ _ANSWER = 0.5  # [s] from a shutdown request to the end of the process, so that 
 SHARED_PARAMETERS = (
     *("rig", "joint", "joint_name", "lock_angle", "frame_id", "tuning", "max_age"),
     *("safe_voltage", "safe_action", "vent_voltage", "vent_rate", "command_timeout", "max_command_age"),
-    *("max_slew", "max_pressure"),
+    *("max_slew", "max_pressure", "samples", "topic_rate"),
 )
 """Parameters that a parameter file may set for all nodes of a pipeline, also for nodes that do not have them."""
 

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-PRESSURE_1, PRESSURE_2, VOLTAGES, ANGLE = range(4)
-"""The topics of a sample; ANGLE only where a measured angle is used."""
+PRESSURE_1, PRESSURE_2, VOLTAGES, ANGLE, WHOLE = range(5)
+"""The topics of a sample; ANGLE only where a measured angle is used, WHOLE where a sample is one message."""
 
-_FIRST = (0, 1, 2, 4)  # where each topic's values start in a sample
+_FIRST = (0, 1, 2, 4, 0)  # where each topic's values start in a sample
 _BITS = 5  # index of the bit mask of received topics, after the values
 _RESTART = 500_000_000  # a message older than the last final sample by more than this restarts the pairing [ns]
 _LIMIT = 5000  # largest number of waiting samples; only invalid stamps lead to more
@@ -101,9 +101,9 @@ class SamplePairing:
         """Add one message.
 
         Args:
-            topic: PRESSURE_1, PRESSURE_2, VOLTAGES or ANGLE.
+            topic: PRESSURE_1, PRESSURE_2, VOLTAGES, ANGLE or WHOLE.
             stamp_ns: stamp of the message [ns].
-            values: one pressure [Pa], two voltages [V], or one angle [rad].
+            values: one pressure [Pa], two voltages [V], one angle [rad], or all of them.
         """
         self.arrivals.add(topic, stamp_ns)
         if self._final is not None and stamp_ns <= self._final:

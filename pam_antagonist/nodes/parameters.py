@@ -131,8 +131,17 @@ SAFETY = (SAFE_VOLTAGE, SAFE_ACTION, VENT_VOLTAGE, VENT_RATE, SAFE_PRESSURE, VEN
 
 # 2 V/ms: a full stroke in 5 ms, about as fast as a proportional valve itself. So the limit does not slow down control,
 # and a single wrong command moves a valve by at most a fifth of its range.
+SAMPLES = Parameter("samples", "topics", choices=("topics", "one")).about(
+    "topics: pressures, valve state and angle of a sample come on topics of their own; one: all of a sample is one "
+    "message on joint_sample, which takes less of the processor. All nodes of a joint need the same"
+)
+TOPIC_RATE = Parameter("topic_rate", 0.0, 0.1, 1e4, left=0.0).about(
+    "with samples: one, rate of the other topics for people and larger stacks [Hz]; 0: full rate"
+)
 VALVE_OWNER = (
     *SAFETY,
+    SAMPLES,
+    TOPIC_RATE,
     Parameter("command_timeout", 0.0, 0.002, 1.0, left=0.0).about(
         "time without a command until the valves become safe [s]; 0: three samples of the rig, at least 0.02"
     ),

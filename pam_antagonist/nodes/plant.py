@@ -34,6 +34,7 @@ Commands are clamped and slew-limited. The valves get safe voltages when command
 or too high (docs/how-to/safety.md).
 
 publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pam_antagonist_msgs/ValveCommand),
+             joint_sample (pam_antagonist_msgs/JointSample, with samples: one),
              measured/joint_states (sensor_msgs/JointState: encoder and torque meter, for validation only),
              angle_sensor (sensor_msgs/JointState, with angle_sensor: encoder),
              measured/external_torque (geometry_msgs/WrenchStamped: push, for validation only; of a rig with the state
@@ -164,8 +165,7 @@ class PlantNode(PamNode):
         wanted: int = self.values["wait_for_subscribers"]
         if wanted == 0:
             return True
-        outputs = (*self._output.pressures, self._output.valves)
-        if any(output.publisher.get_subscription_count() < wanted for output in outputs):
+        if any(output.publisher.get_subscription_count() < wanted for output in self._output.counted):
             self._found_ns = None
             return False
         if self._found_ns is None:

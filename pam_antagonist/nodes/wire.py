@@ -19,7 +19,7 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VOLTAGES
+from pam_antagonist.nodes.pairing import ANGLE, PRESSURE_1, PRESSURE_2, VOLTAGES, WHOLE
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
 
 if TYPE_CHECKING:
@@ -39,6 +39,9 @@ PRESSURE_ALONE: Body = (("d", 8),)
 
 VALVES: Body = (("dd", 8),)
 """``pam_antagonist_msgs/ValveCommand``: voltage 1, voltage 2."""
+
+SAMPLE: Body = (("9d", 8),)
+"""``pam_antagonist_msgs/JointSample``: pressures, voltages, asked pressures, angle, torque, angle as an input."""
 
 WRENCH: Body = (("6d", 8),)
 """``geometry_msgs/WrenchStamped``: force and torque, x, y and z each."""
@@ -152,7 +155,8 @@ class SampleOutput:
     """Publishes what the node that owns the valves measures: plant or bridge.
 
     `pressures`: whether they are measured. `variance`: of a pressure [Pa²]. `encoder`: whether its angle is published
-    for the estimator as well.
+    for the estimator as well. With the node's parameter ``samples: one`` a sample is one message, and the others come
+    at ``topic_rate``.
     """
 
     def __init__(self, node: PamNode, rig: Rig, *, pressures: bool, variance: float, encoder: bool) -> None:
@@ -168,6 +172,14 @@ class SampleOutput:
         self.joint = Outgoing(node, "measured_joint_states", frame, body)
         self._partial = message_class("measured_joint_states")(name=[name])  # without one of the two channels
         self._partial.header.frame_id = frame
+        self._one = Outgoing(node, "joint_sample", frame, SAMPLE) if node.values["samples"] == "one" else None
+        self._regulated = rig.drive == "regulator"
+        self._beside = Thinned(node.values["topic_rate"] if self._one is not None else 0.0)
+
+    @property
+    def counted(self) -> tuple[Outgoing, ...]:
+        """The publishers of what a sample needs."""
+        return (*self.pressures, self.valves) if self._one is None else (self._one,)
 
     def send(
         self,
@@ -179,6 +191,14 @@ class SampleOutput:
         encoder: float | None,
     ) -> None:
         """Publish a sample; None for a channel that is not there."""
+        if self._one is not None:
+            first, second = pressure if self.pressures else (math.nan, math.nan)
+            drives = (math.nan, math.nan, *voltage) if self._regulated else (*voltage, math.nan, math.nan)
+            used = encoder if self.encoder is not None else None
+            read = (math.nan if value is None else value for value in (angle, torque, used))
+            self._one.send(stamp_ns, first, second, *drives, *read)
+            if not self._beside.is_due(stamp_ns):
+                return
         for output, value in zip(self.pressures, pressure, strict=False):
             output.send(stamp_ns, value, self._variance)
         self.valves.send(stamp_ns, *voltage)
@@ -191,6 +211,21 @@ class SampleOutput:
             self._partial.position = [] if angle is None else [angle]
             self._partial.effort = [] if torque is None else [torque]
             self.joint.publisher.publish(self._partial)
+
+
+class Thinned:
+    """Which samples are published at a lower rate [Hz]; 0: all."""
+
+    def __init__(self, rate: float) -> None:
+        self._period = round(_SECOND / rate) if rate else 0
+        self._next = 0
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Whether a sample is one of them."""
+        if self._period and -self._period <= stamp_ns - self._next < 0:
+            return False
+        self._next = stamp_ns - stamp_ns % self._period + self._period if self._period else 0
+        return True
 
 
 class Incoming:
@@ -208,18 +243,27 @@ class Incoming:
 
 
 def sample_inputs(
-    drive: str, joint: str, *, encoder: bool, pressures: bool = True
+    drive: str, joint: str, *, encoder: bool, pressures: bool = True, one: bool = False
 ) -> dict[int, tuple[str, Callable[[bytes], Sequence[Any]]]]:
     """Topics of a sample (logical names), and how their messages are unpacked, by their places in a :class:`Sample`.
 
-    `drive`: of the rig. `joint`: name of the joint in topic ``angle_sensor``.
+    `drive`: of the rig. `joint`: name of the joint in topic ``angle_sensor``. `one`: whether a sample is one message.
     """
+    if one:
+        return {WHOLE: ("joint_sample", partial(_whole, Incoming(SAMPLE), drive == "regulator", pressures, encoder))}
     pressure = Incoming(PRESSURE_ALONE)
     return {
         **({PRESSURE_1: ("pressure_1", pressure), PRESSURE_2: ("pressure_2", pressure)} if pressures else {}),
         VOLTAGES: (STATE_TOPICS[drive], Incoming(VALVES)),
         **({ANGLE: ("angle_sensor", partial(position_in, joint=joint))} if encoder else {}),
     }
+
+
+def _whole(unpack: Incoming, regulated: bool, pressures: bool, encoder: bool, data: bytes) -> Sequence[Any]:
+    """Stamp [ns] and the values of a sample, without those that are no input."""
+    stamp_ns, p1, p2, u1, u2, a1, a2, _, _, angle = unpack(data)
+    first, second = (p1, p2) if pressures else (math.nan, math.nan)
+    return (stamp_ns, first, second, *((a1, a2) if regulated else (u1, u2)), angle if encoder else math.nan)
 
 
 def for_control(numbers: bytes, flags: int) -> tuple[float, ...]:

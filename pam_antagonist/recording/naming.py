@@ -49,6 +49,9 @@ def choose_topics(bag: RawBag, topics: Mapping[str, str] | None, namespace: str 
     chosen = {}
     regulated = drive_of(bag, namespace, renamed) == "regulator"
     needed_topics = (STATE_TOPICS["regulator"],) if regulated else SAMPLE_TOPICS
+    whole = TOPICS["joint_sample"]
+    if "joint_sample" in renamed or _problem(bag, whole, whole.resolve(namespace)) is None:
+        needed_topics = ("joint_sample",)
     for name in READ_TOPICS:
         topic = TOPICS[name]
         actual = renamed.get(name, topic.resolve(namespace))
@@ -77,7 +80,7 @@ def _renamed(topics: Mapping[str, str]) -> dict[str, str]:
 
 def _find_namespace(bag: RawBag, renamed: Mapping[str, str]) -> str:
     """The only namespace, or the one with most topics, whose names and types are the package's."""
-    for names in ((*SAMPLE_TOPICS, STATE_TOPICS["regulator"]), READ_TOPICS):
+    for names in ((*SAMPLE_TOPICS, STATE_TOPICS["regulator"], "joint_sample"), READ_TOPICS):
         open_names = [name for name in names if name not in renamed]
         found: dict[str, int] = {}
         for actual, raw in bag.topics.items():
@@ -107,9 +110,10 @@ def joints_in(bag: RawBag) -> list[str]:
         every = [(TOPICS[name].type, bag.topics.get(TOPICS[name].resolve(namespace))) for name in names]
         return all(raw is not None and raw.msgtype == kind and len(raw) > 0 for kind, raw in every)
 
-    endings = [f"/{TOPICS[name].relative}" for name in STATE_TOPICS.values()]
+    endings = [f"/{TOPICS[name].relative}" for name in (*STATE_TOPICS.values(), "joint_sample")]
     found = {actual[: -len(end)] for actual in bag.topics for end in endings if actual.endswith(end)}
-    return sorted(one for one in found if there(one, STATE_TOPICS["regulator"]) or there(one, *SAMPLE_TOPICS))
+    kinds = ((STATE_TOPICS["regulator"],), SAMPLE_TOPICS, ("joint_sample",))
+    return sorted(one for one in found if any(there(one, *names) for names in kinds))
 
 
 def drive_of(bag: RawBag, namespace: str, renamed: Mapping[str, str]) -> str:

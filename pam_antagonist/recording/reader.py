@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,8 @@ class _Topic:
     log_ns: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
     keep: NDArray[np.intp]
-    joint: Mapping[str, Floats] | None = None  # position and effort of one joint in all messages (N,)
+    # of one joint, or of a part of a message, in all messages: field -> (N,) or (N, n).
+    joint: Mapping[str, Floats] | None = None
 
     def values(self, path: str) -> NDArray[Any]:
         """A field of the kept messages (K,) or (K, n); of the one joint, where messages hold several."""
@@ -48,7 +49,7 @@ class _Topic:
 
     def compared(self) -> Floats | None:
         """What two messages with one stamp must agree in (K, m); None for topics that no result is made from."""
-        fields = _OF_JOINT if self.joint is not None else _SIGNALS.get(self.name, ())[:1]
+        fields = _OF_JOINT if self.name in _JOINT_STATES else _SIGNALS.get(self.name, ())[:1]
         return np.column_stack([np.asarray(self.values(name), float) for name in fields]) if fields else None
 
     def values_or_nan(self, path: str, *shape: int) -> NDArray[Any]:
@@ -136,10 +137,14 @@ def _chosen(
 ) -> dict[str, _Topic]:
     """The package's topics by logical name, decoded and in order, of one joint and one clock."""
     chosen = {name: _decode(bag.path, name, raw) for name, raw in choose_topics(bag, topics, namespace).items()}
+    whole = chosen.pop("joint_sample", None)
+    if whole is not None:
+        chosen = {name: topic for name, topic in chosen.items() if name not in _OF_WHOLE}
     live = chosen["joint_states"].decoded if "joint_states" in chosen else None
     for topic in (chosen[name] for name in _JOINT_STATES if name in chosen):
         topic.joint, there = values_of_joint(bag, topic.actual, topic.decoded, joint_name, live)
         topic.keep = topic.keep[there[topic.keep]]
+    chosen = chosen if whole is None else _parts(whole) | chosen
     if cut:
         _cut(chosen, bag.issues)
     for topic in chosen.values():
@@ -149,6 +154,31 @@ def _chosen(
         _sort(bag.path, topic, bag.issues)
     _one_clock(bag.path, chosen, bag.issues, align)
     return chosen
+
+
+_OF_WHOLE = ("pressure_1", "pressure_2", "valve_state", "pressure_state", "angle_sensor", "measured_joint_states")
+"""Topics whose content ``joint_sample`` has as well; beside it they may have a lower rate."""
+
+
+def _parts(whole: _Topic) -> dict[str, _Topic]:
+    """What the messages of ``joint_sample`` say, as the topics that say it otherwise."""
+    first, second = whole.decoded.fixed("pressure").T
+    voltage, asked = whole.decoded.fixed("voltage"), whole.decoded.fixed("asked_pressure")
+    angle, torque, sensor = (whole.decoded.fixed(name) for name in ("angle", "torque", "angle_sensor"))
+    regulated = np.isfinite(asked).any() and not np.isfinite(voltage).any()
+    fields: dict[str, dict[str, Floats]] = {
+        "pressure_1": {"fluid_pressure": first},
+        "pressure_2": {"fluid_pressure": second},
+        **({"pressure_state": {"pressure": asked}} if regulated else {"valve_state": {"voltage": voltage}}),
+        "measured_joint_states": {"position": angle, "effort": torque},
+        "angle_sensor": {"position": sensor, "effort": np.full(len(sensor), np.nan)},
+    }
+    needed = () if regulated else ("pressure_1", "pressure_2", "valve_state")
+    return {
+        name: replace(whole, name=name, stamp_ns=whole.stamp_ns.copy(), keep=whole.keep.copy(), joint=values)
+        for name, values in fields.items()
+        if name in needed or any(np.isfinite(column).any() for column in values.values())
+    }
 
 
 def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Convert, also: Sequence[str]) -> Recording:
@@ -169,7 +199,8 @@ def _recording(bag: RawBag, chosen: Mapping[str, _Topic], convert: _Convert, als
     )
     estimate, reference, sensor = (chosen.get(name) for name in ("joint_estimate", "reference", "angle_sensor"))
     remembered, joints = chosen.get("filter_checkpoint"), joints_in(bag)
-    mine = [joint for joint in joints if TOPICS[state].resolve(joint) == chosen[state].actual]
+    own = (TOPICS[state], TOPICS["joint_sample"])
+    mine = [joint for joint in joints if chosen[state].actual in [topic.resolve(joint) for topic in own]]
     return Recording(
         path=bag.path,
         stamp_ns=samples,

@@ -60,6 +60,12 @@ _TABLE = (
         "sensor_msgs/msg/JointState",
         "encoder angle [rad] as an input of the estimator, where it is told to use one (angle_sensor: encoder)",
     ),
+    Topic(
+        "joint_sample",
+        "joint_sample",
+        "pam_antagonist_msgs/msg/JointSample",
+        "all of a sample in one message, from a node with samples: one [Pa, V, rad, N m]",
+    ),
     Topic("valve_command", "valve_command", "pam_antagonist_msgs/msg/ValveCommand", "voltages asked for [V]"),
     Topic(
         "pressure_command",

@@ -19,6 +19,7 @@ POLICY = config_dir() / "security" / "policy.xml"
 NODES = ("plant", "bridge", "estimator", "monitor", "controller", "recorder")
 SOURCES = {"plant", "bridge"}
 PUBLISHERS = {
+    "joint_sample": SOURCES,
     "pressure_1": SOURCES, "pressure_2": SOURCES, "valve_state": SOURCES, "pressure_state": SOURCES,
     "angle_sensor": SOURCES, "measured_joint_states": SOURCES, "measured_external_torque": SOURCES,
     "valve_command": {"controller"}, "pressure_command": {"controller"}, "joint_estimate": {"estimator"},
@@ -78,7 +79,10 @@ def test_who_may_hear() -> None:
     found = rules()
     for node, topics in (
         *((source, {"valve_command", "pressure_command"}) for source in SOURCES),
-        *((node, {*SAMPLE_TOPICS, "pressure_state", "angle_sensor"}) for node in ("estimator", "monitor")),
+        *(
+            (node, {*SAMPLE_TOPICS, "pressure_state", "angle_sensor", "joint_sample"})
+            for node in ("estimator", "monitor")
+        ),
         ("controller", {"joint_estimate", "reference", "valve_state", "pressure_state", "rig", "health"}),
     ):
         heard = found[node]["topic", "subscribe"] - {"/clock", "/parameter_events"}
@@ -172,7 +176,11 @@ def check_node(name: str, has: Rules) -> None:
         assert there <= allowed[key], (name, key)
     # What a rig or a parameter has to ask for.
     optional = {"/pam/measured/external_torque", "/pam/angle_sensor", "/pam/external_torque"}
-    optional |= {"/pam/pressure_state", "/pam/pressure_command"}  # of a joint with pressure regulators
+    optional |= {
+        "/pam/joint_sample",
+        "/pam/pressure_state",
+        "/pam/pressure_command",
+    }  # of a joint with pressure regulators
     assert not allowed["topic", "publish"] - has["topic", "publish"] - optional
 
 

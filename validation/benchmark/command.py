@@ -20,8 +20,9 @@ import statistics
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -46,6 +47,9 @@ _OF: dict[str, dict[str, object]] = {
     "plant": {"mismatch": 0.01, "wait_for_subscribers": 2}, "monitor": {"folder": "", "log_book": False}
 }  # fmt: skip
 """Parameters of single nodes."""
+_RECORDER = "record"
+_ONE = {"samples": "one", "topic_rate": 100.0}
+"""Parameters of all nodes where a sample is one message, and people see every tenth."""
 
 
 def parser() -> common.Parser:
@@ -110,28 +114,37 @@ def _command(name: str, *arguments: str) -> float:
 
 
 def _pipeline(rig: str, duration: float) -> dict[str, float]:
-    """Run the pipeline for a time [s], and again with the monitor: what became of samples, and what nodes took."""
+    """Run the pipeline for a time [s], with the monitor, and with one message a sample: what nodes took."""
     alone, watched = (_run(rig, duration, nodes) for nodes in (_NODES, (*_NODES, "monitor")))
+    one = _run(rig, duration, _NODES, _ONE)
     ratios = {
         f"pressure to command, {name}, with the monitor, of that without [-]":
             watched[f"pressure to command, {name} [ms]"] / alone[f"pressure to command, {name} [ms]"]
         for name in ("median", "99 %")
     }  # fmt: skip
+    shares = [f"{name}, share of a core" for name in (*_NODES, _RECORDER)]
+    ratios |= {
+        f"{name} with one message a sample, of that with topics [-]": one[f"{name} [%]"] / alone[f"{name} [%]"]
+        for name in shares
+    }
+    ratios |= {f"{name}, one message a sample": one[name] for name in one if name.startswith("samples")}
     return {**alone, **{name: value for name, value in watched.items() if name.startswith("monitor")}, **ratios}
 
 
-def _run(rig: str, duration: float, names: Sequence[str]) -> dict[str, float]:
+def _run(
+    rig: str, duration: float, names: Sequence[str], given: Mapping[str, object] = MappingProxyType({})
+) -> dict[str, float]:
     from pam_antagonist.nodes.client import ReferenceClient
 
     path = str(Path(rig).resolve()) if rig.endswith((".yaml", ".yml")) else rig
-    nodes = {name: {"rig": path, **_OF.get(name, {})} for name in (*names[1:], names[0])}
+    nodes = {name: {"rig": path, **_OF.get(name, {}), **given} for name in (*names[1:], names[0])}
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as folder:
         try:
             with running(Path(folder), nodes) as processes:
                 with ReferenceClient() as watch:
                     processes.wait(watch.missing)
                 time.sleep(_SETTLE)
-                taken = {node: processes.running[node] for node in names}
+                taken = {node: processes.running[node] for node in (*names, _RECORDER)}
                 before = {node: _taken(process) for node, process in taken.items()}
                 begin = time.monotonic()
                 while (elapsed := time.monotonic() - begin) < duration:
@@ -159,7 +172,7 @@ def _run(rig: str, duration: float, names: Sequence[str]) -> dict[str, float]:
         "messages out of order": float(sum(found.out_of_order.values())),
         "drift against the machine's clock [ms]": (last - first) * 1e-6,
     }
-    for node in names:
+    for node in taken:
         (memory, cpu), (now, spent) = before[node], after[node]
         out[f"{node}, resident memory [MB]"] = now
         out[f"{node}, growth of it [MB]"] = now - memory
