@@ -67,7 +67,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not chosen:
         raise BadInput(f"--only {only}: no such case; expected a part of a name, or a kind: {_KINDS}")
     waiting = [name for name in chosen if name in joints and name not in done]
-    work = (delayed(_answer)(name, joints[name]) for name in waiting)
+    work = (delayed(answer)(name, joints[name]) for name in waiting)
     answers = Parallel(arguments.jobs, return_as="generator_unordered")(work)
     with counted(len(waiting), "oracle") as advance:
         for entry in answers:
@@ -91,7 +91,7 @@ def read(path: Path) -> dict[str, Entry]:
         raise BadInput(f"{path}: no file of an oracle ({error}); expected what oracle writes") from None
 
 
-def _answer(name: str, made: frozen.Made) -> Entry:
+def answer(name: str, made: frozen.Made) -> Entry:
     """A case's entry, from the ``report.json`` that ``close_loop`` would write."""
     with made() as joint:
         truth, wall, cpu = joint.truth, time.perf_counter(), time.process_time()

@@ -136,7 +136,8 @@ SAMPLES = Parameter("samples", "topics", choices=("topics", "one")).about(
     "message on joint_sample, which takes less of the processor. All nodes of a joint need the same"
 )
 TOPIC_RATE = Parameter("topic_rate", 0.0, 0.1, 1e4, left=0.0).about(
-    "with samples: one, rate of the other topics for people and larger stacks [Hz]; 0: full rate"
+    "with samples: one, rate of the other topics for people and larger stacks [Hz]; 0: full rate; excite and "
+    "commission look at these: at least 100"
 )
 VALVE_OWNER = (
     *SAFETY,
