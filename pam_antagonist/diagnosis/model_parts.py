@@ -53,8 +53,12 @@ _ANGLE, _PRESSURE = 0.005, 7e3
 """Errors that say nothing where only a data sheet tells the law: of the angle as a share of the range that was seen, of
 the pressures [Pa] over a second. That of the torque is the fit's share of one muscle's torque: a share of the torque
 that was seen would grow with a locked recording, and hide what a free joint shows."""
-_DISSIPATES = {"friction": {"coulomb": 0.0, "stribeck": 0.0}, "hysteresis": {"amplitude": 0.0}}
-"""Least sizes of effects that take energy. The base has friction of its own, which is free: none has to be undone."""
+_DISSIPATES = {
+    "friction": {"coulomb": 0.0, "stribeck": 0.0}, "hysteresis": {"amplitude": 0.0}, "creep": {"share": 0.0},
+    "thermal": {"share": 0.0},
+}  # fmt: skip
+"""Least sizes of effects that take energy. Friction, force and polytropic index of the base are free: less than nothing
+of such an effect, which took the errors of a fresh rig with nothing wrong, stands for something else."""
 _ANEW_S = air_stage.HORIZONS[-1]
 
 

@@ -54,7 +54,7 @@ def parser() -> common.Parser:
     out.add_argument("file", type=Path, metavar="FILE", help="the CSV file")
     frame.add_docs(out)
     out.add_argument("--jobs", type=JOBS, default=2, metavar="N", help="threads of our model's fits (default: 2)")
-    out.shared("--json")
+    frame.add_new_json(out, "the figures")
     return out
 
 
