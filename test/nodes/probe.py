@@ -172,6 +172,12 @@ class Probe:
     def refer(self, mode: int, value: float) -> None:
         self.publisher("reference").publish(JointReference(mode=mode, value=value))
 
+    def insist(self, mode: int, value: float) -> None:
+        """Refer for half a second: where two processes have just met, a busy machine may lose a first message."""
+        for _ in range(10):
+            self.refer(mode, value)
+            self.wait(0.05)
+
     def call(self, kind: Any, name: str, **fields: Any) -> Any:
         """The answer of a service below ``/pam``."""
         if self._caller is None:  # a node of its own: an executor would take the probe's messages

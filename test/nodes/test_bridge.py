@@ -114,7 +114,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> Run:
     with Processes(folder) as processes, Probe("diagnostics") as probe:
         line = Line(folder, processes, probe, ["--rig", "shin2022", "--drift", "50", *faults])
         line.start({}, safe, safe)
-        probe.refer(0, math.radians(10.0))
+        probe.insist(0, math.radians(10.0))
         probe.until(lambda: line.logged("-nan"), 30.0, "the last fault's end")
         probe.wait(0.2)
         cleared = [probe.trigger("bridge/clear_stop") for _ in range(2)]
@@ -145,8 +145,8 @@ def regulated(tmp_path_factory: pytest.TempPathFactory, module_domain: None) -> 
     with Processes(folder) as processes, Probe("diagnostics") as probe:
         line = Line(folder, processes, probe, device)
         line.start({**rig, "max_age": 0.5}, {"law": "model"}, {**owner, **patient})
-        probe.refer(0, GOAL)
-        probe.wait(2.5)
+        probe.insist(0, GOAL)
+        probe.wait(2.0)
         return line.end(Converter(load_calibration(hardware)).output(SAFE_PRESSURE))
 
 
