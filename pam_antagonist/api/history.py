@@ -31,8 +31,6 @@ __all__ = ["HistoryResult", "Limit", "history", "log"]
 _STEP = 0.05
 """Of a fitted value, for a slope, in standard deviations of its prior."""
 _ROUND = 0.5e5  # [Pa]
-_WIDTH = 2.0 * 1.96
-"""Of a 95 % interval, in standard deviations."""
 
 
 def history(
@@ -165,7 +163,7 @@ def _of_episodes(result: EpisodesIdentifyResult) -> dict[str, Any]:
         if not interval.is_known:
             continue
         unit, factor = identify_episodes.unit(rig, name)
-        std = factor * (interval.high - interval.low) / _WIDTH
+        std = factor * interval.std
         values[identify_episodes.value_name(rig, name)] = (factor * interval.value, std, unit)
     errs = result.found.errors["identified"][0].value
     said = f"the model's angle errs by {errs:.2g}° on later episodes"

@@ -211,11 +211,11 @@ def _remaining(
     """What the last model leaves of the angle, described on the fitted episodes; none where it is hardly noise."""
     whole, later = episodes.whole
     some = thinned(np.concatenate([episodes.held.pool, later]), _USED)
-    part, model = (whole.take(some), named) if weak is None else weak[0].part(some, weak[1].numbers)
-    model = named if weak is None else weak[1].model
+    seen = whole.take(some)
+    part, model = (seen, named) if weak is None else (weak[0].part(some, weak[1].numbers)[0], weak[1].model)
     states = part.course(model)
     values, counts = np.degrees(part.apart(states[:, :1])[:, 0]), _counts(part)
-    alone = np.degrees(whole.take(some).apart(whole.take(some).simulated(named)))[counts, 0]
+    alone = np.degrees(seen.apart(seen.simulated(named)))[counts, 0]
     noise = float(np.sqrt(np.mean(alone**2) / max(left.value, 1.0)))
     over = float(np.sqrt(np.mean(values[counts] ** 2))) / noise
     if over**2 <= ABOVE_NOISE:

@@ -205,7 +205,8 @@ def describe(model: Model, clearest: bool = False) -> list[RemainingResidual]:
         for k, channel in enumerate(experiment.titles):
             if times[k] >= least:
                 scaled = whole[:, k] * channel.factor, float(experiment.noise[k] * channel.factor)
-                out.append(_described(experiment, channel, float(times[k]), scaled, late, around))
+                step = experiment.trial.block_s
+                out.append(described(experiment.trial.name, channel, float(times[k]), scaled, late, around, step))
     return out
 
 
@@ -219,10 +220,11 @@ def of_stretch(experiment: Experiment, point: Point, stretch: Stretch) -> Remain
     channel = experiment.titles[k]
     values = replace(experiment, judged=()).residual(point, whole=True)[:, k] * channel.factor
     scaled = values, float(experiment.noise[k] * channel.factor)
-    described = _described(experiment, channel, stretch.times_noise, scaled, ~rows, surroundings(experiment, point))
+    around = surroundings(experiment, point)
+    found = described(experiment.trial.name, channel, stretch.times_noise, scaled, ~rows, around, block)
     return replace(
-        described, begin_s=stretch.begin_s, end_s=stretch.end_s,
-        form=replace(described.form, held_out=float("nan")),
+        found, begin_s=stretch.begin_s, end_s=stretch.end_s,
+        form=replace(found.form, held_out=float("nan")),
     )  # fmt: skip
 
 
@@ -244,28 +246,9 @@ def _of_equations(experiment: Experiment, point: Point, around: Surroundings) ->
         over = float(np.sqrt(np.mean(errors.values[~late, k] ** 2))) / errors.noise[k]
         if over >= thresholds.CLEAR_EQUATION_ERROR:
             scaled = errors.values[:, k], float(errors.noise[k])
-            out.append(_described(experiment, EQUATIONS[k], over, scaled, late, windows, errors.span))
+            step = errors.span * experiment.trial.block_s  # a value covers several blocks
+            out.append(described(experiment.trial.name, EQUATIONS[k], over, scaled, late, windows, step))
     return out
-
-
-def _described(
-    experiment: Experiment,
-    channel: Channel,
-    over: float,
-    scaled: tuple[Floats, float],
-    late: NDArray[np.bool_],
-    around: Surroundings,
-    span: int = 1,
-) -> RemainingResidual:
-    """A residual in words.
-
-    Args:
-        over: times its noise.
-        scaled: the residual (N,) of the whole recording and the standard deviation of its noise, in the channel's unit.
-        late: which of its values are not described (N,).
-        span: block means that one value covers.
-    """
-    return described(experiment.trial.name, channel, over, scaled, late, around, span * experiment.trial.block_s)
 
 
 def described(
@@ -277,7 +260,14 @@ def described(
     around: Surroundings,
     step: float,
 ) -> RemainingResidual:
-    """A residual in words, as of :func:`_described`; `step`: time between two of its values [s]."""
+    """A residual in words.
+
+    Args:
+        over: times its noise.
+        scaled: the residual (N,) of the whole recording and the standard deviation of its noise, in the channel's unit.
+        late: which of its values are not described (N,).
+        step: time between two of its values [s].
+    """
     values, noise = scaled
     begin, end = above_noise(values[:, None], np.array([noise]))
     early, then = values[~late], around.take(~late)

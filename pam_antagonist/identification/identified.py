@@ -84,10 +84,9 @@ class ParameterEntry(NamedTuple):
     @classmethod
     def of_interval(cls, name: str, rig: Rig, start: float, found: Interval) -> ParameterEntry:
         """A value that has a 95 % interval and no prior."""
-        std = (found.high - found.low) / (2.0 * 1.96)
         reason = "" if found.is_known else "the episodes do not determine it"
         return cls(
-            name, start, found.value, std, _relative(start, found.value), math.nan, None, found.is_known, reason,
+            name, start, found.value, found.std, _relative(start, found.value), math.nan, None, found.is_known, reason,
             recording_that_shows(name) if reason else None, unit_of(rig, name),
         )  # fmt: skip
 

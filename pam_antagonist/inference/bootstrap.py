@@ -49,6 +49,11 @@ class Interval(NamedTuple):
         """Whether there is an interval."""
         return bool(np.isfinite(self.low) and np.isfinite(self.high))
 
+    @property
+    def std(self) -> float:
+        """Standard deviation of a normal value with this interval; NaN where there is none."""
+        return (self.high - self.low) / (2.0 * 1.96)
+
 
 def _blocks(episodes: int) -> int:
     return max(round(episodes / BLOCK), min(episodes, _LEAST_BLOCKS))

@@ -6,7 +6,6 @@ topic ``also/NAME``, or one that is named in full, is looked for until it is the
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from pam_antagonist.nodes import qos
 from pam_antagonist.nodes.arrivals import listed
 from pam_antagonist.nodes.health import Health, Level, judged
+from pam_antagonist.nodes.wire import class_of
 from pam_antagonist.recording.signals import KINDS, topic_of
 from pam_antagonist.recording.topics import ALSO
 
@@ -162,9 +162,3 @@ def found_signal(node: Node, name: str) -> tuple[str, str] | None:
             if kind in KINDS and node.count_publishers(topic):
                 return topic, kind
     return None
-
-
-def class_of(kind: str) -> Any:
-    """The class of a message type such as ``sensor_msgs/msg/FluidPressure``."""
-    package, _, name = kind.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -18,12 +18,11 @@ from typing_extensions import override
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.further import class_of
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, judged
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import Parameter
 from pam_antagonist.nodes.spin import run_node
-from pam_antagonist.nodes.wire import Gaps, message_class, number_of, take
+from pam_antagonist.nodes.wire import Gaps, class_of, message_class, number_of, take
 from pam_antagonist.program import typed
 from pam_antagonist.recording.bag_files import FileLimits
 from pam_antagonist.recording.signals import KINDS

@@ -128,8 +128,13 @@ def layout(body: Body, frame_bytes: int, order: str = "<") -> struct.Struct:
 
 def message_class(topic: str) -> Any:
     """The class of a topic's messages. `topic`: logical name."""
-    package, _, kind = TOPICS[topic].type.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), kind)
+    return class_of(TOPICS[topic].type)
+
+
+def class_of(kind: str) -> Any:
+    """The class of a message type such as ``sensor_msgs/msg/FluidPressure``."""
+    package, _, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
 class Outgoing:

@@ -53,8 +53,6 @@ _WORDS = {
     "creep": "creep of the muscles",
     WEAK_LAWS: "torque and friction that go a little with all that was measured",
 }
-_WIDTH = 2.0 * 1.96
-"""Width of a 95 % interval, in standard deviations."""
 _BAR = 1e5
 """[Pa] Slopes are by a bar."""
 
@@ -328,7 +326,7 @@ class EpisodesDiagnoseResult(Result):
             number = str(signals.index(signal) + 1) if signal else ""
             start, removed = f"effects.{name}.", gains[title]
             sizes = {
-                path.removeprefix(start): Size(one.value, (one.high - one.low) / _WIDTH, unit_of(self.joint.rig, path))
+                path.removeprefix(start): Size(one.value, one.std, unit_of(self.joint.rig, path))
                 for path, one in self.found.values.items() if path.startswith(start) and path.endswith(number)
             }  # fmt: skip
             gain = None if removed is None else removed.value

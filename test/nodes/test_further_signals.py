@@ -155,7 +155,7 @@ def test_what_was_estimated_with_a_signal_is_replayed_bit_by_bit(tmp_path: Path,
             now = probe.now_ns()
             for message in (*pressures, valves, other):
                 message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
-            beside.publish(other)  # first: one that comes 20 ms after its sample is not used
+            beside.publish(other)  # first: one that comes 10 to 20 ms after its sample is not used
             probe.publisher("pressure_1").publish(pressures[0])
             probe.publisher("valve_state").publish(valves)
             probe.publisher("pressure_2").publish(pressures[1])
