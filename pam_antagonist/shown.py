@@ -20,6 +20,11 @@ DIVERGES = "that of a model that diverges"
 """Text for an infinite error."""
 
 
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence: ``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
 class Shown:
     """A result with a short ``repr``, and its tables in a notebook. Its dataclass needs ``repr=False``."""
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pam_antagonist.recording.stamps import LARGEST_DELAY, ONE_STAMP, unstamped
+from pam_antagonist.shown import listed
 
 _RECENT = 200
 """Stamps of each topic that are kept. At 1 kHz these are 0.2 s: topics may be that far apart in the queues."""
@@ -81,8 +82,3 @@ def _time(ns: int) -> str:
         if ns >= scale:
             return f"{ns / scale:.3g} {unit}"
     return f"{ns} ns"
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names in a sentence."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

@@ -14,7 +14,6 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.estimation.memory import Checkpoint
 from pam_antagonist.nodes import qos, wire
-from pam_antagonist.nodes.arrivals import listed
 from pam_antagonist.nodes.further import SignalTopics, SignalValues
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged, too_slow
 from pam_antagonist.nodes.node import PamNode
@@ -30,6 +29,7 @@ from pam_antagonist.nodes.parameters import (
 from pam_antagonist.nodes.sources import SampleSources, SourceFinding, several
 from pam_antagonist.nodes.spin import run_node
 from pam_antagonist.recording.topics import STATE_TOPICS, TOPICS
+from pam_antagonist.shown import listed
 from pam_antagonist_msgs.msg import FilterCheckpoint, JointEstimate
 from pam_antagonist_msgs.srv import SetState
 

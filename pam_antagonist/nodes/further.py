@@ -13,11 +13,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pam_antagonist.nodes import qos
-from pam_antagonist.nodes.arrivals import listed
 from pam_antagonist.nodes.health import Health, Level, judged
 from pam_antagonist.nodes.wire import class_of
 from pam_antagonist.recording.signals import KINDS, topic_of
 from pam_antagonist.recording.topics import ALSO
+from pam_antagonist.shown import listed
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from pam_antagonist.nodes.arrivals import listed
+from pam_antagonist.shown import listed
 
 
 def parameter_files(arguments: Sequence[str]) -> list[Path]:

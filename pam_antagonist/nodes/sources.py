@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from pam_antagonist.nodes.arrivals import disagreement, listed, mixed
+from pam_antagonist.nodes.arrivals import disagreement, mixed
 from pam_antagonist.nodes.health import Level, publishers_of
 from pam_antagonist.recording.topics import TOPICS
+from pam_antagonist.shown import listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -302,11 +302,6 @@ def joint_text(joint: JointFacts) -> str:
     return f"{joint.condition} at {math.degrees(joint.lock_angle_rad):.1f}°"
 
 
-def joined(parts: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-
-
 def numbers(replays: Sequence[Replay]) -> dict[str, Any]:
     """Content of ``report.json``: of one recording its numbers, of several those of each in a list."""
     rig, name = replays[0].rig, replays[0].tuning

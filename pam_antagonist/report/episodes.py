@@ -22,7 +22,6 @@ from pam_antagonist.inference.pressure_driven import PressureDriven
 from pam_antagonist.inference.total_slopes import LEVEL, PARTS, TotalSlope
 from pam_antagonist.inference.weak_laws import WEAK_LAWS
 from pam_antagonist.program import versions
-from pam_antagonist.replays.result import joined
 from pam_antagonist.report.close_loop_findings import left
 from pam_antagonist.report.document import Document, Findings, Section, Statement, Table, Tile, Tiles, note, page, warn
 from pam_antagonist.report.figure import BAND, ESTIMATE, Axis, Band, Figure, Line, Panel, Reference
@@ -43,7 +42,7 @@ from pam_antagonist.report_keys import CLOSE_LOOP, with_all_keys
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.units import assumption, unit_of, unread
-from pam_antagonist.shown import MISSING, number, percent
+from pam_antagonist.shown import MISSING, listed, number, percent
 from pam_antagonist.strict_json import picked
 
 _WORDS = {
@@ -77,7 +76,7 @@ def verdict(diagnosis: EpisodeDiagnosis) -> str:
     errors = [row.later.value for row in (diagnosis.rows[0], diagnosis.rows[1], diagnosis.rows[-1])]
     change = "falls" if errors[1] < errors[0] else "changes"
     then = "to" if errors[2] < errors[1] else "is"
-    names = joined(list(map(in_words, diagnosis.effects)))
+    names = listed(list(map(in_words, diagnosis.effects)))
     what = f"What the model lacks is {names}."
     if diagnosis.verdict == UNEXPLAINED:
         what = (
@@ -179,9 +178,9 @@ def _about_weak_laws(diagnosis: EpisodeDiagnosis) -> list[Statement]:
         "a meaning. What they do together has: see the slopes of the whole torque and friction."
     )]  # fmt: skip
     if certain:
-        out.append(note(f"In all parts of the recording {joined([_in_short(one) for one in certain])}."))
+        out.append(note(f"In all parts of the recording {listed([_in_short(one) for one in certain])}."))
     if others:
-        out.append(warn(f"Of this day only: {joined([_in_short(one) for one in others])}. The parts of the recording "
+        out.append(warn(f"Of this day only: {listed([_in_short(one) for one in others])}. The parts of the recording "
                         "differ in that."))  # fmt: skip
     return out
 

@@ -22,7 +22,6 @@ from pam_antagonist.replays.result import (
     ReplayReport,
     columns,
     covered,
-    joined,
     joint_text,
     judged,
     numbers,
@@ -51,7 +50,7 @@ from pam_antagonist.report.figure import Figure
 from pam_antagonist.report.replay_figures import filter_figures, replay_figures
 from pam_antagonist.report.result import DataFrame, Result, frame_of
 from pam_antagonist.rig.units import assumption
-from pam_antagonist.shown import MISSING, number, percent
+from pam_antagonist.shown import MISSING, listed, number, percent
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,7 +259,7 @@ def verdict(reports: Sequence[ReplayReport]) -> str:
         which = f"In none of the {len(reports)} recordings was angle or" if several else "Neither angle nor"
         return f"{which} torque measured, so the estimate was compared with nothing.{held}"
     what = f"root mean square errors, the worst of {len(reports)} recordings" if several else "root mean square error"
-    return f"From the two pressures alone, the estimator gives {joined(known)} ({what}).{held}"
+    return f"From the two pressures alone, the estimator gives {listed(known)} ({what}).{held}"
 
 
 def findings(report: ReplayReport) -> tuple[Statement, ...]:
@@ -312,10 +311,10 @@ def _honesty(known: Sequence[Covered]) -> list[Statement]:
     if not known:
         return []
     shares = [f"{percent(item.coverage)} of the measured {item.what}s" for item in known]
-    holds = f"its 95 % interval holds {joined(shares)}"
+    holds = f"its 95 % interval holds {listed(shares)}"
     how = [item.honesty for item in known]
     if "too small" in how:
-        which = joined([item.what for item in known if item.honesty == "too small"])
+        which = listed([item.what for item in known if item.honesty == "too small"])
         return [warn(f"The filter's covariance is too small for the {which}: {holds}.")]
     if "not told" in how:
         return [note(f"Too few independent errors to judge the filter's covariance: {holds}.")]
@@ -323,7 +322,7 @@ def _honesty(known: Sequence[Covered]) -> list[Statement]:
     if not wide:
         return [good(f"The filter's covariance is honest: {holds}.")]
     times = [f"that of the {item.what} {number((item.errors.width or 0.0) / 1.96, 2)} times" for item in wide]
-    larger = f"The standard deviations are larger than the RMS errors: {joined(times)}."
+    larger = f"The standard deviations are larger than the RMS errors: {listed(times)}."
     return [note(f"The filter's covariance is larger than needed: {holds} and is wide. {larger}")]
 
 
@@ -373,7 +372,7 @@ def _live(report: ReplayReport) -> list[Statement]:
 
 def _not_compared(live: LiveComparison, report: ReplayReport) -> Statement:
     """Why part of the live estimate was not compared, and the differences there."""
-    why = joined(live.why_not)
+    why = listed(live.why_not)
     text = f"{live.not_compared} live estimates were not compared bit for bit: {why}."
     if live.apart_deg is not None:
         largest, last = (number(value, 2) for value in live.apart_deg)
@@ -420,7 +419,7 @@ def _quality(report: ReplayReport) -> list[Statement]:
         (counts.restarts, "restarts after a long gap or a lost estimate"),
     )
     if seen := [f"{count} {text}" for count, text in events if count]:
-        out.append(note(f"The filter met {joined(seen)}."))
+        out.append(note(f"The filter met {listed(seen)}."))
     if report.joint.source == "nothing":
         out.append(note("The recording does not say whether the joint could move. It was taken as free."))
     if report.joint.source == "stop":

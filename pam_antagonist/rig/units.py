@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.rig.schema import Rig
-from pam_antagonist.shown import number
+from pam_antagonist.shown import listed, number
 from pam_antagonist.strict_yaml import described, fields_of
 
 
@@ -71,8 +71,7 @@ def unit_of(rig: Rig, name: str) -> str:
 
 def unread(rig: Rig) -> str:
     """What of a rig plant, controller and simulate do not read, in words; empty if nothing."""
-    *others, last = rig.signals or [""]
-    names = f"{', '.join(others)} and {last}" if others else last
+    names = listed(tuple(rig.signals))
     parts = [f"do not read {names} (they take the value in the rig file throughout)"] if names else []
     parts += ["leave out weak laws"] if rig.weak_laws is not None else []
     if not parts:
