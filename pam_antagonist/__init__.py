@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from pam_antagonist.api.adapt import adapt
     from pam_antagonist.api.diagnose import DiagnoseResult, IdentifyResult, diagnose, identify
     from pam_antagonist.api.excite import ExciteResult, excite
     from pam_antagonist.api.history import HistoryResult, history
@@ -35,6 +36,7 @@ _NAMES = {
     "recording.writer": ("write_bag",),
     "rig.schema": ("Rig",),
     "rig.file": ("load_rig",),
+    "api.adapt": ("adapt",),
     "api.diagnose": ("DiagnoseResult", "IdentifyResult", "diagnose", "identify"),
     "api.excite": ("ExciteResult", "excite"),
     "api.history": ("HistoryResult", "history"),
@@ -59,6 +61,7 @@ __all__ = [
     "Rig",
     "StaticResult",
     "__version__",
+    "adapt",
     "check",
     "diagnose",
     "excite",

@@ -26,6 +26,7 @@ _COMMANDS = {
     "check": "is this a recording of this rig, in the right units?",
     "replay": "run recordings through the estimator again, report its errors",
     "identify": "find a rig's parameters, noise and tuning from recordings",
+    "adapt": "update an identified rig by one more recording",
     "close_loop": "find the physical effect that the model lacks, with errors before and after",
     "simulate": "make a recording of a simulated joint",
     "import_csv": "convert a CSV, MATLAB, numpy or Parquet file to a recording",

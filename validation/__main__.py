@@ -18,6 +18,7 @@ COMMANDS: dict[str, Command] = {
         "run commission on twelve rigs of new_rig and joints drawn from their priors",
     ),
     "rigs": Command("validation.rigs.fresh:main", "identify fresh virtual rigs and judge the result"),
+    "days": Command("validation.rigs.days:main", "follow fresh virtual rigs that drift from day to day, with adapt"),
     "monitor_study": Command(
         "validation.monitor_study:main", "measure what the monitor finds, how late, and how often it alarms for nothing"
     ),

@@ -19,7 +19,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.episode_filter import with_filter
 from pam_antagonist.identification.episodes import identify as _identify_episodes
 from pam_antagonist.identification.from_pressures import identify as _identify
-from pam_antagonist.identification.result import held_of
+from pam_antagonist.identification.result import FromPressures, held_of
 from pam_antagonist.identification.sealed import identify_sealed
 from pam_antagonist.inference.episodes import whole_episodes
 from pam_antagonist.inference.expected import with_known_curves
@@ -106,14 +106,24 @@ def identify(
         read = named([one.in_one_piece() for one in given], chosen, joint, lock_angle)
         return _sealed(read, chosen, holdout, seed, progress)
     read = named(given, chosen, joint, lock_angle)
+    refuse_sealed(read, chosen)
+    found = _identify(read, chosen, holdout, starts, seed, jobs, progress, free=free, frozen=freeze)
+    return result_of(found, read, seed)
+
+
+def refuse_sealed(read: Sequence[_Named], rig: Rig) -> None:
+    """Refuse recordings of sealed muscles for a rig that lets air through its valves."""
     for recording, _, name in read:
         if sealed_muscles(recording.path):
             raise BadInput(
-                f"{name}: its muscles were sealed, as the bag says, but rig {chosen.name} lets air through its valves; "
+                f"{name}: its muscles were sealed, as the bag says, but rig {rig.name} lets air through its valves; "
                 "expected a rig file with valves.sealed: true, such as config/rigs/sealed_joint.yaml"
             )
-    found = _identify(read, chosen, holdout, starts, seed, jobs, progress, free=free, frozen=freeze)
-    identified, *own = (with_known_curves(each, chosen) for each in (found.rig, *found.own))
+
+
+def result_of(found: FromPressures, read: Sequence[_Named], seed: int = 0) -> IdentifyResult:
+    """The result of an identification from measured pressures."""
+    identified, *own = (with_known_curves(each, found.start) for each in (found.rig, *found.own))
     return IdentifyResult(identified, tuple(own), found, found.held, tuple(read), seed).named()
 
 

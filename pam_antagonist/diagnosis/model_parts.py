@@ -40,10 +40,8 @@ AIR: Part = "chambers and valves"
 
 _HOOKS: Mapping[Part, frozenset[str]] = {
     JOINT: frozenset({"contraction_force", "muscle_force", "coulomb_torque", "joint_torque"}),
-    AIR: frozenset({
-        "spool_voltage", "open_rate", "supply_change", "mass_loss", "cooling", "valve_pressure_rate", "asked_pressure",
-    }),
-}  # fmt: skip
+    AIR: joint_stage.AIR_HOOKS,
+}
 """Where an effect acts says which part of the model it belongs to."""
 _IN_THE_BASE = (
     "load_torque", "limb_weight", "friction_by_pressure", "valve_offset", "regulator_lag", "regulator_limits",

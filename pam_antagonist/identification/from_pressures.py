@@ -89,6 +89,7 @@ def identify(
     free: Sequence[str] = (),
     frozen: Sequence[str] = (),
     encoder: bool = False,
+    walk: Callable[[Unknown], Unknown] | None = None,
 ) -> FromPressures:
     """Identify a rig.
 
@@ -104,6 +105,7 @@ def identify(
         free: names, or beginnings of names, of parameters that may move beside the usual ones.
         frozen: names, or beginnings of names, of parameters that may not move.
         encoder: whether the encoder of a known rig may read too high and too late; those of data sheets always may.
+        walk: a number of a rig that was identified before, with what is known of it today; default: as it was then.
 
     Raises:
         BadInput: recordings that tell too little.
@@ -116,8 +118,10 @@ def identify(
     unknown, unknown_air, notes = _chosen(model, runs, options)
     if encoder and not model.is_from_data_sheets:
         unknown += _encoder(model, runs, jobs)
+    if walk is not None:
+        unknown, unknown_air = ([walk(item) for item in items] for items in (unknown, unknown_air))
     refine = not model.is_from_data_sheets
-    joint = fit_joint(model, runs, starts=starts if refine else max(starts, 2), seed=seed, jobs=jobs,
+    joint = fit_joint(model, runs, starts=starts if refine or walk else max(starts, 2), seed=seed, jobs=jobs,
                       progress=progress, free=unknown, refine=refine)  # fmt: skip
     own, corrected = with_joint(model, joint, recordings)
     steps = [_joint_step(model, runs, joint)]
@@ -147,7 +151,9 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
     named = free_parameters(rig, options.free, options.frozen)
     seen = any(np.isfinite(run.torque).any() or run.moves for run in runs)
     if not rig.is_from_data_sheets:
-        kept = [item for item in named if seen or item.name.startswith((*joint_stage.AIR, *options.free))]
+        kept = [
+            item for item in named if seen or joint_stage.is_of_air(item.name) or item.name.startswith(options.free)
+        ]
         if not kept:
             raise BadInput(
                 "no recording has a measured angle or torque, and pressures alone do not determine the free "
@@ -158,14 +164,14 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
             f"{', '.join(item.name for item in kept)} only; all others stay as configured. To determine the others, "
             "record the angle of a free joint and the torque of a locked one.",
         )  # fmt: skip
-        air = [item for item in kept if item.name.startswith(joint_stage.AIR)]
+        air = [item for item in kept if joint_stage.is_of_air(item.name)]
         return joint_stage.of_joint(rig, kept), air, notes
     more = [item for item in named if item.name.startswith(options.free)] if options.free else []
     both = []
     for usual, of_air in ((joint_stage.unknowns(rig, runs), False), (air_stage.unknowns(rig, runs), True)):
         kept_unknowns = [item for item in usual if not _is_frozen(item, options.frozen)]
         known = {path for item in usual for path in item.paths}
-        further = [item for item in more if item.name.startswith(joint_stage.AIR) == of_air and item.name not in known]
+        further = [item for item in more if joint_stage.is_of_air(item.name) == of_air and item.name not in known]
         both.append([*kept_unknowns, *further])
     return both[0], both[1], ()
 

@@ -25,6 +25,7 @@ from pam_antagonist.inference.unknown import Unknown, parameters
 from pam_antagonist.model import dynamics
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.drive import TORQUE, Inputs
+from pam_antagonist.model.effects import CATALOGUE
 from pam_antagonist.model.equilibrium import initial_state, rest_angle
 from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.recording.rows import curve
@@ -125,13 +126,27 @@ def _unbalanced(run: Run, p: Floats, zero: float, delay: float, stop: float) -> 
     return np.asarray(_imbalances(angle, speed, acceleration, direction, run.smoothed[rows], p))
 
 
-AIR = ("valve_", "gas.", "supply.", "effects.regulator_", "effects.valve_offset.")
+AIR_HOOKS = frozenset({
+    "spool_voltage", "voltage_shift", "open_rate", "open_rate_shift", "supply_change", "mass_loss", "cooling",
+    "swelling", "valve_pressure_rate", "asked_pressure",
+})  # fmt: skip
+"""Where an effect acts on the air: pressures that drive a joint have it in them already."""
+_AIR = ("valve_", "gas.", "supply.")
 """Beginnings of the names of parameters of the air."""
+_EVERYWHERE = "learned"
+
+
+def is_of_air(name: str) -> bool:
+    """Whether a parameter is of chambers, valves or regulators, by its dotted path."""
+    if not name.startswith("effects."):
+        return name.startswith(_AIR)
+    effect = name.split(".")[1]
+    return effect != _EVERYWHERE and bool(AIR_HOOKS & set(CATALOGUE[effect].hooks))
 
 
 def of_joint(rig: Rig, free: Sequence[Unknown]) -> list[Unknown]:
     """Free parameters of the joint; a linear force map is unknown by its values at the middle length and its slopes."""
-    known, out = {item.name: item for item in free if not item.name.startswith(AIR)}, []
+    known, out = {item.name: item for item in free if not is_of_air(item.name)}, []
     for i in (1, 2):
         for kind in "vw":
             slope, intercept = f"muscle_{i}.force.{kind}1", f"muscle_{i}.force.{kind}2"

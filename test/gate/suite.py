@@ -106,11 +106,12 @@ class Gate:
         """Nodes that start and end more than they compute: beside the pipelines, which come first."""
         return self.pytest("nodes", "ros and not realtime", *_files_with("ros"), output=output, nice=nice)
 
-    def pipelines(self) -> int:
-        """What keeps up with the clock has the cores for itself; what failed is tried once more, and said."""
+    def pipelines(self, beside: subprocess.Popen[bytes]) -> int:
+        """What keeps up with the clock comes first on the cores; what failed is tried once more, alone, and said."""
         files = _files_with("realtime")
         if status := self.pytest("pipelines", "realtime", *files).wait():
             print("\nREPEATED, once, since they need the real clock:", flush=True)
+            beside.wait()
             again = ("--last-failed", "--last-failed-no-failures", "none")
             status = self.pytest("pipelines again", "realtime", *again, *files).wait()
         return status
@@ -140,7 +141,7 @@ class Gate:
             idle = self._machine_keeps_up()
             nodes = self.nodes(log, _BEHIND if idle else 0)
             if idle:
-                self.ended("pipelines", self.pipelines())
+                self.ended("pipelines", self.pipelines(nodes))
             self.ended("nodes", nodes.wait())
             log.seek(0)
             print(log.read().decode(errors="replace"), flush=True)

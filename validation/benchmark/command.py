@@ -4,7 +4,8 @@
             Python against the kernel
   replay    the whole replay command against the length of the recording
   pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): lost samples,
-            the time from pressure to command, memory; then again with the monitor beside them
+            the time from pressure to command, memory; then again with the monitor beside them, with one message a
+            sample, and all in one process
 
 Compare ratios rather than times: a busy machine slows both sides of a ratio.
 Status: 0, or 2 for bad input.
@@ -44,7 +45,8 @@ _RUNS = 3
 _SETTLE = 2.0  # after the nodes have started, before memory is looked at [s]
 _NODES = ("plant", "estimator", "controller")
 _OF: dict[str, dict[str, object]] = {
-    "plant": {"mismatch": 0.01, "wait_for_subscribers": 2}, "monitor": {"folder": "", "log_book": False}
+    "plant": {"mismatch": 0.01, "wait_for_subscribers": 2}, "monitor": {"folder": "", "log_book": False},
+    "joints": {"joints": ["pam"], "mismatch": 0.01},
 }  # fmt: skip
 """Parameters of single nodes."""
 _RECORDER = "record"
@@ -114,9 +116,10 @@ def _command(name: str, *arguments: str) -> float:
 
 
 def _pipeline(rig: str, duration: float) -> dict[str, float]:
-    """Run the pipeline for a time [s], with the monitor, and with one message a sample: what nodes took."""
+    """Run the pipeline for a time [s]; with the monitor, one message a sample, and in one process: what nodes took."""
     alone, watched = (_run(rig, duration, nodes) for nodes in (_NODES, (*_NODES, "monitor")))
     one = _run(rig, duration, _NODES, _ONE)
+    together = _run(rig, duration, ("joints",), _ONE)
     ratios = {
         f"pressure to command, {name}, with the monitor, of that without [-]":
             watched[f"pressure to command, {name} [ms]"] / alone[f"pressure to command, {name} [ms]"]
@@ -127,7 +130,10 @@ def _pipeline(rig: str, duration: float) -> dict[str, float]:
         f"{name} with one message a sample, of that with topics [-]": one[f"{name} [%]"] / alone[f"{name} [%]"]
         for name in shares
     }
-    ratios |= {f"{name}, one message a sample": one[name] for name in one if name.startswith("samples")}
+    for words, run in (("one message a sample", one), ("one process", together)):
+        ratios |= {f"{name}, {words}": run[name] for name in run if name.startswith(("samples", "pressure to"))}
+    ratios |= {f"{name}, share of a core in one process [%]": together[f"{name}, share of a core [%]"]
+               for name in ("joints", _RECORDER)}  # fmt: skip
     return {**alone, **{name: value for name, value in watched.items() if name.startswith("monitor")}, **ratios}
 
 

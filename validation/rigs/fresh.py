@@ -17,7 +17,7 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -160,38 +160,50 @@ def laboratory(seed: int, declared: bool = False, seconds: float | None = None) 
     name = f"fresh_{seed}"
     typed = described(kind, rng, name)
     true, truth = drawn(typed, kind, rng)
-    every = max(round(kind.period / _PLANT_STEP), 1)
-    sensors = true.sensors.replaced(angle_step=math.radians(float(rng.choice([0.02, 0.05, 0.18]))))
-    quick = true.replaced(sample_period=kind.period / every, sensors=sensors)
+    true = with_encoder(true, rng)
 
     def recorded(seconds: float, number: int) -> Recording:
-        rest = None if kind.regulators else (2.5e5, 2.5e5)
-        plant = Plant(quick, seed=1000 * seed + number, substeps=2, initial_pressure=rest)
-        count = round(seconds / quick.sample_period / every) * every
-        time: Floats = quick.sample_period * np.arange(1, count + 1, dtype=np.float64)
-        low, high = typed.atmosphere.pressure + 0.4e5, typed.supply.pressure - 0.5e5
-        asked = targets(np.random.default_rng((seed, number)), time, low, high)
-        middle = 0.5 * (typed.valves.voltage_min + typed.valves.voltage_max)
-        pressure, command, angle = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
-        now, given = np.full(2, typed.atmosphere.pressure), asked[0]
-        for k in range(count):
-            if k % every == 0:
-                given = asked[k]
-                if typed.drive == "valve":
-                    # A loop that jumps over the closed middle, as such loops do.
-                    apart = asked[k] - now
-                    given = np.clip(middle + 8e-5 * apart + 0.4 * np.tanh(apart / 5e3), 0.0, 10.0)
-            sample = plant.step(given)
-            now, angle[k], command[k] = sample.pressure, sample.angle, given
-            pressure[k] = now
-        rows = slice(every - 1, None, every)
-        return Recording(
-            path=Path(f"{name}_{number}"), stamp_ns=np.rint(time[rows] * 1e9).astype(np.int64) + FIRST_STAMP_NS,
-            pressure=pressure[rows], voltage=command[rows],
-            angle=(np.interp(time + truth[DELAY], time, angle) + truth[ZERO])[rows], torque=None, drive=typed.drive,
-        )  # fmt: skip
+        return record(typed, true, truth, kind, seed, seconds, number)
 
     return Laboratory(f"{name} ({kind.words})", typed, true, *sets(recorded, kind.trials, seconds), truth)
+
+
+def with_encoder(true: Rig, rng: np.random.Generator) -> Rig:
+    """A joint whose encoder has a resolution by chance."""
+    return true.replaced(sensors=true.sensors.replaced(angle_step=math.radians(float(rng.choice([0.02, 0.05, 0.18])))))
+
+
+def record(
+    typed: Rig, true: Rig, truth: Mapping[str, float], kind: Kind, seed: int, seconds: float, number: int
+) -> Recording:
+    """What a laboratory records of a joint. `truth`: zero and delay of its encoder. `number`: of the recording."""
+    every = max(round(kind.period / _PLANT_STEP), 1)
+    quick = true.replaced(sample_period=kind.period / every)
+    rest = None if kind.regulators else (2.5e5, 2.5e5)
+    plant = Plant(quick, seed=1000 * seed + number, substeps=2, initial_pressure=rest)
+    count = round(seconds / quick.sample_period / every) * every
+    time: Floats = quick.sample_period * np.arange(1, count + 1, dtype=np.float64)
+    low, high = typed.atmosphere.pressure + 0.4e5, typed.supply.pressure - 0.5e5
+    asked = targets(np.random.default_rng((seed, number)), time, low, high)
+    middle = 0.5 * (typed.valves.voltage_min + typed.valves.voltage_max)
+    pressure, command, angle = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+    now, given = np.full(2, typed.atmosphere.pressure), asked[0]
+    for k in range(count):
+        if k % every == 0:
+            given = asked[k]
+            if typed.drive == "valve":
+                # A loop that jumps over the closed middle, as such loops do.
+                apart = asked[k] - now
+                given = np.clip(middle + 8e-5 * apart + 0.4 * np.tanh(apart / 5e3), 0.0, 10.0)
+        sample = plant.step(given)
+        now, angle[k], command[k] = sample.pressure, sample.angle, given
+        pressure[k] = now
+    rows = slice(every - 1, None, every)
+    return Recording(
+        path=Path(f"{typed.name}_{number}"), stamp_ns=np.rint(time[rows] * 1e9).astype(np.int64) + FIRST_STAMP_NS,
+        pressure=pressure[rows], voltage=command[rows],
+        angle=(np.interp(time + truth[DELAY], time, angle) + truth[ZERO])[rows], torque=None, drive=typed.drive,
+    )  # fmt: skip
 
 
 def sets(

@@ -1,0 +1,71 @@
+"""How the numbers of a rig walk from day to day: the prior with which one more recording updates a rig file.
+
+A number stays what it was, but for a walk: friction and leaks change most, geometry hardly. What the recording does not
+determine keeps its value, so a short one is enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+from pam_antagonist.identification.joint_stage import DELAY, ZERO
+from pam_antagonist.inference.fit import Fit
+from pam_antagonist.inference.free_parameters import EFFECT_PARAMETERS
+from pam_antagonist.inference.unknown import Unknown
+from pam_antagonist.rig import Rig
+
+_SHARES: Mapping[str, float] = MappingProxyType({
+    "friction.": 0.3, "effects.friction": 0.3, "joint.viscous_friction": 0.3, "effects.leak.": 0.5, "effects.": 0.2,
+    "muscle_": 0.03, "geometry.": 0.002, "joint.inertia": 0.01, "limb": 0.02, "gas.": 0.03, "valve_": 0.05,
+    "supply.pressure": 0.02,
+})  # fmt: skip
+"""Standard deviation of a walk, as a share of the value, by the beginning of the number's name; the first that fits."""
+_SIZES: Mapping[str, float] = MappingProxyType({ZERO: math.radians(0.1), DELAY: 1e-3})
+"""The same of numbers that no rig file has [rad, s]."""
+_OF_NOTHING = 0.1
+"""The same of an effect that there was none of, as a share of its usual size."""
+_FAR = 4.0
+"""A number that walks by so many standard deviations is of another rig: of 30 numbers, one in 500 days does."""
+
+
+def walking(rig: Rig) -> Callable[[Unknown], Unknown]:
+    """What is known of a rig's numbers today: as wide as their walks."""
+
+    def walk(item: Unknown) -> Unknown:
+        if item.recording:
+            return item
+        value = rig.value(item.path) if item.paths else item.start
+        # What had vanished may come back.
+        start = max(value, _OF_NOTHING * item.start) if item.may_vanish else value
+        share = next((share for beginning, share in _SHARES.items() if item.name.startswith(beginning)), 0.05)
+        effect = EFFECT_PARAMETERS.get(item.name)
+        least = 0.0 if effect is None else _OF_NOTHING * effect.scale
+        std = share if item.positive else _SIZES.get(item.name, max(share * abs(start), least))
+        return replace(item, start=start, std=std)
+
+    return walk
+
+
+def free_sizes(rig: Rig) -> list[str]:
+    """The sizes of the rig file's effects, by dotted path; a limb has no size that walks by itself."""
+    return [
+        path
+        for path, item in EFFECT_PARAMETERS.items()
+        if item.is_size and not item.fixed and path.split(".")[1] in rig.effects and rig.value(path)
+        and not path.startswith("effects.limb_weight.")
+    ]  # fmt: skip
+
+
+def strayed(fits: Sequence[Fit]) -> list[str]:
+    """Numbers that would have to walk much farther than such numbers do, by name; the farthest first."""
+    far: dict[str, float] = {}
+    for fit in fits:
+        for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
+            # What met a bound was put back to its start.
+            met = item.coordinate(fit.kept[item.name]) if item.name in fit.kept else float(amount)
+            if not item.recording and not item.is_none(met) and abs(met) >= _FAR:
+                far[item.name] = abs(met)
+    return sorted(far, key=lambda name: -far[name])
