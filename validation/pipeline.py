@@ -28,7 +28,7 @@ def running(folder: Path, nodes: Mapping[str, Mapping[str, object]]) -> Iterator
             yield processes
         finally:
             # From the source to the sink, so that every sample that was sent is estimated and recorded.
-            first = [name for name in nodes if name == "plant"]
-            processes.stop(*first)
-            time.sleep(_DRAIN)
-            processes.stop(*(name for name in reversed(list(nodes)) if name not in first), "record")
+            if "plant" in nodes:
+                processes.stop("plant")
+                time.sleep(_DRAIN)
+            processes.stop(*(name for name in reversed(list(nodes)) if name != "plant"), "record")

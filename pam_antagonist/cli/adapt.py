@@ -4,7 +4,7 @@ Friction and leaks change from day to day, forces a little, geometry not at all.
 from its value, by as much as such numbers do. What the recording does not determine stays. Half a minute of a free
 joint with its angle is enough; identify would need several minutes.
 
-The last third of the recording is not fitted. If the filter errs no less there with the new values, the rig file as it
+The last third of the recording is not fitted. If the filter's error does not fall by a tenth there, the rig file as it
 was is kept: DIR then has no rig.yaml, and the status is 1. A recording of another rig, and one in which nothing moves,
 is refused.
 

@@ -111,7 +111,7 @@ def identify(
         BadInput: recordings that tell too little.
     """
     progress = progress or (lambda text: None)
-    options = Options(tuple(free), tuple(frozen), holdout, starts, seed)
+    options = Options(tuple(free), tuple(frozen), holdout, starts, seed, walk is not None)
     ends = fitted_until(recordings, holdout, whole)
     model = rig
     runs = checked(recordings, ends, model)

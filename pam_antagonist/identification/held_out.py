@@ -74,9 +74,9 @@ def lacks_an_effect(every: Sequence[HeldRecording]) -> bool:
     )  # fmt: skip
 
 
-def do_not_use(rejected: str) -> str:
-    """The first sentence where an identified rig is rejected for a reason."""
-    return f"Do not use this rig: {rejected}"
+def do_not_use(rejected: str, adapts: bool = False) -> str:
+    """The first sentence where an identified rig is rejected for a reason. `adapts`: the rig was identified before."""
+    return f"Keep the rig file as it is: {rejected}" if adapts else f"Do not use this rig: {rejected}"
 
 
 def rejection(

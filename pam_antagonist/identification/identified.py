@@ -125,9 +125,14 @@ class Identified(Shown):
         return found.rejected or rejection(self.held, refusal(self.rig), self.parameters, found.start.bounds, saw)
 
     @property
+    def adapts(self) -> bool:
+        """Whether an identified rig followed its joint, by :func:`adapt`."""
+        return isinstance(self.found, FromPressures) and self.found.options.adapts
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """For the user."""
-        return (*([do_not_use(self.rejected)] if self.rejected else []), *self.found.notes)
+        return (*([do_not_use(self.rejected, self.adapts)] if self.rejected else []), *self.found.notes)
 
     def named(self) -> Self:
         """This result with rigs that say what they were identified from, in memory as in their files."""
@@ -262,7 +267,7 @@ class Identified(Shown):
                 "the estimate most."
             )
         if self.rejected:
-            lines = textwrap.wrap(do_not_use(self.rejected), 110)
+            lines = textwrap.wrap(do_not_use(self.rejected, self.adapts), 110)
             write_unread(self.rig, folder / "rig_rejected.yaml", [*lines, *about])
             return
         write_rig(self.rig, folder / "rig.yaml", about)

@@ -25,6 +25,8 @@ from pam_antagonist.rig.file import refusal
 
 Floats = NDArray[np.float64]
 
+_ADAPTED = 0.9
+"""The filter's error has to fall to this share of that before for a rig to be adapted: less may be chance."""
 _KNOWN_RIG = 1.2
 """The filter's error may be larger by this factor than with a rig that was identified before."""
 
@@ -37,6 +39,7 @@ class Options(NamedTuple):
     holdout: float = 1.0 / 3.0
     starts: int = 2
     seed: int = 0
+    adapts: bool = False  # whether a rig that was identified before follows its joint
 
 
 AS_USUAL = Options()
@@ -170,6 +173,12 @@ class FromPressures:
         now, before = self.pooled("identified"), self.pooled("as_configured")
         if any(item.rows for item in self.held) and not math.isfinite(now):
             return "the filter gives no angle on the held-out data with it."
+        if self.options.adapts:
+            if now <= _ADAPTED * before:
+                return ""
+            return (
+                f"on the held-out data the filter errs by {now:.3g}° with today's values and by {before:.3g}° without."
+            )
         known = self.start.identified or not self.start.is_from_data_sheets
         if not self.start_saw and now > before * (_KNOWN_RIG if known else 1.0):
             what = f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file."

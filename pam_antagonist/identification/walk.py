@@ -18,17 +18,20 @@ from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.rig import Rig
 
 _SHARES: Mapping[str, float] = MappingProxyType({
-    "friction.": 0.3, "effects.friction": 0.3, "joint.viscous_friction": 0.3, "effects.leak.": 0.5, "effects.": 0.2,
-    "muscle_": 0.03, "geometry.": 0.002, "joint.inertia": 0.01, "limb": 0.02, "gas.": 0.03, "valve_": 0.05,
-    "supply.pressure": 0.02,
+    "friction.": 0.3, "effects.friction": 0.3, "joint.viscous_friction": 0.05, "effects.leak.": 0.5, "effects.": 0.2,
+    "muscle_1.force.c6": 0.001, "muscle_2.force.c6": 0.001, "muscle_": 0.01, "geometry.": 0.001, "joint.inertia": 0.01,
+    "limb": 0.01, "gas.": 0.03, "valve_": 0.03, "supply.pressure": 0.02,
 })  # fmt: skip
 """Standard deviation of a walk, as a share of the value, by the beginning of the number's name; the first that fits."""
 _SIZES: Mapping[str, float] = MappingProxyType({ZERO: math.radians(0.1), DELAY: 1e-3})
 """The same of numbers that no rig file has [rad, s]."""
 _OF_NOTHING = 0.1
 """The same of an effect that there was none of, as a share of its usual size."""
+_REACH = 10.0
+"""How far a fit may move a number, in standard deviations of its walk."""
+_OF_A_RIG = ("muscle_", "geometry.", "joint.inertia", "valve_", "gas.", "supply.", "limb")
 _FAR = 4.0
-"""A number that walks by so many standard deviations is of another rig: of 30 numbers, one in 500 days does."""
+"""So many standard deviations one of these does not walk: it is of another rig. Friction and leaks may, by a repair."""
 
 
 def walking(rig: Rig) -> Callable[[Unknown], Unknown]:
@@ -44,7 +47,7 @@ def walking(rig: Rig) -> Callable[[Unknown], Unknown]:
         effect = EFFECT_PARAMETERS.get(item.name)
         least = 0.0 if effect is None else _OF_NOTHING * effect.scale
         std = share if item.positive else _SIZES.get(item.name, max(share * abs(start), least))
-        return replace(item, start=start, std=std)
+        return replace(item, start=start, std=std, reach=_REACH)
 
     return walk
 
@@ -60,12 +63,12 @@ def free_sizes(rig: Rig) -> list[str]:
 
 
 def strayed(fits: Sequence[Fit]) -> list[str]:
-    """Numbers that would have to walk much farther than such numbers do, by name; the farthest first."""
+    """Numbers of a rig that would have to walk much farther than they do, by name; the farthest first."""
     far: dict[str, float] = {}
     for fit in fits:
         for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
             # What met a bound was put back to its start.
             met = item.coordinate(fit.kept[item.name]) if item.name in fit.kept else float(amount)
-            if not item.recording and not item.is_none(met) and abs(met) >= _FAR:
+            if item.name.startswith(_OF_A_RIG) and not item.recording and abs(met) >= _FAR:
                 far[item.name] = abs(met)
     return sorted(far, key=lambda name: -far[name])

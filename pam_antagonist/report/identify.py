@@ -60,6 +60,9 @@ class IdentifyResult(Identified, Result):
             "whole ones, which no step used."
         )
         title = "Identification of a pneumatic muscle joint"
+        if self.adapts:
+            title = "What has changed in a joint"
+            lede = "Each number may walk a little from the rig file's value. The recording's end judges the new values."
         if isinstance(self.found, SealedIdentified):
             title = "Identification of a sealed muscle joint"
             lede = f"The muscles are sealed: no air flows, an external torque moves the joint. {lede}"

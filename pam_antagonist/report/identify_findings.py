@@ -9,14 +9,17 @@ from pam_antagonist.identification.held_out import WORSE, at_bounds, bounds_met,
 from pam_antagonist.identification.result import HeldRecording
 from pam_antagonist.replays.result import ANGLE, CHANNELS, covered
 from pam_antagonist.report.document import Statement, good, note, warn
-from pam_antagonist.shown import percent
+from pam_antagonist.rig.units import readable
+from pam_antagonist.shown import number, percent
 
 if TYPE_CHECKING:
-    from pam_antagonist.identification.identified import Identified
+    from pam_antagonist.identification.identified import Identified, ParameterEntry
 
 _USUAL_DIFFERENCE = 0.05
 """Relative difference of two recordings of one rig: 2 % is the scale of the spread's prior, so 5 % is rare."""
 _LISTED = 4
+_SURE, _NORMAL = 2.0, 1.96
+"""Standard errors from which on a change is said, and of a 95 % interval."""
 _DOUBTS = (
     ("too small", warn, "is too small"),
     ("not told", note, "cannot be judged, since there are too few independent errors"),
@@ -30,7 +33,7 @@ _LARGE = 0.05
 def verdict(result: Identified) -> str:
     """The errors on held-out data before and after, of each channel in the recording where they are largest."""
     if result.rejected:
-        return do_not_use(result.rejected)
+        return do_not_use(result.rejected, result.adapts)
     parts = []
     for channel in CHANNELS:
         if every := [errors for held in result.held if (errors := known(held, channel))]:
@@ -52,7 +55,25 @@ def findings(result: Identified) -> tuple[Statement, ...]:
         ))  # fmt: skip
     for held in result.held:
         out += of_recording(held)
+    if result.adapts:
+        return (*_changes(result), *out, *_coverage(result))
     return (*out, *_coverage(result), *_differences(result), *_undetermined(result), *_pairs(result))
+
+
+def _changes(result: Identified) -> list[Statement]:
+    """What has changed since the rig file was written."""
+    sure = [item for item in result.parameters if abs(item.value - item.start) > _SURE * item.std]
+    each = [f"{item.name} {_change(item)}" for item in sorted(sure, key=lambda item: -abs(item.relative_change))]
+    if not each:
+        return [good("No number of the rig has changed by more than twice its standard error.")]
+    return [note(f"Changed since: {', '.join(each)} (± 95 %). All other numbers stay within their errors.")]
+
+
+def _change(item: ParameterEntry) -> str:
+    if not item.start:
+        unit = readable(item.unit)
+        return f"0 to {number(item.value * unit.scale, 2)} {unit.name}".strip()
+    return f"{item.relative_change:+.1%} ± {_NORMAL * item.std / abs(item.start):.1%}"
 
 
 def of_recording(held: HeldRecording) -> list[Statement]:

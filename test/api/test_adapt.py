@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -82,17 +83,27 @@ def test_a_number_walks_from_its_own_value(known: Rig) -> None:
     assert walk(own) == own
 
 
-@pytest.mark.slow(20)
-def test_the_command_writes_the_rig_or_says_that_the_old_one_stays(
+@pytest.mark.slow(30)
+def test_the_command_says_what_has_changed_or_that_the_rig_file_stays(
     known: Rig, today: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "my_rig.yaml"
     write_rig(known, file, ["The first day."])
-    write_bag(tmp_path / "bag", recorded(today))
-    out = tmp_path / "out"
-    assert command.main([str(tmp_path / "bag"), "--rig", str(file), "--out", str(out), "--no-figures"]) == 0
-    said = capsys.readouterr().out
-    assert f"rig: {out / 'rig.yaml'}" in said
-    assert "replay ANOTHER_BAG" in said
-    assert json.loads((out / "report.json").read_text())["rejected"] == ""
-    assert (tmp_path / "my_rig.log.jsonl").read_text().count('"command":"adapt"') == 1
+
+    def adapted(name: str, joint: Rig) -> tuple[int, str]:
+        write_bag(tmp_path / name, recorded(joint, seed=5))
+        words = [str(tmp_path / name), "--rig", str(file), "--out", str(tmp_path / f"{name}_out"), "--no-figures"]
+        return command.main(words), " ".join(capsys.readouterr().out.split())
+
+    status, said = adapted("today", today)
+    assert status == 0
+    assert re.search(r"Changed since: effects\.leak\.area_1 \+\d.*friction\.shaft \+\d", said)
+    assert f"rig: {tmp_path / 'today_out' / 'rig.yaml'}" in said
+    assert "Not determined" not in said
+    assert json.loads((tmp_path / "today_out" / "report.json").read_text())["rejected"] == ""
+    status, said = adapted("same", known)
+    assert status == 1
+    assert "Keep the rig file as it is: on the held-out data the filter errs by" in said
+    assert f"rig: {file}, as it was" in said
+    assert not (tmp_path / "same_out" / "rig.yaml").exists()
+    assert (tmp_path / "my_rig.log.jsonl").read_text().count('"command":"adapt"') == 2

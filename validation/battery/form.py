@@ -27,6 +27,7 @@ class Deviation:
     push: Callable[[Floats], Floats] | None = None  # from times (N,) [s] to a torque from outside (N,) [N m]
     supply: Callable[[Floats], Floats] | None = None  # from times (N,) [s] to a deviation of the supply (N,) [Pa]
     substeps: int = 4  # of the simulation in a sample, at least
+    torque: Callable[[Floats], Floats] | None = None  # from torques (N,) [N m] to those that the meter is given
 
 
 EITHER_WAY = [-1.0, 1.0]

@@ -16,9 +16,12 @@ from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import flow, integration, joint, muscle
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
+    FRICTION_STEP,
     GAS_CONSTANT,
+    INERTIA,
     LOCKED,
     POLYTROPIC_VOLUME,
+    RADIUS,
     STOP,
     SUPPLY,
     TEMPERATURE,
@@ -38,6 +41,10 @@ bristle bristle_angle bristle_fall rub rub_velocity rub_fall rub_power rub_wave 
 creep:2 creep_load creep_time:4 creep_weight:4 gas:2 gas_time gas_flow wall:2 wall_time
 tire:2 tire_time tire_work exchange cogging cogging_number swell:2 crosstalk bend:2
 check relief:2 relief_at kink:2 kink_way fold:2 jet:2 damping:2 damping_lean engage engage_at way
+rope:2 stick stick_at stick_width press press_from lean lean_way dwell dwell_time
+loop:2 loop_width hold:2 hold_width relax:2 relax_time relax_back hot:2 hot_time give:2 loose:2 loose_from
+ball:2 ball_pressure meter:2 silencer:2 quick:2 quick_from seat:2 lift:2 lift_at lift_band
+arm arm_number bulge:2 bulge_from share:2 exponent exponent_time
 """
 NUMBERS = np.dtype([(name, np.float64, (int(size),)) if size else (name, np.float64)
                     for name, _, size in (field.partition(":") for field in _FIELDS.split())])  # fmt: skip
@@ -45,14 +52,16 @@ NUMBERS = np.dtype([(name, np.float64, (int(size),)) if size else (name, np.floa
 
 # States behind [ψ, ψ̇, P_1, P_2].
 _LOOP, _ELEMENT, _SUPPLY_AT, _OPEN, _OPENING, _AT_VALVE = 4, 6, 14, 15, 17, 19
-_LATE, _WARM, _WALL_WARM, _BRISTLE_AT, _TIRED, _RUNNING, SIZE = 21, 29, 31, 33, 34, 36, 37
+_LATE, _WARM, _WALL_WARM, _BRISTLE_AT, _TIRED, _RUNNING, _RESTED = 21, 29, 31, 33, 34, 36, 37
+_LOOPED, _HELD, _RELAXED, _HOT, _BLOWN, _DRAWN, _LIFTED, SIZE = 38, 40, 42, 44, 46, 48, 50, 52
 
 _MIDDLE, _HALF_RANGE = 450e3, 250e3
 _SPOOL_DAMPING, _REGULATOR_LAG, _MIDDLE_FORCE = 0.7, 0.03, 200.0
 _REFERENCE_FLOW = 1e-4
 _RELIEF_BAND, _KINKED_AT = 30e3, 0.15
+_AT_REST, _FORGOTTEN, _MANIFOLD_LAG, _PRESSURE_RATE = 0.02, 0.03, 0.03, 100e3
 
-_leverage, _length, _length_rate = muscle.leverage, muscle.length, muscle.length_rate
+_round_leverage, _length, _length_rate = muscle.leverage, muscle.length, muscle.length_rate
 _volume, _force, _pressure_rate, _open_rate = muscle.volume, muscle.force, flow.pressure_rate, flow.open_rate
 _orifice_flow, _valve_flow, _muscle_torque = flow.orifice_flow, flow.valve_flow, joint.muscle_torque
 _coulomb_torque, _acceleration, _stop = joint.coulomb_torque, joint.acceleration, integration.apply_stop
@@ -66,8 +75,9 @@ def numbers(values: Mapping[str, float]) -> np.ndarray:
     """
     q = np.zeros(1, NUMBERS)
     widths = ("dahl_width", "dahl_power", "slip_width", "slip_velocity", "bristle_angle", "rub_velocity")
-    times = ("gas_time", "wall_time", "tire_time", "creep_time")
-    for name in (*widths, *times, "line_turbulent", "line_volume"):
+    others = ("stick_width", "loop_width", "ball_pressure", "arm_number")
+    times = ("gas_time", "wall_time", "tire_time", "creep_time", "dwell_time", "relax_time", "relax_back", "hot_time")
+    for name in (*widths, *others, *times, "line_turbulent", "line_volume", "exponent_time"):
         q[name] = 1.0
     q["bristle_fall"] = q["rub_fall"] = 0.4
     for name, value in values.items():
@@ -77,6 +87,17 @@ def numbers(values: Mapping[str, float]) -> np.ndarray:
         else:
             q[name] = value
     return q[0]
+
+
+@inlined
+def _leverage(angle, p, q):
+    """Travel of the muscles' ends over r and the lever arm over r; an arm that is not round has waves."""
+    sine, cosine, _ = _round_leverage(angle, p)
+    if q.arm != 0.0:
+        turned = q.arm_number * angle
+        sine += q.arm * (1.0 - math.cos(turned)) / q.arm_number
+        cosine += q.arm * math.sin(turned)
+    return sine, cosine
 
 
 @inlined
@@ -132,6 +153,62 @@ def _crossing(pressure_1, pressure_2, p, q):
         high, low = max(pressure_1, pressure_2), min(pressure_1, pressure_2)
         total += q.check * q.way * _orifice_flow(high, low, p)
     return total
+
+
+@inlined
+def _one_way(i, through, drop, x, q):
+    """Share of a valve's flow that passes what acts one way; of an outflow, more than 1 where another exit opens.
+
+    The ball of a check valve opens wholly only where the inlet's pressure falls by much. A throttle hinders the outflow
+    the more, the more it is; a silencer as well, and more and more with what it was blown through. A quick exhaust
+    opens from a flow on.
+    """
+    if through > 0.0:
+        return 1.0 - q.ball[i] * math.exp(-max(drop, 0.0) / q.ball_pressure)
+    out = -through / _REFERENCE_FLOW
+    left = 1.0 / ((1.0 + q.meter[i] * out) * math.sqrt(1.0 + q.silencer[i] * (1.0 + x[_BLOWN + i]) * out * out))
+    if q.quick[i] != 0.0 and out > q.quick_from:
+        left *= 1.0 + q.quick[i] * (out - q.quick_from) / out
+    return left
+
+
+@in_place
+def _remember(i, pressure, rate, through, drawn, x, q, dx):
+    """How what muscle i remembers of its pressure, and its valve of the air, moves.
+
+    A loop bends as Dahl's does, in the pressure. What relaxes follows the pressure, and back in another time. Changes
+    of the pressure heat the rubber. A silencer clogs with what blows through it.
+    """
+    if q.loop[i] != 0.0:
+        way = 1.0 if rate > 0.0 else -1.0
+        dx[_LOOPED + i] = rate / q.loop_width * max(1.0 - x[_LOOPED + i] * way, 0.0)
+    if q.relax[i] != 0.0:
+        late = pressure - x[_RELAXED + i]
+        dx[_RELAXED + i] = late / (q.relax_time if late > 0.0 else q.relax_time * q.relax_back)
+    if q.hot[i] != 0.0:
+        dx[_HOT + i] = (abs(rate) / _PRESSURE_RATE - x[_HOT + i]) / q.hot_time
+    if q.silencer[i] != 0.0:
+        dx[_BLOWN + i] = max(-through, 0.0) / _REFERENCE_FLOW
+    if q.share[1 - i] != 0.0:
+        dx[_DRAWN + i] = (drawn / _REFERENCE_FLOW - x[_DRAWN + i]) / _MANIFOLD_LAG
+
+
+@inlined
+def _dry(angle, velocity, force_1, force_2, balance, x, p, q):
+    """Further dry friction [N m].
+
+    Ropes that slide on their pulleys rub in proportion to their forces. A bearing sticks near an angle. A bush is
+    pressed out of its play from a load on, and rubs more. A seal's lip leans, and rubs one way only. A contact ages
+    at rest.
+    """
+    total = p[RADIUS] * (q.rope[0] * max(force_1, 0.0) + q.rope[1] * max(force_2, 0.0))
+    if q.stick != 0.0:
+        beside = (angle - q.stick_at) / q.stick_width
+        total += q.stick * math.exp(-beside * beside)
+    total += q.press * max(force_1 + force_2 - q.press_from, 0.0) / _MIDDLE_FORCE
+    if q.lean != 0.0 and q.lean_way * (velocity + p[FRICTION_STEP] / p[INERTIA] * balance) > 0.0:
+        total += q.lean
+    return total + q.dwell * x[_RESTED]
 
 
 @inlined
@@ -222,9 +299,13 @@ def _contraction_force(i, sine, cosine, pressure, x, q, p):
     """Contraction force of muscle i [N], forms included.
 
     A contracting element is damped by the pressure, otherwise while it gets longer than while it gets shorter (Reynolds
-    et al. 2003).
+    et al. 2003). A tendon that gives lets its muscle be shorter. A short muscle hangs loose, and pulls less. Force also
+    lags or leads the pressure, in a loop, by play, or while it relaxes, and a hot muscle is weaker.
     """
-    static, rate = _force(i, _length(i, sine, p), pressure, p), _length_rate(i, cosine, x[1], p)
+    at = _length(i, sine, p)
+    static, rate = _force(i, at, pressure, p), _length_rate(i, cosine, x[1], p)
+    if q.give[i] != 0.0:
+        static = _force(i, at - q.give[i] * static, pressure, p)
     bent = (pressure - _MIDDLE) / _HALF_RANGE
     total = _late_force(i, static, x, q) + q.dahl[i] * x[_LOOP + i] + q.bend[i] * bent * bent
     if q.slip[i] != 0.0:
@@ -232,7 +313,14 @@ def _contraction_force(i, sine, cosine, pressure, x, q, p):
     if q.damping[i] != 0.0:
         lean = q.damping_lean if rate > 0.0 else -q.damping_lean
         total += q.damping[i] * pressure / _MIDDLE * rate * (1.0 + lean)
-    return total
+    if q.hold[i] != 0.0:
+        total += q.hold[i] * (x[_HELD + i] - pressure) / _HALF_RANGE
+    if q.relax[i] != 0.0:
+        total += q.relax[i] * (pressure - x[_RELAXED + i]) / _HALF_RANGE
+    if q.loose[i] != 0.0:
+        lost = q.loose[i] * max(_length(i, 0.0, p) - q.loose_from - at, 0.0)
+        total -= min(lost, max(total, 0.0))
+    return total * (1.0 - q.hot[i] * x[_HOT + i]) - q.loop[i] * x[_LOOPED + i]
 
 
 @inlined
@@ -267,7 +355,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
         velocity = min(velocity, 0.0)
     elif angle <= -p[STOP]:
         velocity = max(velocity, 0.0)
-    sine, cosine, _ = _leverage(angle, p)
+    sine, cosine = _leverage(angle, p, q)
     supply = p[SUPPLY] + supply_change + x[_SUPPLY_AT]
     drawn_in_all = 0.0
     crossing = _crossing(x[2], x[3], p, q)
@@ -282,26 +370,39 @@ def rates(x, wanted, push, supply_change, p, q, dx):
             dx[_OPENING + i] = omega * (omega * (wanted[i] - alpha) - 2.0 * _SPOOL_DAMPING * x[_OPENING + i])
         alpha += q.crosstalk * (wanted[1 - i] - 0.4) - q.jet[i] * (at_valve - _MIDDLE) / _HALF_RANGE
         alpha = min(max(alpha, 0.0), 1.0)
-        through, drawn = _valve_flow(i, alpha, at_valve, supply, p)
+        # Both draw through one line, in which the other one's draw is felt.
+        inlet = supply - q.share[i] * x[_DRAWN + 1 - i]
+        through, drawn = _valve_flow(i, alpha, at_valve, inlet, p)
         passing = _passing(i, angle, q)
         through, drawn = passing * through, passing * drawn
+        passing = _one_way(i, through, inlet - at_valve, x, q)
+        drawn *= passing if through > 0.0 else 1.0
+        through *= passing
         drawn_in_all += drawn
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
         volume, slope = _volume(i, muscle_length, p)
         unfolded = max(muscle_length - _length(i, 0.0, p), 0.0)
         volume += q.fold[i] * unfolded * unfolded
         slope += 2.0 * q.fold[i] * unfolded
+        bulged = max(_length(i, 0.0, p) - q.bulge_from - muscle_length, 0.0)
+        volume += q.bulge[i] * bulged * bulged * bulged
+        slope -= 3.0 * q.bulge[i] * bulged * bulged
         arriving = through
         if q.line[i] != 0.0:
             arriving = _line_flow(i, at_valve, chamber, q)
             dx[_AT_VALVE + i] = _pressure_rate(at_valve, q.line_volume, 0.0, through - arriving, p)
         net = arriving - _escaped(i, chamber, muscle_length, p, q) - (crossing if i == 0 else -crossing)
+        net += q.seat[i] * (inlet - chamber) - q.lift[i] * x[_LIFTED + i] * (chamber - p[ATMOSPHERE])
         swelling = q.swell[i] / _HALF_RANGE
         swollen = volume * (1.0 + swelling * (chamber - _MIDDLE))
         rate = _pressure_rate(chamber, swollen, slope * length_rate, net, p)
         # The volume that grows with the pressure takes its share of every change of it.
         rate /= 1.0 + p[POLYTROPIC_VOLUME] * volume * swelling * chamber / swollen
+        if q.exponent != 0.0:
+            hurry = abs(rate) / chamber * q.exponent_time
+            rate *= 1.0 + q.exponent * hurry / (1.0 + hurry)
         dx[2 + i] = rate - _cooling(i, chamber, rate, net, x, q, dx)
+        _remember(i, chamber, dx[2 + i], through, drawn, x, q, dx)
         if q.dahl[i] != 0.0:
             dx[_LOOP + i] = _dahl_rate(x[_LOOP + i], length_rate, q)
         if q.creep[i] != 0.0:
@@ -321,6 +422,10 @@ def rates(x, wanted, push, supply_change, p, q, dx):
     force_2 = _contraction_force(1, sine, cosine, x[3], x, q, p)
     coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p) + _rubbing(angle, velocity, q)
     balance = _muscle_torque(cosine, force_1, force_2, p) + push + _load(angle, q)
+    coulomb += _dry(angle, velocity, force_1, force_2, balance, x, p, q)
+    if q.dwell != 0.0:
+        resting = abs(velocity) < _AT_REST
+        dx[_RESTED] = (1.0 - x[_RESTED]) / q.dwell_time if resting else -x[_RESTED] / _FORGOTTEN
     if q.bristle != 0.0:
         # Bristles (Canudas de Wit et al. 1995): a spring that slips, with a Stribeck level, and its damping.
         level = 1.0 + q.bristle_fall * math.exp(-abs(velocity) / 0.1)
@@ -334,7 +439,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
 @in_place
 def _step(x, wanted, push, supply_change, p, q, dt, slopes, point):
     """One Runge-Kutta step in place, then what slips and the stop."""
-    sine, _, _ = _leverage(x[0], p)
+    sine, _ = _leverage(x[0], p, q)
     rates(x, wanted, push, supply_change, p, q, slopes[0])
     for stage in range(1, 4):
         reach = dt if stage == 3 else 0.5 * dt
@@ -348,9 +453,15 @@ def _step(x, wanted, push, supply_change, p, q, dt, slopes, point):
         # Between the switch's two pressures it goes on as it is.
         x[_RUNNING] = 1.0 if x[_SUPPLY_AT] < 0.0 else 0.0
     if q.slip[0] != 0.0 or q.slip[1] != 0.0:
-        after, _, _ = _leverage(x[0], p)
+        after, _ = _leverage(x[0], p, q)
         for i in range(2):
             _slip(i, _length(i, after, p) - _length(i, sine, p), x, q)
+    for i in range(2):
+        x[_HELD + i] = min(max(x[_HELD + i], x[2 + i] - q.hold_width), x[2 + i] + q.hold_width)
+        if x[2 + i] > q.lift_at:
+            x[_LIFTED + i] = 1.0
+        elif x[2 + i] < q.lift_at - q.lift_band:
+            x[_LIFTED + i] = 0.0
 
 
 @kernel
@@ -367,7 +478,8 @@ def simulate(angle, pressure, voltage, push, supply_change, p, q, dt, substeps):
     for i in range(2):
         x[2 + i] = x[_AT_VALVE + i] = pressure
         x[_OPEN + i] = wanted[i] = _open_rate(i, voltage[0, i], p)
-        sine, _, _ = _leverage(angle, p)
+        x[_HELD + i] = x[_RELAXED + i] = pressure
+        sine, _ = _leverage(angle, p, q)
         for k in range(ELEMENTS):
             x[_LATE + ELEMENTS * i + k] = _force(i, _length(i, sine, p), pressure, p)
     at_rest = x.copy()
@@ -384,7 +496,7 @@ def simulate(angle, pressure, voltage, push, supply_change, p, q, dt, substeps):
             for i in range(2):
                 wanted[i] = _open_rate(i, voltage[k * substeps + part, i], p)
             _step(x, wanted, push[k], supply_change[k], p, q, step, slopes, point)
-        sine, cosine, _ = _leverage(x[0], p)
+        sine, cosine = _leverage(x[0], p, q)
         angles[k] = x[0]
         for i in range(2):
             pressures[k, i] = x[_AT_VALVE + i] if q.line[i] != 0.0 else x[2 + i]

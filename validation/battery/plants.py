@@ -231,6 +231,7 @@ def _played(p: np.ndarray, voltage: Floats, deviations: Sequence[Deviation], per
     for deviation in deviations:
         angle = angle if deviation.angle is None else deviation.angle(angle)
         pressure = pressure if deviation.pressure is None else deviation.pressure(time, pressure)
+        torque = torque if deviation.torque is None else deviation.torque(torque)
     return Channels(angle, pressure, torque)
 
 

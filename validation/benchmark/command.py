@@ -46,7 +46,7 @@ _SETTLE = 2.0  # after the nodes have started, before memory is looked at [s]
 _NODES = ("plant", "estimator", "controller")
 _OF: dict[str, dict[str, object]] = {
     "plant": {"mismatch": 0.01, "wait_for_subscribers": 2}, "monitor": {"folder": "", "log_book": False},
-    "joints": {"joints": ["pam"], "mismatch": 0.01},
+    "joints": {"mismatch": 0.01},  # one joint, of the usual namespace
 }  # fmt: skip
 """Parameters of single nodes."""
 _RECORDER = "record"
