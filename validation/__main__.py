@@ -10,6 +10,9 @@ COMMANDS: dict[str, Command] = {
     "paper": Command("validation.paper.command:main", "repeat every experiment of the paper on simulated joints"),
     "benchmark": Command("validation.benchmark.command:main", "measure the speed of estimator, pipeline and replay"),
     "battery": Command("validation.battery.command:main", "measure how often close_loop is right, on simulated joints"),
+    "forms": Command(
+        "validation.battery.carry:main", "measure whether what close_loop learns holds on a third recording"
+    ),
     "oracle": Command("validation.oracle:main", "run close_loop on cases whose answer is frozen, say what got worse"),
     "peers": Command("validation.peers.command:main", "compare ours with soft sensors, other filters and fitted laws"),
     "ambiguity": Command("validation.ambiguity:main", "show which missing effects look alike, on simulated joints"),

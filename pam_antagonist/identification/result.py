@@ -26,7 +26,8 @@ from pam_antagonist.rig.file import refusal
 Floats = NDArray[np.float64]
 
 _ADAPTED = 0.9
-"""The filter's error has to fall to this share of that before for a rig to be adapted: less may be chance."""
+"""The filter's error has to fall to this share for a rig to be adapted, on held-out data and on all: less may be
+chance, and the end of a recording does not show how a joint begins to move."""
 _KNOWN_RIG = 1.2
 """The filter's error may be larger by this factor than with a rig that was identified before."""
 
@@ -174,11 +175,11 @@ class FromPressures:
         if any(item.rows for item in self.held) and not math.isfinite(now):
             return "the filter gives no angle on the held-out data with it."
         if self.options.adapts:
-            if now <= _ADAPTED * before:
-                return ""
-            return (
-                f"on the held-out data the filter errs by {now:.3g}° with today's values and by {before:.3g}° without."
-            )
+            for after, without, where in ((now, before, "held-out data"), (*self._over_all(), "whole recording")):
+                if math.isfinite(without) and not after <= _ADAPTED * without:
+                    said = f"the filter errs by {after:.3g}° with today's values and by {without:.3g}° without"
+                    return f"on the {where} {said}."
+            return ""
         known = self.start.identified or not self.start.is_from_data_sheets
         if not self.start_saw and now > before * (_KNOWN_RIG if known else 1.0):
             what = f"on the held-out data the filter errs by {now:.3g}° with it and by {before:.3g}° with the rig file."
@@ -196,6 +197,17 @@ class FromPressures:
                 "check."
             )
         return ""
+
+    def _over_all(self) -> tuple[float, float]:
+        """Errors of the angle over whole recordings, identified and as configured, RMS [deg]; NaN without any."""
+        rms = np.full((2, len(self.held)), np.nan)
+        for k, held in enumerate(self.held):
+            for row, name in zip(rms, ("identified", "as_configured"), strict=True):
+                angle = held.replays[name].report.ukf.angle
+                row[k] = math.nan if angle is None else angle.rmse
+        each = rms[:, np.isfinite(rms).all(axis=0)]
+        after, without = np.sqrt(np.mean(each**2, axis=1)) if each.size else (math.nan, math.nan)
+        return float(after), float(without)
 
     def _cause(self, now: float) -> str:
         """What the recordings themselves show of the cause of an error [deg], in sentences."""

@@ -46,6 +46,17 @@ def test_a_lock_angle_that_the_encoder_gave_has_its_zero_taken_off(trial: Record
     assert state.lock_angle == 0.3
 
 
+@pytest.mark.parametrize(
+    ("name", "air"),
+    [("effects.leak.area_1", True), ("effects.supply_droop.resistance", True), ("valve_1.inflow_area", True),
+     ("effects.valve_offset.voltage_2", True), ("effects.regulator_lag.damping", True), ("gas.polytropic_flow", True),
+     ("effects.friction.coulomb", False), ("effects.hysteresis.amplitude_1", False), ("friction.shaft", False),
+     ("effects.learned.law1_value1", False), ("muscle_1.force.v1", False)],
+)  # fmt: skip
+def test_an_effect_is_fitted_in_the_part_of_the_model_in_which_it_acts(name: str, air: bool) -> None:
+    assert joint_stage.is_of_air(name) is air
+
+
 def test_a_common_value_takes_what_all_recordings_have_in_common() -> None:
     time = np.linspace(0.0, 3.0, 400)
     rng = np.random.default_rng(0)

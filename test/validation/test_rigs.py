@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist import diagnose
+from pam_antagonist import BadInput, diagnose
 from pam_antagonist.identification import joint_stage
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.inference.fit import Fit
@@ -19,7 +19,7 @@ from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition
 from validation import frozen, oracle
-from validation.rigs import fresh
+from validation.rigs import days, fresh
 
 
 def test_only_values_that_are_called_determined_are_compared_with_the_true_ones() -> None:
@@ -53,6 +53,32 @@ def test_the_command_counts_a_rig_that_is_refused(tmp_path: Path, monkeypatch, c
     assert fresh.main(["--out", str(tmp_path / "out.json"), "--first", "202", "--count", "1", "--declared"]) == 0
     assert json.loads((tmp_path / "out.json").read_text())[0]["refused"] == "it moves too little"
     assert "0 rigs of 1" in capsys.readouterr().out
+
+
+def test_days_are_pooled_and_a_rig_that_is_refused_is_said(tmp_path: Path, monkeypatch, capsys) -> None:
+    def followed(seed: int, count: int, seconds: float) -> dict[str, Any]:
+        if seed == 2:
+            raise BadInput("it moves too little")
+        rows = [{"kept": (0.3, 0.5), "adapted": (0.1 * seed, 0.9), "anew": (0.2, 0.95)}] * count
+        return {"name": f"days_{seed}", "days": rows, "said": ["day 1: kept"]}
+
+    monkeypatch.setattr(days, "followed", followed)
+    words = ["--out", str(tmp_path / "out.json"), "--first", "1", "--count", "4", "--days", "3"]
+    assert days.main(words) == 0
+    said = capsys.readouterr().out
+    assert "days_1: kept 0.300 deg (50%), adapted 0.100 deg (90%), anew 0.200 deg (95%); day 1: kept" in said
+    assert "2: refused: it moves too little" in said
+    assert "3 rigs: adapted 1.50 times the error of anew (median), kept 1.50" in said
+    assert "adapted at most 1.2 times anew: 1; worse than kept: 1" in said
+    assert len(json.loads((tmp_path / "out.json").read_text())) == 3
+
+
+@pytest.mark.thorough(60)
+def test_a_rig_that_is_adapted_errs_less_than_one_that_is_kept() -> None:
+    one = days.followed(1403, 2, 20.0)
+    for day in one["days"]:
+        assert day["adapted"][0] < 0.5 * day["kept"][0]
+        assert day["adapted"][1] > 0.85
 
 
 @pytest.mark.thorough(14)

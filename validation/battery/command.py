@@ -63,7 +63,7 @@ def parser() -> common.Parser:
     text = f"all cases are of this effect, in its forms in turn, {LARGE:g} noises or more (default: all kinds)"
     out.option("--effect", text, metavar="NAME")
     out.option("--seed", "seed of the battery (default: 1)", SEED, 1, "S")
-    out.option("--shard", "run only every K-th case, from the I-th on (default: 1/1)", _shard, (1, 1), "I/K")
+    out.option("--shard", "run only every K-th case, from the I-th on (default: 1/1)", shard, (1, 1), "I/K")
     out.option("--duration", f"length of a recording [s] (default: {DURATION:g})", float, DURATION, "S")
     out.option("--jobs", "threads (default: all cores)", JOBS, os.cpu_count() or 1, "N")
     out.shared(
@@ -75,7 +75,8 @@ def parser() -> common.Parser:
     return out
 
 
-def _shard(text: str) -> tuple[int, int]:
+def shard(text: str) -> tuple[int, int]:
+    """``I/K`` as two numbers: every K-th case, from the I-th on."""
     first, slash, count = text.partition("/")
     if not (slash and first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
         raise argparse.ArgumentTypeError(f"{text!r}: expected I/K with 1 ≤ I ≤ K, such as 1/2")

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pam_antagonist.model.effects import CATALOGUE
-from validation.battery import forms_uncatalogued
+from validation.battery import forms_literature, forms_uncatalogued
 from validation.battery.form import (
     Deviation,
     Floats,
@@ -343,8 +343,8 @@ _ALL: tuple[Form, ...] = (
 """Forms of muscles and joint, of valves, lines and sensors, and of air."""
 UNCATALOGUED = forms_uncatalogued.FORMS
 """Outside of every law, and drawn by themselves, so that they change no battery of old."""
-FORMS: dict[str, Form] = {form.name: form for form in (*_ALL, *UNCATALOGUED)}
-"""All forms by name."""
+FORMS: dict[str, Form] = {form.name: form for form in (*_ALL, *UNCATALOGUED, *forms_literature.FORMS)}
+"""All forms by name, those of no battery included."""
 SINGLE: tuple[Form, ...] = tuple(form for name in CATALOGUE for form in _ALL if form.effect == name)
 """Other forms of the catalogue's effects."""
 FOREIGN: tuple[Form, ...] = tuple(form for form in _ALL if form.effect not in CATALOGUE)

@@ -156,20 +156,28 @@ def _crossing(pressure_1, pressure_2, p, q):
 
 
 @inlined
-def _one_way(i, through, drop, x, q):
-    """Share of a valve's flow that passes what acts one way; of an outflow, more than 1 where another exit opens.
+def _one_way(i, through, drawn, drop, x, q):
+    """A valve's flow behind what acts one way, and what it then draws from the supply [kg/s].
 
     The ball of a check valve opens wholly only where the inlet's pressure falls by much. A throttle hinders the outflow
     the more, the more it is; a silencer as well, and more and more with what it was blown through. A quick exhaust
     opens from a flow on.
     """
     if through > 0.0:
-        return 1.0 - q.ball[i] * math.exp(-max(drop, 0.0) / q.ball_pressure)
+        opened = 1.0 - q.ball[i] * math.exp(-max(drop, 0.0) / q.ball_pressure)
+        return opened * through, opened * drawn
     out = -through / _REFERENCE_FLOW
     left = 1.0 / ((1.0 + q.meter[i] * out) * math.sqrt(1.0 + q.silencer[i] * (1.0 + x[_BLOWN + i]) * out * out))
     if q.quick[i] != 0.0 and out > q.quick_from:
         left *= 1.0 + q.quick[i] * (out - q.quick_from) / out
-    return left
+    return left * through, drawn
+
+
+@inlined
+def _stiffened(pressure, rate, q):
+    """Factor on Ṗ of a gas whose exponent rises from the isothermal to the adiabatic with the rate."""
+    hurry = abs(rate) / pressure * q.exponent_time
+    return 1.0 + q.exponent * hurry / (1.0 + hurry)
 
 
 @in_place
@@ -191,6 +199,14 @@ def _remember(i, pressure, rate, through, drawn, x, q, dx):
         dx[_BLOWN + i] = max(-through, 0.0) / _REFERENCE_FLOW
     if q.share[1 - i] != 0.0:
         dx[_DRAWN + i] = (drawn / _REFERENCE_FLOW - x[_DRAWN + i]) / _MANIFOLD_LAG
+
+
+@inlined
+def _ageing(velocity, x, q):
+    """How the age of a contact moves: to 1 at rest, quickly to 0 while it slides."""
+    if q.dwell == 0.0:
+        return 0.0
+    return (1.0 - x[_RESTED]) / q.dwell_time if abs(velocity) < _AT_REST else -x[_RESTED] / _FORGOTTEN
 
 
 @inlined
@@ -375,9 +391,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
         through, drawn = _valve_flow(i, alpha, at_valve, inlet, p)
         passing = _passing(i, angle, q)
         through, drawn = passing * through, passing * drawn
-        passing = _one_way(i, through, inlet - at_valve, x, q)
-        drawn *= passing if through > 0.0 else 1.0
-        through *= passing
+        through, drawn = _one_way(i, through, drawn, inlet - at_valve, x, q)
         drawn_in_all += drawn
         muscle_length, length_rate = _length(i, sine, p), _length_rate(i, cosine, velocity, p)
         volume, slope = _volume(i, muscle_length, p)
@@ -398,9 +412,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
         rate = _pressure_rate(chamber, swollen, slope * length_rate, net, p)
         # The volume that grows with the pressure takes its share of every change of it.
         rate /= 1.0 + p[POLYTROPIC_VOLUME] * volume * swelling * chamber / swollen
-        if q.exponent != 0.0:
-            hurry = abs(rate) / chamber * q.exponent_time
-            rate *= 1.0 + q.exponent * hurry / (1.0 + hurry)
+        rate *= _stiffened(chamber, rate, q)
         dx[2 + i] = rate - _cooling(i, chamber, rate, net, x, q, dx)
         _remember(i, chamber, dx[2 + i], through, drawn, x, q, dx)
         if q.dahl[i] != 0.0:
@@ -423,9 +435,7 @@ def rates(x, wanted, push, supply_change, p, q, dx):
     coulomb = _coulomb_torque(force_1, force_2, x[2], x[3], p) + _rubbing(angle, velocity, q)
     balance = _muscle_torque(cosine, force_1, force_2, p) + push + _load(angle, q)
     coulomb += _dry(angle, velocity, force_1, force_2, balance, x, p, q)
-    if q.dwell != 0.0:
-        resting = abs(velocity) < _AT_REST
-        dx[_RESTED] = (1.0 - x[_RESTED]) / q.dwell_time if resting else -x[_RESTED] / _FORGOTTEN
+    dx[_RESTED] = _ageing(velocity, x, q)
     if q.bristle != 0.0:
         # Bristles (Canudas de Wit et al. 1995): a spring that slips, with a Stribeck level, and its damping.
         level = 1.0 + q.bristle_fall * math.exp(-abs(velocity) / 0.1)

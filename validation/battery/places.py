@@ -66,6 +66,42 @@ PLACES: Mapping[str, Place] = {
     "eccentric": _place("encoder", "angle length"),
 }
 """Place of each effect of the battery, by its name."""
+_OWN, _OF_JOINT = "pressure", "pressure_1 pressure_2"
+LITERATURE: Mapping[str, Place] = {
+    # Dry friction against the motion; a torque by the velocity is the same function.
+    "rope": _place("friction torque", f"{_OF_JOINT} velocity speed"),
+    "stick": _place("friction", "angle"),
+    "press": _place("friction", f"pressure_sum {_OF_JOINT}"),
+    "lean": _place("friction torque", "velocity"),
+    "dwell": _place("friction", "speed velocity"),
+    "pressure_loop": _place(_PULL, f"{_OWN} {_OF_JOINT} pressure_difference"),
+    "pressure_play": _place(_PULL, f"{_OWN} {_OF_JOINT} pressure_difference"),
+    "relaxation": _place(_PULL, f"{_OWN} {_OF_JOINT} pressure_difference"),
+    "meter_loop": _place("meter", ""),  # for which there is no law
+    # An opening counts by what passes the valve; behind a chamber, a line is a passage.
+    "ball": _place("passage valve flow line", "pressure valve_flow open_rate"),
+    "meter_out": _place("passage valve flow line", "valve_flow open_rate"),
+    "silencer": _place("passage valve flow line", "valve_flow open_rate time"),
+    "quick_exhaust": _place("passage valve flow line", "valve_flow open_rate"),
+    "narrow_line": _place("sensor line", "pressure"),
+    "stuck_bit": _place("valve", "open_rate"),
+    "jitter": _place("valve", "open_rate"),
+    "valve_creep": _place("valve", "open_rate"),
+    "uneven_slew": _place("valve", "open_rate"),
+    "crossover": _place("valve", "open_rate"),
+    "arm": _place(_PULL, "angle length pressure_difference"),
+    "loose": _place(_PULL, "length angle"),
+    "bulge": _place("volume flow", "length angle length_rate"),
+    "heat": _place(_PULL, "time pressure"),
+    "give": _place(_PULL, "pressure length"),
+    # The supply at one valve: a flow through that valve is the same function.
+    "shared_line": _place("supply passage flow valve", "draw valve_flow other_pressure"),
+    "lift": _place(_AIR, "pressure"),
+    "exponent": _place("flow passage valve", "valve_flow open_rate pressure length_rate"),
+    "seat": _place("flow valve", "pressure"),
+}
+"""Place of each effect of :mod:`forms_literature`, by its name. The meter of the torque is a place without a law."""
+_EVERY = {**PLACES, **LITERATURE}
 
 
 class Found(NamedTuple):
@@ -90,9 +126,9 @@ def found(effect: Any) -> Found:
 def is_place(one: Found, effect: tuple[str, int | None]) -> bool:
     """Whether something was found where an effect sits: in its equation, and of its muscle where it has one."""
     name, muscle = effect
-    return bool(PLACES[name].places.intersection(one.place)) and (muscle is None or one.muscle in (None, muscle))
+    return bool(_EVERY[name].places.intersection(one.place)) and (muscle is None or one.muscle in (None, muscle))
 
 
 def are_arguments(one: Found, effect: tuple[str, int | None]) -> bool:
     """Whether a law in the right place depends on what the effect depends on, and on nothing else."""
-    return is_place(one, effect) and bool(one.arguments) and PLACES[effect[0]].arguments.issuperset(one.arguments)
+    return is_place(one, effect) and bool(one.arguments) and _EVERY[effect[0]].arguments.issuperset(one.arguments)
