@@ -9,9 +9,8 @@ from pam_antagonist.api.given import Bag, RigGiven, as_recordings, named
 from pam_antagonist.api.ways import EPISODES, SEALED, way
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.from_pressures import identify
-from pam_antagonist.identification.walk import free_sizes, strayed, walking
+from pam_antagonist.identification.walk import free_sizes, walking
 from pam_antagonist.rig import as_rig
-from pam_antagonist.shown import listed
 
 __all__ = ["adapt"]
 
@@ -57,9 +56,10 @@ def adapt(
     found = identify(
         read, chosen, starts=1, jobs=jobs, progress=progress, free=free_sizes(chosen), walk=walking(chosen)
     )
-    if far := strayed(found.fits):
+    now, line = found.pooled("identified"), found.pooled("linear")
+    if now > line:
         raise BadInput(
-            f"the recording is of another rig than {chosen.name}, or the rig was changed: {listed(far)} would have to "
-            "change by much more than from one day to the next; identify it anew"
+            f"the recording is of another rig than {chosen.name}, or the joint was rebuilt: with today's values the "
+            f"filter errs by {now:.2g}°, a linear map of the two pressures by {line:.2g}°; identify it anew"
         )
     return result_of(found, read)

@@ -7,20 +7,19 @@ determine keeps its value, so a short one is enough.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
-from pam_antagonist.inference.fit import Fit
 from pam_antagonist.inference.free_parameters import EFFECT_PARAMETERS
 from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.rig import Rig
 
 _SHARES: Mapping[str, float] = MappingProxyType({
     "friction.": 0.3, "effects.friction": 0.3, "joint.viscous_friction": 0.05, "effects.leak.": 0.5, "effects.": 0.2,
-    "muscle_1.force.c6": 0.0003, "muscle_2.force.c6": 0.0003, "muscle_": 0.003, "geometry.": 0.001, "joint.inertia": 0.01,
-    "limb": 0.01, "gas.": 0.03, "valve_": 0.03, "supply.pressure": 0.02,
+    "muscle_1.force.c6": 0.0003, "muscle_2.force.c6": 0.0003, "muscle_": 0.003, "geometry.": 0.001,
+    "joint.inertia": 0.01, "limb": 0.01, "gas.": 0.03, "valve_": 0.03, "supply.pressure": 0.02,
 })  # fmt: skip
 """Standard deviation of a walk, as a share of the value, by the beginning of the number's name; the first that fits."""
 _SIZES: Mapping[str, float] = MappingProxyType({ZERO: math.radians(0.1), DELAY: 1e-3})
@@ -29,9 +28,6 @@ _OF_NOTHING = 0.1
 """The same of an effect that there was none of, as a share of its usual size."""
 _REACH = 10.0
 """How far a fit may move a number, in standard deviations of its walk."""
-_OF_A_RIG = ("muscle_", "geometry.", "joint.inertia", "valve_", "gas.", "supply.", "limb")
-_FAR = 4.0
-"""So many standard deviations one of these does not walk: it is of another rig. Friction and leaks may, by a repair."""
 
 
 def walking(rig: Rig) -> Callable[[Unknown], Unknown]:
@@ -60,15 +56,3 @@ def free_sizes(rig: Rig) -> list[str]:
         if item.is_size and not item.fixed and path.split(".")[1] in rig.effects and rig.value(path)
         and not path.startswith("effects.limb_weight.")
     ]  # fmt: skip
-
-
-def strayed(fits: Sequence[Fit]) -> list[str]:
-    """Numbers of a rig that would have to walk much farther than they do, by name; the farthest first."""
-    far: dict[str, float] = {}
-    for fit in fits:
-        for item, amount in zip(fit.unknowns, fit.amounts, strict=True):
-            # What met a bound was put back to its start.
-            met = item.coordinate(fit.kept[item.name]) if item.name in fit.kept else float(amount)
-            if item.name.startswith(_OF_A_RIG) and not item.recording and abs(met) >= _FAR:
-                far[item.name] = abs(met)
-    return sorted(far, key=lambda name: -far[name])

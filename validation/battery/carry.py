@@ -292,11 +292,12 @@ def tables(outcomes: Sequence[dict[str, Any]]) -> list[Table]:
     ]  # fmt: skip
     legend = (
         f"Excess of the model alone on the third recording, as a median. It carries over where at most {_LEFT:.0%} of "
-        f"the configured rig's is left, or {_SEEN:g}; cases with less than {_SEEN:g} as configured do not count."
+        f"the configured rig's is left, or {_SEEN:g}; cases with less than {_SEEN:g} as configured do not count. "
+        "Worse: than as configured, by a tenth."
     )
     return [
         Table(("kind", "cases", "right place", "something false named", "seconds"), tuple(said), "What was said"),
-        Table(("kind", *_RIGS, "carries over", "with its own values", "worse than configured", "angle in 95 %"), tuple(worth),
+        Table(("kind", *_RIGS, "carries over", "own carries over", "worse", "angle in 95 %"), tuple(worth),
               "What it is worth", legend=legend),
         Table(("case", "form", "size", "said", "place", " → ".join(_RIGS)), tuple(misses), "Misses", prose=True),
     ]  # fmt: skip
