@@ -42,6 +42,13 @@ def adapt(
 
     Raises:
         BadInput: a rig that was never identified, a recording of another rig, or one in which nothing moves.
+
+    Example:
+        >>> from pam_antagonist import adapt, load_rig, simulate
+        >>> monday = load_rig("shin2022").with_value("identified", "monday")
+        >>> today = simulate(monday.with_value("friction.shaft", 0.3), duration=8.0)
+        >>> round(adapt(today, monday).rig.value("friction.shaft"), 1)
+        0.3
     """
     chosen = as_rig(rig, regulators=True)
     if not chosen.identified:

@@ -4,9 +4,9 @@ Friction and leaks change from day to day, forces a little, geometry not at all.
 from its value, by as much as such numbers do. What the recording does not determine stays. Half a minute of a free
 joint with its angle is enough; identify would need several minutes.
 
-The last third of the recording is not fitted. If the filter's error does not fall by a tenth there, the rig file as it
-was is kept: DIR then has no rig.yaml, and the status is 1. A recording of another rig, and one in which nothing moves,
-is refused.
+The last third of the recording is not fitted. The rig file as it was is kept unless the filter's error falls by a
+tenth, there and on the whole recording: DIR then has no rig.yaml, and the status is 1. A recording of another rig, and
+one in which nothing moves, is refused.
 
 Writes DIR/rig.yaml, DIR/report.html and DIR/report.json, as identify does.
 Status: 0 done, 1 the rig as it was is kept, 2 bad input (one line says what and where).

@@ -76,9 +76,10 @@ def test_the_example_in_the_docstring_runs(name: str, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.slow
-def test_the_example_of_diagnose_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["adapt", "diagnose"])
+def test_the_longer_example_in_the_docstring_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    _run_examples("diagnose")
+    _run_examples(name)
 
 
 def _run_examples(name: str) -> None:
@@ -94,7 +95,7 @@ def _run_examples(name: str) -> None:
 
 def test_every_function_has_an_example() -> None:
     functions = {name for name in pam_antagonist.__all__ if name[0].islower()} - {"write_bag"}
-    assert functions | {"Estimator"} == {*EXAMPLES, "diagnose"}
+    assert functions | {"Estimator"} == {*EXAMPLES, "adapt", "diagnose"}
 
 
 def test_a_replay_is_saved_as_report_table_and_bag(replayed: ReplayResult, tmp_path: Path) -> None:

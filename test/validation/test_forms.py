@@ -99,6 +99,13 @@ def test_what_is_right_and_what_is_false(item: dict[str, Any], right: bool, fals
     assert (row["right"], row["false"]) == (right, false)
 
 
+@pytest.mark.parametrize(("name", "false"), [("leak", True), ("valve_offset", False), ("friction", True)])
+def test_an_effect_of_the_catalogue_needs_an_argument_of_the_true_one(name: str, false: bool) -> None:
+    known = places.PLACES[name]
+    item = outcome(SINGLE, [("crossover", 1)], Found(tuple(known.places), 1, tuple(known.arguments)))
+    assert judged({**item, "found": [(name, 1)]})["false"] is false
+
+
 @pytest.mark.parametrize(
     ("configured", "left", "carries", "worse"),
     [(20.0, 3.9, True, False), (20.0, 4.1, False, False), (20.0, 23.0, False, True), (1.0, 0.4, True, False)],

@@ -51,7 +51,7 @@ from validation.battery.command import shard
 from validation.battery.form import Form
 from validation.battery.forms_literature import FORMS, KIND, KINDS
 from validation.battery.outcomes import HOLDOUT
-from validation.battery.places import LITERATURE, Found, found, is_place
+from validation.battery.places import LEARNED, LITERATURE, Found, found, is_place
 from validation.battery.plants import DURATION, JOINTS, RIG, SPREAD, Case
 from validation.battery.scores import interval
 
@@ -220,6 +220,12 @@ def _no_law(effect: str) -> bool:
     return LITERATURE[effect].places <= _NO_LAW
 
 
+def _is_there(name: str, one: Found, effect: tuple[str, int | None]) -> bool:
+    """Whether something named may be an effect: in its place; one of the catalogue also has an argument of it."""
+    known = LITERATURE[effect[0]].arguments
+    return is_place(one, effect) and (name == LEARNED or not known.isdisjoint(one.arguments))
+
+
 def judged(outcome: dict[str, Any]) -> dict[str, Any]:
     """A row of the tables: whether the places are right, what was named that is not there, and the excesses.
 
@@ -229,7 +235,7 @@ def judged(outcome: dict[str, Any]) -> dict[str, Any]:
     effects = [(str(name), muscle) for name, muscle in outcome["effects"]]
     sought = [one for one in effects if not _no_law(one[0])]
     false = [name for (name, _), one in zip(outcome["found"], where, strict=True)
-             if not any(is_place(one, effect) for effect in effects)]  # fmt: skip
+             if not any(_is_there(name, one, effect) for effect in effects)]  # fmt: skip
     first = where if outcome["kind"] == PAIR else where[:1]
     each = (zip(some, sought, strict=True) for some in permutations(first, len(sought)))
     right = any(all(is_place(*pair) for pair in pairs) for pairs in each) if sought else not false
