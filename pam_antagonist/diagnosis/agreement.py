@@ -1,7 +1,7 @@
 """One rig for all recordings, and contradictions between them.
 
-Every recording has base parameters and effects of its own. The common rig is their mean, weighted by how well each
-recording determines them. Recordings of one rig may not differ by more than a rig does from day to day. The bound is
+Every recording has base parameters and effects of its own. The common rig is what all of them say together, each weighted
+by how well it determines a number, and by how far the recordings differ in it. Recordings of one rig may not differ by more than a rig does from day to day. The bound is
 wider than that of an identification, which compares fits on held-out data. Here each recording is fitted by itself,
 before its effects are known.
 """
@@ -26,10 +26,6 @@ from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, random_part
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
-
-_SCATTER = 0.01
-"""Relative scatter between recordings that a weighted mean expects."""
-
 
 def own_rig(experiment: Experiment, point: Point, start: Rig | None = None) -> Rig:
     """The rig with the base parameters and effects of one recording."""
@@ -62,16 +58,31 @@ def common_point(model: Model, effects: Mapping[str, float]) -> Point:
     if len(model.fits) == 1:
         theta[:count] = model.fits[0].point.theta[:count]
         return Point(theta, dict(model.fits[0].point.effects))
-    information, pull = np.diag(first.prior[:count]), np.zeros(count)
-    for fitted in model.fits:
-        covariance = fitted.covariance[:count, :count] + _SCATTER**2 * np.eye(count)
-        weight = np.linalg.inv(covariance)
-        # The prior is in every recording's covariance; it counts once.
-        weight -= np.linalg.inv(np.diag(1.0 / first.prior[:count]) + _SCATTER**2 * np.eye(count))
-        information += weight
-        pull += weight @ fitted.point.theta[:count]
-    theta[:count] = np.linalg.solve(information, pull)
+    theta[:count] = combined(
+        [fitted.point.theta[:count] for fitted in model.fits],
+        [fitted.covariance[:count, :count] for fitted in model.fits],
+        first.prior[:count],
+    )
     return Point(theta, {**effects, **calibrations.common(model)})
+
+
+def combined(values: Sequence[Floats], covariances: Sequence[Floats], prior: Floats) -> Floats:
+    """What recordings with values (K,) and covariances (K, K) say together; their common prior counts once.
+
+    They scatter about the rig as far as they differ by more than their errors, number by number.
+
+    `prior`: precisions (K,) of the prior about 0, which is in each covariance.
+    """
+    errors = np.mean([np.diag(one) for one in covariances], axis=0)
+    scatter = np.diag(np.maximum(np.var(values, axis=0, ddof=1) - errors, 0.0))
+    information, pull = np.diag(prior), np.zeros(len(prior))
+    for value, covariance in zip(values, covariances, strict=True):
+        precision = np.linalg.inv(covariance)
+        own = precision - np.diag(prior)  # what the recording says beside the prior
+        widened = np.linalg.inv(np.eye(len(prior)) + own @ scatter)
+        information += widened @ own
+        pull += widened @ (precision @ value)
+    return np.asarray(np.linalg.solve(information, pull))
 
 
 def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, str] | None:
