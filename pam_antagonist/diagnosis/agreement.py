@@ -1,9 +1,9 @@
 """One rig for all recordings, and contradictions between them.
 
-Every recording has base parameters and effects of its own. The common rig is what all of them say together, each weighted
-by how well it determines a number, and by how far the recordings differ in it. Recordings of one rig may not differ by more than a rig does from day to day. The bound is
-wider than that of an identification, which compares fits on held-out data. Here each recording is fitted by itself,
-before its effects are known.
+Every recording has base parameters and effects of its own. The common rig is what all of them say together, each
+weighted by how well it determines a number, and by how far the recordings differ in it. Recordings of one rig may not
+differ by more than a rig does from day to day. The bound is wider than that of an identification, which compares fits
+on held-out data. Here each recording is fitted by itself, before its effects are known.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, random_part
 from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
+
 
 def own_rig(experiment: Experiment, point: Point, start: Rig | None = None) -> Rig:
     """The rig with the base parameters and effects of one recording."""
@@ -73,8 +74,7 @@ def combined(values: Sequence[Floats], covariances: Sequence[Floats], prior: Flo
 
     `prior`: precisions (K,) of the prior about 0, which is in each covariance.
     """
-    errors = np.mean([np.diag(one) for one in covariances], axis=0)
-    scatter = np.diag(np.maximum(np.var(values, axis=0, ddof=1) - errors, 0.0))
+    scatter = np.diag(_scatter(np.array(values), np.array([np.diag(one) for one in covariances]), prior))
     information, pull = np.diag(prior), np.zeros(len(prior))
     for value, covariance in zip(values, covariances, strict=True):
         precision = np.linalg.inv(covariance)
@@ -83,6 +83,18 @@ def combined(values: Sequence[Floats], covariances: Sequence[Floats], prior: Flo
         information += widened @ own
         pull += widened @ (precision @ value)
     return np.asarray(np.linalg.solve(information, pull))
+
+
+def _scatter(values: Floats, variances: Floats, prior: Floats) -> Floats:
+    """Variance (K,) by which values (N, K) differ beyond their errors, by the estimate of DerSimonian and Laird (1986).
+
+    `variances`: of each value, with the prior in it (N, K), as is its pull in the values.
+    """
+    weight = np.maximum(1.0 / variances - prior, 1e-9 * prior)
+    alone = values / (variances * weight)  # as it were without the prior
+    total = weight.sum(axis=0)
+    off = (weight * (alone - (weight * alone).sum(axis=0) / total) ** 2).sum(axis=0)
+    return np.asarray(np.maximum(off - (len(values) - 1), 0.0) / (total - (weight**2).sum(axis=0) / total))
 
 
 def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, str] | None:
