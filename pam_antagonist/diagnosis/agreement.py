@@ -90,11 +90,14 @@ def _scatter(values: Floats, variances: Floats, prior: Floats) -> Floats:
 
     `variances`: of each value, with the prior in it (N, K), as is its pull in the values.
     """
-    weight = np.maximum(1.0 / variances - prior, 1e-9 * prior)
-    alone = values / (variances * weight)  # as it were without the prior
-    total = weight.sum(axis=0)
+    weight = 1.0 / variances - prior
+    says = weight > prior  # a recording that says less than the prior follows other numbers
+    weight = np.where(says, weight, 0.0)
+    alone = values / np.where(says, variances * weight, 1.0)  # as it were without the prior
+    total = np.maximum(weight.sum(axis=0), prior)
     off = (weight * (alone - (weight * alone).sum(axis=0) / total) ** 2).sum(axis=0)
-    return np.asarray(np.maximum(off - (len(values) - 1), 0.0) / (total - (weight**2).sum(axis=0) / total))
+    excess = np.maximum(off - (says.sum(axis=0) - 1), 0.0) / np.maximum(total - (weight**2).sum(axis=0) / total, prior)
+    return np.asarray(np.where(says.sum(axis=0) > 1, excess, 0.0))
 
 
 def farthest_apart(experiment: Experiment, one: Fitted, other: Fitted) -> tuple[str, str] | None:

@@ -28,6 +28,14 @@ def test_a_recording_that_does_not_see_a_number_has_no_say_in_it() -> None:
     assert both[1] == pytest.approx(sees[0][1], rel=0.01)
 
 
+def test_a_number_that_follows_others_says_nothing_of_how_far_recordings_scatter() -> None:
+    sure, covariance = posterior(np.diag([1e6, 1e7]), np.array([0.01, 0.1]))
+    turned = np.array([[1e7, 2e4], [2e4, 45.0]])
+    follows, wide = posterior(turned, np.array([0.011, -0.2]))
+    both = combined([sure, follows], [covariance, wide], PRIOR)
+    assert both[1] == pytest.approx(0.1, rel=0.05)
+
+
 def test_the_prior_counts_once_where_recordings_say_little() -> None:
     weak = np.array([[3e4, 1e3], [1e3, 600.0]])
     value = np.array([0.01, 0.1])
