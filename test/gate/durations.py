@@ -20,7 +20,7 @@ PART_VARIABLE = "PAM_TEST_PART"
 """Environment variable: name of the run, and of its file."""
 LIMIT_S = 3.0
 """Processor time of a test that is not marked slow, without compiling [s]."""
-SLOW_MACHINE = 2.0
+SLOW_MACHINE = 4.0
 """A test fails beyond so many times the limit only: no machine refuses what a quicker one has accepted."""
 IDLE = 2.0
 """Running processes per core beyond which processor time says nothing: cores share caches and clock."""

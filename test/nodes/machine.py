@@ -1,6 +1,7 @@
-"""Whether this machine carries messages at 1 kHz at all: three bare nodes without anything of this package.
+"""Whether this machine can run a pipeline at 1 kHz at all, by nothing of this package: bare nodes, and bare Python.
 
-Pipelines at 1 kHz cannot be tested where even these are late, which is no defect of what is tested. ./run test asks it.
+Pipelines at 1 kHz cannot be tested where even bare messages are late, or where Python itself is too slow on all cores
+at once, which is no defect of what is tested. ./run test asks it.
 """
 
 from __future__ import annotations
@@ -17,10 +18,28 @@ SECONDS = 4.0
 LATE_S = 0.02  # round trip [s]
 ENOUGH = 0.5  # of round trips in time: two idle cores gave 0.90 to 0.98, with six busy processes beside 0.17 to 0.34
 TRIES = 3
+QUICK = 8e6
+"""Additions a second in Python, on each core at once. Two idle cores had 11e6 when all pipelines passed; at 5e6 to 6e6
+a fifth of them failed, on the same machine two hours later."""
+_ADDING = """
+import time
+rates = []
+for _ in range(5):
+    begin, total = time.perf_counter(), 0
+    for k in range(1_000_000):
+        total += k
+    rates.append(1e6 / (time.perf_counter() - begin))
+print(sorted(rates)[2])
+"""
 
 
 def keeps_up() -> bool:
     """Whether pipelines can be tested here; says so."""
+    rate = max(additions_a_second() for _ in range(TRIES))
+    words = f"{rate / 1e6:.1f} million additions a second in Python on each core at once; {QUICK / 1e6:g} are needed."
+    print(f"This machine makes {words}")
+    if rate < QUICK:
+        return False
     share = 0.0
     for _ in range(TRIES):
         share = max(share, round_trips_in_time())
@@ -28,6 +47,13 @@ def keeps_up() -> bool:
             break
     print(f"This machine brings {share:.0%} of bare messages at 1 kHz back in time; {ENOUGH:.0%} are needed.")
     return share >= ENOUGH
+
+
+def additions_a_second() -> float:
+    """Of the slowest of as many processes as there are cores."""
+    command = [sys.executable, "-c", _ADDING]
+    each = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(os.cpu_count() or 1)]
+    return min(float(one.communicate()[0]) for one in each)
 
 
 def round_trips_in_time() -> float:

@@ -109,8 +109,8 @@ def test_the_coverage_of_all_recordings_is_one_sentence(coverage: float, status:
     wide = {"coverage95": coverage, "width": 20.0 if coverage == 1.0 else 1.96}
     part.reports["identified"].ukf.angle = replace(part.reports["identified"].ukf.angle, **wide)
     found: Any = SimpleNamespace(
-        found=SimpleNamespace(notes=()), parameters=(), rejected="", held=[part], coverage95=(coverage, math.nan),
-        between=(), correlations=(), recordings=(part,),
+        found=SimpleNamespace(notes=()), parameters=(), rejected="", adapts=False, held=[part],
+        coverage95=(coverage, math.nan), between=(), correlations=(), recordings=(part,),
     )  # fmt: skip
     (item,) = [one for one in identify_findings.findings(found) if "95 % intervals" in one.text]
     assert item.status == status and item.text.endswith(said)
