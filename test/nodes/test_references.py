@@ -93,6 +93,11 @@ def test_standard_messages_are_references(
     assert loop.run(**error)[0] > 5.6
     # A bag has what was followed in the package's own message.
     assert [(item.mode, item.value) for item in echoed] == [(mode, value)]
+    from pam_antagonist.nodes.health import publishers_of
+
+    end = time.monotonic() + 5.0  # a name may come after its endpoint
+    while "UNKNOWN" in "".join(publishers_of(loop.node, source)) and time.monotonic() < end:
+        time.sleep(0.05)
     health = loop.health("reference")
     assert health.level == 0 and health.values["publishers"] == "/pam/planner"
     assert health.values["source"].startswith(f"/pam/{source} (")
