@@ -175,7 +175,8 @@ class FromPressures:
         if any(item.rows for item in self.held) and not math.isfinite(now):
             return "the filter gives no angle on the held-out data with it."
         if self.options.adapts:
-            for after, without, where in ((now, before, "held-out data"), (*self._over_all(), "whole recording")):
+            over_all = self._over_all("identified"), self._over_all("as_configured")
+            for after, without, where in ((now, before, "held-out data"), (*over_all, "whole recording")):
                 if math.isfinite(without) and not after <= _ADAPTED * without:
                     said = f"the filter errs by {after:.3g}° with today's values and by {without:.3g}° without"
                     return f"on the {where} {said}."
@@ -198,16 +199,11 @@ class FromPressures:
             )
         return ""
 
-    def _over_all(self) -> tuple[float, float]:
-        """Errors of the angle over whole recordings, identified and as configured, RMS [deg]; NaN without any."""
-        rms = np.full((2, len(self.held)), np.nan)
-        for k, held in enumerate(self.held):
-            for row, name in zip(rms, ("identified", "as_configured"), strict=True):
-                angle = held.replays[name].report.ukf.angle
-                row[k] = math.nan if angle is None else angle.rmse
-        each = rms[:, np.isfinite(rms).all(axis=0)]
-        after, without = np.sqrt(np.mean(each**2, axis=1)) if each.size else (math.nan, math.nan)
-        return float(after), float(without)
+    def _over_all(self, name: str) -> float:
+        """Error of the angle over whole recordings with a rig, ``identified`` or ``as_configured``, RMS [deg]."""
+        angles = [held.replays[name].report.ukf.angle for held in self.held]
+        known = [one.rmse for one in angles if one is not None]
+        return float(np.sqrt(np.mean(np.square(known)))) if known else math.nan
 
     def _cause(self, now: float) -> str:
         """What the recordings themselves show of the cause of an error [deg], in sentences."""

@@ -12,14 +12,14 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from pam_antagonist.identification.joint_stage import DELAY, ZERO
-from pam_antagonist.inference.free_parameters import EFFECT_PARAMETERS
+from pam_antagonist.inference.free_parameters import EFFECT_PARAMETERS, sizes_of
 from pam_antagonist.inference.unknown import Unknown
 from pam_antagonist.rig import Rig
 
 _SHARES: Mapping[str, float] = MappingProxyType({
     "friction.": 0.3, "effects.friction": 0.3, "joint.viscous_friction": 0.05, "effects.leak.": 0.5, "effects.": 0.2,
     "muscle_1.force.c6": 0.0003, "muscle_2.force.c6": 0.0003, "muscle_": 0.003, "geometry.": 0.001,
-    "joint.inertia": 0.01, "limb": 0.01, "gas.": 0.03, "valve_": 0.03, "supply.pressure": 0.02,
+    "joint.inertia": 0.01, "limb": 0.01, "gas.": 0.03, "valve_": 0.03, "supply.pressure": 0.02, "": 0.05,
 })  # fmt: skip
 """Standard deviation of a walk, as a share of the value, by the beginning of the number's name; the first that fits."""
 _SIZES: Mapping[str, float] = MappingProxyType({ZERO: math.radians(0.1), DELAY: 1e-3})
@@ -39,7 +39,7 @@ def walking(rig: Rig) -> Callable[[Unknown], Unknown]:
         value = rig.value(item.path) if item.paths else item.start
         # What had vanished may come back.
         start = max(value, _OF_NOTHING * item.start) if item.may_vanish else value
-        share = next((share for beginning, share in _SHARES.items() if item.name.startswith(beginning)), 0.05)
+        share = next(share for beginning, share in _SHARES.items() if item.name.startswith(beginning))
         effect = EFFECT_PARAMETERS.get(item.name)
         least = 0.0 if effect is None else _OF_NOTHING * effect.scale
         std = share if item.positive else _SIZES.get(item.name, max(share * abs(start), least))
@@ -50,9 +50,4 @@ def walking(rig: Rig) -> Callable[[Unknown], Unknown]:
 
 def free_sizes(rig: Rig) -> list[str]:
     """The sizes of the rig file's effects, by dotted path; a limb has no size that walks by itself."""
-    return [
-        path
-        for path, item in EFFECT_PARAMETERS.items()
-        if item.is_size and not item.fixed and path.split(".")[1] in rig.effects and rig.value(path)
-        and not path.startswith("effects.limb_weight.")
-    ]  # fmt: skip
+    return [path for path in sizes_of(rig) if not path.startswith("effects.limb_weight.")]

@@ -91,6 +91,11 @@ def free_parameters(rig: Rig, free: Sequence[str] = (), frozen: Sequence[str] = 
     return chosen
 
 
+def sizes_of(rig: Rig) -> list[str]:
+    """Sizes of the effects that a rig has, by dotted path."""
+    return [name for name, item in EFFECT_PARAMETERS.items() if item.is_size and not item.fixed and rig.value(name)]
+
+
 def _by_default(rig: Rig) -> set[str]:
     names = {
         f"muscle_{i}.force.{c}"
@@ -100,8 +105,7 @@ def _by_default(rig: Rig) -> set[str]:
     }
     names |= set(_FRICTION[rig.model.friction])
     names |= set(_MOTION) | {name for name in _FLOW if not (rig.valves.sealed and name.startswith("valve_"))}
-    sizes = [name for name, item in EFFECT_PARAMETERS.items() if item.is_size and not item.fixed]
-    present = {name for name in sizes if rig.value(name)}
+    present = set(sizes_of(rig))
     if rig.drive == "regulator":
         # No air passes a valve of the model. Range, dead zone and largest rate are fitted in a separate step.
         names -= {name for name in _FLOW if name != "gas.polytropic_volume"}

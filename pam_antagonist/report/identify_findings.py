@@ -73,7 +73,7 @@ def _change(item: ParameterEntry) -> str:
     if not item.start:
         unit = readable(item.unit)
         return f"0 to {number(item.value * unit.scale, 2)} {unit.name}".strip()
-    return f"{item.relative_change:+.1%} ± {_NORMAL * item.std / abs(item.start):.1%}"
+    return f"{100.0 * item.relative_change:+.1f} ± {100.0 * _NORMAL * item.std / abs(item.start):.1f} %"
 
 
 def of_recording(held: HeldRecording) -> list[Statement]:

@@ -20,7 +20,7 @@ ENOUGH = 0.5  # of round trips in time: two idle cores gave 0.90 to 0.98, with s
 TRIES = 3
 QUICK = 8e6
 """Additions a second in Python, on each core at once. Two idle cores had 11e6 when all pipelines passed; at 5e6 to 6e6
-a fifth of them failed, on the same machine two hours later."""
+a quarter of them failed, on the same machine two hours later."""
 _ADDING = """
 import time
 rates = []

@@ -50,7 +50,7 @@ from validation import frame
 from validation.battery.command import shard
 from validation.battery.form import Form
 from validation.battery.forms_literature import FORMS, KIND, KINDS
-from validation.battery.outcomes import HOLDOUT
+from validation.battery.outcomes import HOLDOUT, path_of
 from validation.battery.places import LEARNED, LITERATURE, Found, found, is_place
 from validation.battery.plants import DURATION, JOINTS, RIG, SPREAD, Case
 from validation.battery.scores import interval
@@ -336,7 +336,7 @@ def _main(arguments: argparse.Namespace) -> int:
     waiting = [one for one in every[first - 1 :: shards] if _load(folder, *one, arguments.duration) is None]
     with counted(len(waiting), "forms") as advance:
         for index, joint in waiting:
-            frame.kept(_path(folder, index), partial(judge, joint, arguments.duration, arguments.jobs))
+            frame.kept(path_of(folder, index), partial(judge, joint, arguments.duration, arguments.jobs))
             advance(1)
     done = [one for item in every if (one := _load(folder, *item, arguments.duration)) is not None]
     about = Text(f"{len(done)} of {len(every)} cases are finished; seed {arguments.seed}, "
@@ -345,13 +345,9 @@ def _main(arguments: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _path(folder: Path, index: int) -> Path:
-    return folder / f"case_{index:04d}.json"
-
-
 def _load(folder: Path, index: int, joint: Joint, duration: float) -> dict[str, Any] | None:
     """The outcome of a case that is done, None of one that is not; one of other cases is refused."""
-    path = _path(folder, index)
+    path = path_of(folder, index)
     if not path.exists():
         return None
     try:
