@@ -36,11 +36,13 @@ def _through_valves(pressure, voltage, p):
 def arguments(experiment: Experiment, point: Point) -> dict[str, Floats]:
     """What a law of any joint may depend on, at each sample of a recording (N,), by name."""
     p = experiment.parameters(point)
-    states = np.ascontiguousarray(experiment.states(point)[0][:, :4])
+    states, torque = experiment.states(point)
+    states = np.ascontiguousarray(states[:, :4])
     angle, velocity, first, second = states.T
     out = {
         "pressure_1": first, "pressure_2": second, "pressure_difference": first - second,
         "pressure_sum": first + second, "angle": angle, "velocity": velocity, "speed": np.abs(velocity),
+        "torque": torque,
     }  # fmt: skip
     if experiment.in_one_piece:
         out["time"] = np.arange(len(states)) * experiment.trial.dt

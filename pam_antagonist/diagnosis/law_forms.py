@@ -18,12 +18,6 @@ NODES, FINE = 8, 15
 """Nodes of a table, and of one for a law that is steep somewhere."""
 SMOOTH = (1e-4, 1e-2)
 """Precisions of the second differences of a table that are tried, as a share of what the data know of its values."""
-_TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)
-_SHORT = (0.03, 0.1, 0.3)
-"""[s] Times of lag and high-pass, and those of a sensor."""
-_WIDTHS = (0.1, 0.3, 0.6)
-_NARROW = (0.01, 0.03, 0.1)
-"""Widths of play as shares of the argument's range, and those of an encoder."""
 
 
 @dataclass(frozen=True)
@@ -126,13 +120,13 @@ def plain_groups(places: Sequence[str]) -> Iterator[LawForm]:
 def groups_with_memory(places: Sequence[str], span: Callable[[LawForm], float]) -> Iterator[LawForm]:
     """Laws with memory at some places; ``span`` is the range of the argument of a law without memory."""
     for place in places:
-        kind = LawForm(place).kind
-        for argument in TABLE[kind].with_memory:
-            operators = {"draw": ("lag",), "sensor": ("high_pass",), "encoder": ()}
-            for operator in operators.get(argument, operators.get(kind, ("lag", "high_pass"))):
-                for time in _SHORT if kind == "sensor" else _TIMES:
+        row = TABLE[LawForm(place).kind]
+        for argument in row.with_memory:
+            of_draw = argument == "draw"  # which a rig holds with a lag only
+            for operator in ("lag",) if of_draw else row.fading:
+                for time in row.times:
                     yield LawForm(place, argument, operator, time)
-            for share in () if argument == "draw" else _NARROW if kind == "encoder" else _WIDTHS:
+            for share in () if of_draw else row.widths:
                 width = share * span(LawForm(place, argument))
                 if width > 0.0:
                     yield LawForm(place, argument, "play", width)

@@ -25,7 +25,7 @@ from pam_antagonist.diagnosis.models import Model, likelier, without
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, held_residual
 from pam_antagonist.inference.point import Point
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, continued
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, continued
 from pam_antagonist.model.effects import parameter_path
 from pam_antagonist.model.effects.places import SENSORS, TABLE
 from pam_antagonist.rig import Rig
@@ -164,8 +164,9 @@ class _Recording:
     def _columns_of_readings(self, group: LawForm, nodes: Floats) -> Floats:
         """Likewise of a law by which a sensor reads too high, per SI unit."""
         out = np.zeros((*self.fitted.residual.shape, len(nodes)))
+        first = {"angle": ANGLE, "torque": TORQUE, "pressure": PRESSURE_1}[TABLE[group.kind].reads]
         for muscle in group.muscles:
-            channel = ANGLE if group.muscle is None else PRESSURE_1 + muscle - 1
+            channel = first + muscle - 1
             if channel in self.experiment.channels:
                 # A table is not linear: its mean over a block is not its value at a mean.
                 each = hats(group.argument_of(self.sampled, muscle, self.experiment.trial.dt), nodes).T

@@ -137,17 +137,20 @@ def corrected(recordings: Sequence[Recording], law: Law | None) -> list[Recordin
         return list(recordings)
     group, out = LawForm.of(law), []
     for one in recordings:
-        assert one.angle is not None  # the law was found in its error, or depends on what was read
-        columns, period = np.nan_to_num(np.column_stack([one.pressure, one.angle])), one.sample_period_s
+        nothing, period = np.zeros(len(one.time_s)), one.sample_period_s
+        others = (nothing if each is None else each for each in (one.angle, one.torque))
+        columns = np.nan_to_num(np.column_stack([one.pressure, *others]))
         size = 2 * int(0.5 * _SMOOTHED_S / period) + 1
-        first, second, angle = uniform_filter1d(columns, size, axis=0, mode="nearest").T
+        first, second, angle, torque = uniform_filter1d(columns, size, axis=0, mode="nearest").T
         seen = {"pressure_1": first, "pressure_2": second, "pressure_difference": first - second, "angle": angle,
-                "time": one.time_s}  # fmt: skip
+                "torque": torque, "time": one.time_s}  # fmt: skip
         high = np.zeros(columns.shape)
         for muscle in group.muscles:
-            column = 2 if group.muscle is None else muscle - 1
+            column = {"pressure": 0, "angle": 2, "torque": 3}[TABLE[group.kind].reads] + muscle - 1
             high[:, column] += np.interp(group.argument_of(seen, muscle, period), law.nodes, law.values)
-        out.append(replace(one, pressure=one.pressure - high[:, :2], angle=one.angle - high[:, 2]))
+        angle, torque = (read if read is None else read - error
+                         for read, error in zip((one.angle, one.torque), high[:, 2:].T, strict=True))  # fmt: skip
+        out.append(replace(one, pressure=one.pressure - high[:, :2], angle=angle, torque=torque))
     return out
 
 

@@ -32,12 +32,15 @@ _MOST_DIRECTIONS = 3
 """Most directions in which the filter carries the uncertainty of a law: each costs two sigma points."""
 _PRIOR = 0.3
 """Prior standard deviation of a value without a given one, as a share of the law's largest value."""
+_OF_READINGS = {"torque": "N m"}
+"""What an error of readings may depend on beside what a law of a rig may."""
 _SHOWN = {"Pa": ("kPa", 1e-3), "rad": ("°", math.degrees(1.0)), "rad/s": ("°/s", math.degrees(1.0)), "m": ("mm", 1e3)}
 _ON = {
     "none": "nothing that was measured", "pressure_difference": "P1 - P2", "pressure_sum": "P1 + P2",
     "pressure_1": "P1", "pressure_2": "P2", "pressure": "its own pressure", "other_pressure": "the other pressure",
     "length": "its length", "length_rate": "the rate of its length", "open_rate": "the valve's open rate",
     "valve_flow": "the valve's flow", "draw": "the air that is drawn", "time": "the time since the start",
+    "torque": "its torque",
 }  # fmt: skip
 
 
@@ -62,8 +65,8 @@ class Law:
 
     @property
     def is_of_readings(self) -> bool:
-        """Whether it is an error of sensors that no rig can hold: of the encoder, or not by a sensor's own pressure."""
-        return self.place == "encoder" or (
+        """Whether it is an error of sensors that no rig can hold; one can where a pressure is misread by itself."""
+        return not places.TABLE[self.place].hooks or (
             self.place == "sensor" and (self.argument, self.operator) != ("pressure", "none")
         )
 
@@ -75,7 +78,7 @@ class Law:
     @property
     def argument_unit(self) -> str:
         """Unit of the nodes."""
-        return learned.ARGUMENTS.get(self.argument, "SI")
+        return {**learned.ARGUMENTS, **_OF_READINGS}.get(self.argument, "SI")
 
     def value(self, argument: float) -> float:
         """The table: linear between the nodes, constant outside."""

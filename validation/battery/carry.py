@@ -67,8 +67,6 @@ _RIGS = ("configured", "recalibrated", "proposed", "own")
 """Rigs that are tried on the third recording. The last one has the free recording's own values."""
 _ERRORS = ("as_configured", "recalibrated", "extended")
 _CASES = whole(0, 1000)
-_NO_LAW = frozenset({"meter"})
-"""Places that no search knows: there it is right to name nothing."""
 _LEFT, _SEEN = 0.2, 0.5
 """An effect carries over if no more than this share of the excess is left; of an excess that is at least the other."""
 
@@ -115,7 +113,7 @@ def cases(seed: int, count: int, pairs: int, free_only: int, nothing: int) -> li
             chosen: list[Form] = []
             if kind != NOTHING:
                 # Without a torque meter, nothing shows its errors.
-                every = [form for form in FORMS if kind != FREE_ONLY or not _no_law(form.effect)]
+                every = [form for form in FORMS if kind != FREE_ONLY or "meter" not in LITERATURE[form.effect].places]
                 deck = deck or [every[i] for i in rng.permutation(len(every))]
                 chosen.append(deck.pop())
             if kind == PAIR:
@@ -215,11 +213,6 @@ class _Alone:
         self.angle, self.torque, self.rmse_pa = errors.angle, errors.torque, errors.pressure.rmse_pa
 
 
-def _no_law(effect: str) -> bool:
-    """Whether an effect sits where no search looks."""
-    return LITERATURE[effect].places <= _NO_LAW
-
-
 def _is_there(name: str, one: Found, effect: tuple[str, int | None]) -> bool:
     """Whether something named may be an effect: in its place; one of the catalogue also has an argument of it."""
     known = LITERATURE[effect[0]].arguments
@@ -227,18 +220,14 @@ def _is_there(name: str, one: Found, effect: tuple[str, int | None]) -> bool:
 
 
 def judged(outcome: dict[str, Any]) -> dict[str, Any]:
-    """A row of the tables: whether the places are right, what was named that is not there, and the excesses.
-
-    Where no law can stand, it is right to name nothing that is not there.
-    """
+    """A row of the tables: whether the places are right, what was named that is not there, and the excesses."""
     where = [Found(tuple(a), muscle, tuple(b)) for a, muscle, b in outcome["where"]]
     effects = [(str(name), muscle) for name, muscle in outcome["effects"]]
-    sought = [one for one in effects if not _no_law(one[0])]
     false = [name for (name, _), one in zip(outcome["found"], where, strict=True)
              if not any(_is_there(name, one, effect) for effect in effects)]  # fmt: skip
     first = where if outcome["kind"] == PAIR else where[:1]
-    each = (zip(some, sought, strict=True) for some in permutations(first, len(sought)))
-    right = any(all(is_place(*pair) for pair in pairs) for pairs in each) if sought else not false
+    each = (zip(some, effects, strict=True) for some in permutations(first, len(effects)))
+    right = any(all(is_place(*pair) for pair in pairs) for pairs in each)
     if not effects:
         right = outcome["verdict"] == "none"
     excess = {name: math.inf if (one := outcome[name]["excess"]) is None else one for name in _RIGS}

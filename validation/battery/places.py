@@ -1,7 +1,7 @@
 """Where each effect of the battery sits in the equations, and what it depends on: the truth for a search.
 
-Places and arguments have the names of learned laws; ``line``, ``volume`` and ``encoder`` are places for which there may
-be no law. An effect has several where they are one function: a leak by a pressure is a valve that this pressure opens.
+Places and arguments have the names of learned laws; there is no law for ``line``. An effect has several places where
+they are one function: a leak by a pressure is a valve that this pressure opens.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ LITERATURE: Mapping[str, Place] = {
     "pressure_loop": _place(_PULL, f"{_OWN} {_OF_JOINT} pressure_difference"),
     "pressure_play": _place(_PULL, f"{_OWN} {_OF_JOINT} pressure_difference"),
     "relaxation": _place(_PULL, f"{_OWN} {_OF_JOINT} pressure_difference"),
-    "meter_loop": _place("meter", ""),  # for which there is no law
+    "meter_loop": _place("meter", "torque"),
     # An opening counts by what passes the valve; behind a chamber, a line is a passage.
     "ball": _place("passage valve flow line", "pressure valve_flow open_rate"),
     "meter_out": _place("passage valve flow line", "valve_flow open_rate"),
@@ -100,7 +100,7 @@ LITERATURE: Mapping[str, Place] = {
     "exponent": _place("flow passage valve", "valve_flow open_rate pressure length_rate"),
     "seat": _place("flow valve", "pressure"),
 }
-"""Place of each effect of :mod:`forms_literature`, by its name. The meter of the torque is a place without a law."""
+"""Place of each effect of :mod:`forms_literature`, by its name."""
 _EVERY = {**PLACES, **LITERATURE}
 
 

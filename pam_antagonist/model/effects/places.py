@@ -14,6 +14,7 @@ AIR, JOINT, VALVES, SENSORS = "air", "joint", "valves", "sensors"
 _FLOWS = ("mass_loss", "open_rate", "open_rate_shift", "voltage_shift", "spool_voltage")
 _FORCES = ("contraction_force", "muscle_force")
 _EACH, _AND_BOTH = ("1", "2"), ("1", "2", "both")
+_TIMES, _WIDTHS = (0.3, 1.0, 3.0, 10.0, 30.0), (0.1, 0.3, 0.6)
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,10 @@ class Place:
     step: float = 0.0  # of a value, at which derivatives of the model are taken
     also: tuple[str, ...] = ()  # what a law of a rig may depend on beside what it may everywhere
     only: tuple[str, ...] = ()  # all that it may depend on, and without a memory
+    reads: str = ""  # of a sensor, what it reads: pressure, angle or torque
+    times: tuple[float, ...] = _TIMES  # [s] of the lags that are tried
+    fading: tuple[str, ...] = ("lag", "high_pass")  # operators that are tried with these times
+    widths: tuple[float, ...] = _WIDTHS  # of the plays that are tried, as shares of the argument's range
 
 
 TABLE: Mapping[str, Place] = {
@@ -65,6 +70,7 @@ TABLE: Mapping[str, Place] = {
     "sensor": Place(
         "the sensor of {m}", "Pa", ("sensor_reading", "sensor_inverse"), _AND_BOTH, SENSORS, ("sensor_reading",),
         ("pressure", "other_pressure", "pressure_difference"), ("pressure",), 10.0, only=("pressure",),
+        reads="pressure", times=(0.03, 0.1, 0.3), fading=("high_pass",),
     ),
     "torque": Place(
         "the torque on the joint", "N m", ("joint_torque",), (), JOINT, ("joint_torque",),
@@ -88,7 +94,15 @@ TABLE: Mapping[str, Place] = {
         "the volume of {m}", "-", ("swelling",), _EACH, AIR, (), ("pressure", "length"), (), 1e-3,
         only=("pressure", "length"),
     ),
-    "encoder": Place("the encoder", "rad", (), (), SENSORS, (), ("angle",), ("angle",), 1e-4),
+    "encoder": Place(
+        "the encoder", "rad", (), (), SENSORS, (), ("angle",), ("angle",), 1e-4, reads="angle",
+        fading=(), widths=(0.01, 0.03, 0.1),
+    ),
+    # By another argument, what the muscles lack would be an error of the meter.
+    "meter": Place(
+        "the torque meter", "N m", (), (), SENSORS, (), ("torque",), ("torque",), 1e-3, reads="torque",
+        widths=(0.03, 0.1, 0.3, 0.6),
+    ),
 }  # fmt: skip
 """All places. Those of a rig are in the order of their codes in the parameter vector: a new one goes behind them."""
 

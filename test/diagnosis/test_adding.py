@@ -1,0 +1,102 @@
+"""Adding is short: a force law in two files, a place of laws in one row, a verdict in a title and a rule."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pam_antagonist
+from pam_antagonist.diagnosis import diagnose, judgement, law_search, verdicts
+from pam_antagonist.diagnosis.judgement import Case, Rule
+from pam_antagonist.diagnosis.result import Judged
+from pam_antagonist.model.effects import places
+from pam_antagonist.model.effects.places import SENSORS, Place
+from pam_antagonist.paths import config_dir
+
+SOURCE = Path(pam_antagonist.__file__).parent
+FORM = {
+    "model/force_forms.py": {
+        '    "polynomial": ': (
+            '    "exponential": ForceForm(_newtons(2, c2="-"), ("c1",), "", ("c1", "c2"), ("c2",)),\n'
+        ),
+    },
+    "model/muscle.py": {
+        "_UNIT_PRESSURE = 1e5": '_EXPONENTIAL = float(FORCE_FORMS.index("exponential"))\n',
+        "    if form == _HILDEBRANDT:\n        area": (
+            "    if form == _EXPONENTIAL:\n        return p[c] * q * exp(-p[c + 1] * k)\n"
+        ),
+        "    if form == _HILDEBRANDT:\n        slope": (
+            "    if form == _EXPONENTIAL:\n        return p[c + 1] * p[c] * q * exp(-p[c + 1] * k) / p[LENGTH]\n"
+        ),
+    },
+}
+"""The law F = c1 q exp(-c2 k) of 1 - l/L_0 = k and P/100 kPa = q: what is put in, before which line, in two files."""
+SCRIPT = """
+import math
+from pathlib import Path
+from pam_antagonist.model import muscle
+from pam_antagonist.rig import load_rig
+
+own = "\\n".join(f"muscle_{i}: {{force: {{c1: 40.0, c2: 6.0}}}}" for i in (1, 2))
+Path("own.yaml").write_text(f"based_on: shin2022\\nname: own\\nmodel: {{force: exponential}}\\n{own}\\n")
+rig = load_rig("own.yaml")
+p = rig.parameters("free")
+for length, pressure in ((0.16, 3e5), (0.17, 5e5)):
+    wanted = 40.0 * pressure / 1e5 * math.exp(-6.0 * (1.0 - length / rig.geometry.length))
+    assert math.isclose(muscle.force(0, length, pressure, p), wanted, rel_tol=1e-12)
+    low, high = (muscle.force(0, length + side, pressure, p) for side in (-1e-6, 1e-6))
+    assert math.isclose(muscle.force_length_slope(0, length, pressure, p), (high - low) / 2e-6, rel_tol=1e-6)
+print("adds up")
+"""
+
+
+@pytest.mark.slow(8)
+def test_a_force_law_takes_two_files(tmp_path: Path) -> None:
+    copied = tmp_path / "pam_antagonist"
+    shutil.copytree(SOURCE, copied, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(config_dir(), tmp_path / "share" / "pam_antagonist" / "config")
+    for name, insertions in FORM.items():
+        text = (copied / name).read_text(encoding="utf-8")
+        for before, new in insertions.items():
+            assert text.count(before) == 1
+            text = text.replace(before, new + before)
+        (copied / name).write_text(text, encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    surroundings = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.strip() == "adds up", done.stderr
+
+
+@pytest.mark.slow(20)
+def test_a_place_is_one_row(rig, recorded, monkeypatch) -> None:
+    row = Place("the bracket of the torque meter", "N m", (), (), SENSORS, (), ("angle",), (), 1e-3, reads="torque")
+    monkeypatch.setitem(places.TABLE, "bracket", row)
+    sound = recorded(seconds=30.0, joint="free")
+    bent = dataclasses.replace(sound, torque=sound.torque + 0.05 * np.sin(40.0 * sound.angle))
+    model = diagnose([bent], rig, joint="free", jobs=1, profiles=False, estimator=False).recalibrated
+    found = law_search.search(model, 1, lambda words: None)
+    assert found.places[0].name == "bracket"
+    assert found.law is not None and found.law.where == "the bracket of the torque meter"
+    wanted = 0.05 * np.sin(40.0 * np.array(found.law.nodes))
+    assert np.abs(np.array(found.law.values) - wanted).max() < 0.015
+
+
+def test_a_verdict_is_a_title_and_a_rule(rig, recorded, monkeypatch) -> None:
+    def too_short(case: Case) -> Judged | None:
+        seconds = sum(len(one.trial) * one.trial.dt for one in case.ranking.base.experiments)
+        return case.judged("too_short", 0.0) if seconds < 30.0 else None
+
+    monkeypatch.setitem(verdicts.TITLES, "too_short", "Too short to tell")
+    monkeypatch.setattr(judgement, "RULES", (Rule(None, too_short, "few sweeps say nothing"), *judgement.RULES))
+    found = diagnose([recorded(seconds=20.0)], rig, joint="locked", jobs=1, profiles=False, estimator=False)
+    assert found.verdict == "too_short"
+    assert found.parts[0].verdict == "too_short"
