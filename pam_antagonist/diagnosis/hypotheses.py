@@ -108,7 +108,7 @@ def key_of(experiment: Experiment, parts: Sequence[str]) -> str:
     digest.update(np.ascontiguousarray(experiment.trial.measured).tobytes())
     digest.update(np.ascontiguousarray(experiment.trial.given).tobytes())
     digest.update(f"{experiment.rig!r} {experiment.fitted} {experiment.held_parts} {experiment.seed} ".encode())
-    digest.update(f"{sorted(experiment.spans.items())} {experiment.span} ".encode())
+    digest.update(f"{sorted(experiment.spans.items())} {experiment.span} {experiment.narrower} ".encode())
     digest.update(f"{type(experiment).__name__} ".encode())
     digest.update(f"{experiment.trial.joint} {experiment.trial.lock_angle} {'/'.join(parts)}".encode())
     return digest.hexdigest()[:24]

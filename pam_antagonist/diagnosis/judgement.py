@@ -18,6 +18,7 @@ from pam_antagonist.diagnosis import (
     agreement,
     calibrations,
     change_point,
+    disguise,
     disturbance,
     findings,
     held_out,
@@ -203,6 +204,17 @@ def _begins_or_ends(case: Case) -> Judged | None:
     return _by_effects(changing, changing.notes)
 
 
+def _in_disguise(case: Case) -> Judged | None:
+    if case.ranking.start is not None:
+        return None
+    ranking = disguise.unmasked(case.ranking, case.work)
+    if ranking is None:
+        return None
+    found, _ = findings.found(ranking.base, ranking.model)
+    model, notes = ranking.model, (*found.contradictions, *case.notes)
+    return Judged(case.group, ranking.base, ranking, EFFECT, None, model, found.effects, found.values, notes)
+
+
 def _nothing(case: Case) -> Judged:
     return case.judged("none", case.ranking.share)
 
@@ -260,6 +272,7 @@ class Rule(NamedTuple):
 
 RULES = (
     Rule(None, _begins_or_ends, "what begins late bends the choice of what acts throughout, so it is asked first"),
+    Rule("none", _in_disguise, "numbers of the rig file that are far off may imitate an effect, and leave nothing"),
     Rule("none", _nothing, "no stretch of any recording is above noise, fitted or held out"),
     Rule(EFFECT, _disturbance_beside, "what effects leave may come and go; the evidence for it has to be strong"),
     Rule(EFFECT, _effects, "those that are needed beside each other and that most splits support"),
@@ -277,8 +290,8 @@ def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work) -> Jud
     case = Case(prepared, group, ranking, work)
     asked = (rule.verdict(case) for rule in RULES if rule.so_far is None or rule.so_far == case.so_far)
     judged = next(one for one in asked if one is not None)
-    found = calibrations.found(ranking, judged.model)
-    notes = (*calibrations.differences(found, ranking), *warnings.at_bounds(judged.model))
+    found = calibrations.found(judged.ranking, judged.model)
+    notes = (*calibrations.differences(found, judged.ranking), *warnings.at_bounds(judged.model))
     left = case.left if judged.verdict == UNEXPLAINED else ()
     return replace(judged, calibrations=found, left=left, warnings=(*judged.warnings, *notes))
 

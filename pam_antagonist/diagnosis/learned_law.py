@@ -51,11 +51,15 @@ def with_laws(
     for _ in range(MOST_LAWS):
         if not leaves_excess(now):
             break
+        before = now
         if any(isinstance(one, MeasuredMotion) for one in now.experiments):
             try:
-                return _along_the_motion(now, diagnose, fitted, others, rig, progress)
+                along = _along_the_motion(now, diagnose, fitted, others, rig, progress)
             except BadInput:  # a rig with the law that no command would take: the catalogue's diagnosis stands
                 return now
+            if along is not now or not _friction_fails(now):
+                return along
+            before = _in_free_run(now)
         if rig.units.pressure != "pascal":
             return _saying(now, "No law was looked for: pressures are not known in pascals.")
         learned = None
@@ -63,12 +67,12 @@ def with_laws(
             if rig.valves.sealed:
                 _refuse_few_sweeps(now)
             # Effects of the catalogue imitate a law that is missing; on a sealed joint few of them can.
-            about = now.extended if rig.valves.sealed else now.recalibrated
+            about = before.extended if rig.valves.sealed else before.recalibrated
             learned = search(about, len(laws_of(rig)) + 1, progress)
             own, after = learned.in_rig(rig), now
             right, also = (corrected(some, learned.law) for some in (fitted, others))
-            if may_be_better(now, learned):
-                after = diagnose(right, own, held_out=also, first=now.recalibrated)
+            if may_be_better(before, learned):
+                after = diagnose(right, own, held_out=also, first=before.recalibrated)
         except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             if learned is None or learned.law is None:
@@ -76,11 +80,23 @@ def with_laws(
             return _saying(now, f"A law was learned ({learned.law.in_words()}), but it cannot be tried: {reason}.")
         if learned.law is None:
             return _saying(now, place_in_words(learned, ", by nothing that was measured"))
-        if after is now or not is_better(now, after.extended, learned.law):
+        if after is now or not is_better(before, after.extended, learned.law):
             words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
             return _saying(now, f"{place_in_words(learned)} {words}".strip())
-        now, rig, fitted, others = joined(now, after, learned), own, right, also
+        now, rig, fitted, others = joined(before, after, learned), own, right, also
     return now
+
+
+def _friction_fails(now: Diagnosis) -> bool:
+    """Whether a joint that sticks is predicted worse with what explains the balance of its torques than without."""
+    before, after = (one.angle for one in (now.errors.recalibrated, now.errors.extended))
+    return before is not None and after is not None and after.rmse > before.rmse
+
+
+def _in_free_run(now: Diagnosis) -> Diagnosis:
+    """A diagnosis of a joint that sticks, with the models that get the commands only; they have no effect."""
+    base = recalibrated([one.free_run for one in now.recalibrated.experiments])
+    return replace(now, recalibrated=base, extended=base)
 
 
 def _along_the_motion(

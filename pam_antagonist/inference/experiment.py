@@ -57,6 +57,7 @@ class Experiment(Driven):
     # rig file act throughout.
     spans: Mapping[str, Span] = field(default_factory=dict)
     span: Span = THROUGHOUT
+    narrower: float = 1.0  # factor by which the priors of the base parameters are narrower than the rig file's
 
     # What each way of driving a joint gives.
 
@@ -208,7 +209,8 @@ class Experiment(Driven):
     @cached_property
     def prior(self) -> Floats:
         """Precision of the prior of each base coordinate (K + S,)."""
-        return np.array([direction.prior**-2 for direction in self.directions] + [1.0] * len(self.start_std))
+        base = [(direction.prior / self.narrower) ** -2 for direction in self.directions]
+        return np.array(base + [1.0] * len(self.start_std))
 
     def of_rig(self, rig: Rig) -> Experiment:
         """The recording, and those that judge it, with another rig."""

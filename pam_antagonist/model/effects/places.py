@@ -80,7 +80,8 @@ TABLE: Mapping[str, Place] = {
     "damping": Place("the joint's viscous friction", "N m s/rad", ("joint_torque",)),
     "friction": Place(
         "the joint's friction", "N m", ("coulomb_torque",), (), JOINT, ("coulomb_torque",),
-        ("none", "speed", "angle", "pressure_1", "pressure_2", "pressure_sum", "time"), (), 1e-3,
+        ("none", "speed", "velocity", "angle", "pressure_1", "pressure_2", "pressure_sum", "time"), ("speed",), 1e-3,
+        fading=("lag",), widths=(),
     ),
     "supply": Place(
         "the supply", "-", ("supply_change",), (), VALVES, ("supply_change",),
