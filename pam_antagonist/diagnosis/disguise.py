@@ -1,7 +1,8 @@
 """An effect in disguise: one that base parameters imitate, which have to leave what the rig file allows for it.
 
-A fit may move a base parameter by many standard deviations of its prior, if enough data ask for it. Then nothing is left
-to explain, and the effect is not looked for. So it is looked for once more beside a base that is held near the file.
+A fit may move a base parameter by many standard deviations of its prior, if enough data ask for it. Then nothing is
+left to explain, and the effect is not looked for. So it is looked for once more beside a base that is held near the
+file.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import replace
 
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
-from pam_antagonist.diagnosis.models import Model, likelier, price, recalibrated
+from pam_antagonist.diagnosis.models import Model, held_out_evidence, likelier, price, recalibrated
 from pam_antagonist.diagnosis.search import hypotheses, search
 from pam_antagonist.diagnosis.warnings import implausible
 from pam_antagonist.inference.experiment import Experiment
@@ -20,28 +21,31 @@ _HELD = 5.0
 """The priors of a base that is held are narrower by this factor."""
 
 
-def unmasked(found: Ranking, work: Work) -> Ranking | None:
+def is_likely(base: Model) -> bool:
+    """Whether base parameters have left what the rig file allows."""
+    return bool(implausible(base))
+
+
+def unmasked(base: Model, work: Work) -> Ranking | None:
     """What explains the recordings with a base that the rig file allows; None if nothing does.
 
-    `found`: in which the base parameters explain all, but not as the file allows.
+    `base`: model without effects that explains what was fitted: not as the file allows, or not what was held out.
     """
-    base = found.base
-    if not implausible(base) or not all(experiment.runs_by_itself for experiment in base.experiments):
+    if not all(experiment.runs_by_itself for experiment in base.experiments):
         return None
     work.progress("whether an effect explains what the rig file's numbers hardly can")
     held = tuple(replace(experiment, narrower=_HELD) for experiment in base.experiments)
     ranking = search(recalibrated(held), work, hypotheses())
-    free = {name: _free(model) for name, model in (("base", ranking.base), ("model", ranking.model))}
-    model = free["model"]
-    if not model.effects or not model.is_at_noise or implausible(model):
+    model = _free(ranking.model)
+    if not model.effects or not model.is_at_noise or is_likely(model):
         return None
-    each = zip(base.experiments, base.fits, model.fits, strict=True)
-    return replace(ranking, **free) if sum(_evidence(*one) for one in each) >= thresholds.STRONG else None
+    gain = sum(_evidence(*one) for one in zip(base.experiments, base.fits, model.fits, strict=True))
+    return replace(ranking, base=_free(ranking.base), model=model) if gain >= thresholds.STRONG else None
 
 
 def _evidence(experiment: Experiment, before: Fitted, after: Fitted) -> float:
     """Evidence for a model in one recording. What the file says of its numbers is no error with a memory."""
-    data = likelier(before.scale, before.residual, after.residual)
+    data = likelier(before.scale, before.residual, after.residual) + held_out_evidence(experiment, before, after)
     prior = prior_cost(experiment, before.point.theta) - prior_cost(experiment, after.point.theta)
     return data + prior - price(before, len(after.free) - len(before.free))
 

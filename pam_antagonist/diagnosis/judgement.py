@@ -205,9 +205,11 @@ def _begins_or_ends(case: Case) -> Judged | None:
 
 
 def _in_disguise(case: Case) -> Judged | None:
-    if case.ranking.start is not None:
+    if case.ranking.start is not None or case.ranking.base.has_significant_excess:
         return None
-    ranking = disguise.unmasked(case.ranking, case.work)
+    if not disguise.is_likely(case.ranking.base) and not case.stretches:
+        return None
+    ranking = disguise.unmasked(case.ranking.base, case.work)
     if ranking is None:
         return None
     found, _ = findings.found(ranking.base, ranking.model)
@@ -272,7 +274,7 @@ class Rule(NamedTuple):
 
 RULES = (
     Rule(None, _begins_or_ends, "what begins late bends the choice of what acts throughout, so it is asked first"),
-    Rule("none", _in_disguise, "numbers of the rig file that are far off may imitate an effect, and leave nothing"),
+    Rule(None, _in_disguise, "numbers of the rig file that are far off may imitate an effect, and leave nothing"),
     Rule("none", _nothing, "no stretch of any recording is above noise, fitted or held out"),
     Rule(EFFECT, _disturbance_beside, "what effects leave may come and go; the evidence for it has to be strong"),
     Rule(EFFECT, _effects, "those that are needed beside each other and that most splits support"),

@@ -7,6 +7,7 @@ Held-out data decide between both diagnoses, by the rules of a further effect.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -53,10 +54,7 @@ def with_laws(
             break
         before = now
         if any(isinstance(one, MeasuredMotion) for one in now.experiments):
-            try:
-                along = _along_the_motion(now, diagnose, fitted, others, rig, progress)
-            except BadInput:  # a rig with the law that no command would take: the catalogue's diagnosis stands
-                return now
+            along = _along_the_motion(now, diagnose, fitted, others, rig, progress)
             if along is not now or not _friction_fails(now):
                 return along
             before = _in_free_run(now)
@@ -103,19 +101,21 @@ def _along_the_motion(
     now: Diagnosis, diagnose: Callable[..., Diagnosis], fitted: Sequence[Recording], others: Sequence[Recording],
     rig: Rig, progress: Callable[[str], None],
 ) -> Diagnosis:  # fmt: skip
-    """The diagnosis of a joint that sticks, with a law in the place of its friction, or beside it.
+    """The diagnosis of a joint that sticks, with a law in the place of its friction, or beside it; or as it is.
 
     Held-out data decide along the measured motion: a free run of a joint that sticks says little of any model.
     """
     for before in (now.recalibrated, now.extended):
-        learned = search(before, len(laws_of(rig)) + 1, progress)
-        own = learned.in_rig(rig)
-        if learned.law is None or learned.found is None:
-            continue
-        model = with_it(before, learned.law, learned.found.covariance)
-        if law_evidence.is_better(now.recalibrated, now.extended, model, learned.law):
-            after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
-            return joined(now, after, learned, model)
+        # A rig with the law may be one that no command would take: then the catalogue's diagnosis stands.
+        with suppress(BadInput):
+            learned = search(before, len(laws_of(rig)) + 1, progress)
+            own = learned.in_rig(rig)
+            if learned.law is None or learned.found is None:
+                continue
+            model = with_it(before, learned.law, learned.found.covariance)
+            if law_evidence.is_better(now.recalibrated, now.extended, model, learned.law):
+                after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
+                return joined(now, after, learned, model)
     return now
 
 

@@ -1,4 +1,4 @@
-"""Adding is short: a force law in two files, a place of laws in one row, a verdict in a title and a rule."""
+"""Adding is short: a force law in two files, a place of laws in one row. A hypothesis and a verdict have tests beside."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 import pam_antagonist
-from pam_antagonist.diagnosis import diagnose, judgement, law_search, verdicts
-from pam_antagonist.diagnosis.judgement import Case, Rule
-from pam_antagonist.diagnosis.result import Judged
+from pam_antagonist.diagnosis import diagnose, law_search
 from pam_antagonist.model.effects import places
 from pam_antagonist.model.effects.places import SENSORS, Place
 from pam_antagonist.paths import config_dir
@@ -88,15 +86,3 @@ def test_a_place_is_one_row(rig, recorded, monkeypatch) -> None:
     assert found.law is not None and found.law.where == "the bracket of the torque meter"
     wanted = 0.05 * np.sin(40.0 * np.array(found.law.nodes))
     assert np.abs(np.array(found.law.values) - wanted).max() < 0.015
-
-
-def test_a_verdict_is_a_title_and_a_rule(rig, recorded, monkeypatch) -> None:
-    def too_short(case: Case) -> Judged | None:
-        seconds = sum(len(one.trial) * one.trial.dt for one in case.ranking.base.experiments)
-        return case.judged("too_short", 0.0) if seconds < 30.0 else None
-
-    monkeypatch.setitem(verdicts.TITLES, "too_short", "Too short to tell")
-    monkeypatch.setattr(judgement, "RULES", (Rule(None, too_short, "few sweeps say nothing"), *judgement.RULES))
-    found = diagnose([recorded(seconds=20.0)], rig, joint="locked", jobs=1, profiles=False, estimator=False)
-    assert found.verdict == "too_short"
-    assert found.parts[0].verdict == "too_short"
