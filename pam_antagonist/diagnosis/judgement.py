@@ -22,6 +22,7 @@ from pam_antagonist.diagnosis import (
     disturbance,
     findings,
     held_out,
+    law_search,
     onset,
     remaining,
     splits,
@@ -29,7 +30,8 @@ from pam_antagonist.diagnosis import (
     warnings,
 )
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
-from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share, in_threads
+from pam_antagonist.diagnosis.law_evidence import with_it
+from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share, in_threads, likelier
 from pam_antagonist.diagnosis.preparation import Group, Prepared
 from pam_antagonist.diagnosis.result import Judged
 from pam_antagonist.diagnosis.search import CatalogueEffect, Score, score_all, search
@@ -40,6 +42,7 @@ from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motio
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import STARTS, best_of_starts
 from pam_antagonist.model.effects import DISTURBANCE
+from pam_antagonist.rig.learned import laws_of
 
 _FRICTION = "friction"
 _RIVALS = 4
@@ -198,10 +201,25 @@ def _begins_or_ends(case: Case) -> Judged | None:
         # What a table cannot follow comes and goes with the motion. It looks like an effect that begins and ends.
         return None
     found = onset.begin_and_end(case.group, case.ranking, case.work)
-    if found is None or not explains(found.base, found.model):
+    if found is None or not explains(found.base, found.model) or _a_law_does_better(case, found.model):
         return None
     changing = replace(case, ranking=found)
     return _by_effects(changing, changing.notes)
+
+
+def _a_law_does_better(case: Case, changing: Model) -> bool:
+    """Whether a law explains more than an effect that begins or ends: it acts where the joint seldom is.
+
+    A law by the time would be that effect once more.
+    """
+    base = case.ranking.base
+    learned = law_search.search(base, len(laws_of(base.experiments[0].rig)) + 1, case.work.progress)
+    if learned.law is None or learned.found is None or learned.law.is_of_readings or learned.law.argument == "time":
+        return False
+    law = with_it(base, learned.law, learned.found.covariance)
+    left = [[one.residual(fit.point, whole=True) for one, fit in model.pairs] for model in (changing, law)]
+    gains = (likelier(fit.scale, *both) for fit, *both in zip(base.fits, *left, strict=True))
+    return sum(gains) >= thresholds.STRONG
 
 
 def _in_disguise(case: Case) -> Judged | None:

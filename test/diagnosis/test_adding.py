@@ -1,4 +1,4 @@
-"""Adding is short: a force law in two files, a place of laws in one row. A hypothesis and a verdict have tests beside."""
+"""Adding is short: a force law takes two files, a place of laws one row. Hypothesis and verdict have other tests."""
 
 from __future__ import annotations
 
