@@ -22,6 +22,7 @@ from pam_antagonist.diagnosis import (
     disturbance,
     findings,
     held_out,
+    law_evidence,
     law_search,
     onset,
     remaining,
@@ -30,8 +31,15 @@ from pam_antagonist.diagnosis import (
     warnings,
 )
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
-from pam_antagonist.diagnosis.law_evidence import with_it
-from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, held_share, in_threads, likelier
+from pam_antagonist.diagnosis.models import (
+    Model,
+    explains,
+    explains_in_part,
+    held_share,
+    in_threads,
+    likelier,
+    share_of_all,
+)
 from pam_antagonist.diagnosis.preparation import Group, Prepared
 from pam_antagonist.diagnosis.result import Judged
 from pam_antagonist.diagnosis.search import CatalogueEffect, Score, score_all, search
@@ -155,6 +163,16 @@ class Case:
         self.work.progress("whether all data are at their noise")
         return change_point.stretches_above_noise(self._points, base.jobs)
 
+    @cached_property
+    def with_a_law(self) -> Model | None:
+        """The model with the best law of what is no event; by the time a law would be one. None if there is none."""
+        base = self.ranking.base
+        learned = law_search.search(base, len(laws_of(base.experiments[0].rig)) + 1, self.work.progress)
+        if learned.law is None or learned.found is None or learned.law.is_of_readings or learned.law.argument == "time":
+            return None
+        model = law_evidence.with_it(base, learned.law, learned.found.covariance)
+        return model if law_evidence.is_better(base, base, model, learned.law) else None
+
     @property
     def left(self) -> tuple[remaining.RemainingResidual, ...]:
         """These stretches, described."""
@@ -208,15 +226,10 @@ def _begins_or_ends(case: Case) -> Judged | None:
 
 
 def _a_law_does_better(case: Case, changing: Model) -> bool:
-    """Whether a law explains more than an effect that begins or ends: it acts where the joint seldom is.
-
-    A law by the time would be that effect once more.
-    """
-    base = case.ranking.base
-    learned = law_search.search(base, len(laws_of(base.experiments[0].rig)) + 1, case.work.progress)
-    if learned.law is None or learned.found is None or learned.law.is_of_readings or learned.law.argument == "time":
+    """Whether a law explains more than an effect that begins or ends: it acts where the joint seldom is."""
+    base, law = case.ranking.base, case.with_a_law
+    if law is None:
         return False
-    law = with_it(base, learned.law, learned.found.covariance)
     left = [[one.residual(fit.point, whole=True) for one, fit in model.pairs] for model in (changing, law)]
     gains = (likelier(fit.scale, *both) for fit, *both in zip(base.fits, *left, strict=True))
     return sum(gains) >= thresholds.STRONG
@@ -265,6 +278,10 @@ def _disturbance(case: Case) -> Judged | None:
     if _sticks_beside_a_law(case):
         return None
     found = disturbance.instead_of_effects(case.ranking, case.work)
+    law = None if found is None or case.ranking.start is not None else case.with_a_law
+    if law is not None and share_of_all(case.ranking.base, law) >= thresholds.EXPLAINED_WELL:
+        # What predicts held-out data comes before a torque of any course.
+        return None
     shares = (effect.holdout_gain for effect in found[1].effects if effect.name == DISTURBANCE) if found else ()
     return _by_disturbance(case, found, next(iter(shares), None))
 

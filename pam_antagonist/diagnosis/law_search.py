@@ -41,6 +41,8 @@ _WITH_MEMORY = 5
 """At so many of the best places laws with memory are tried."""
 _FINALISTS, _IN_REACH = 4, 0.3
 """Most places whose laws are fitted to the recordings, and their least evidence as a share of the best one's."""
+_BY_ANOTHER = 2
+"""At so many places a law by a second argument is fitted."""
 _ROUNDS = 2
 """Solutions of a law, each weighed by what the one before leaves."""
 _STEPS, _STEP_LENGTHS = 3, (1.0, 0.3, 0.1)
@@ -312,13 +314,19 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
 def _finalists(standing: Sequence[tuple[FittedLaw, _ModelPart]], kept_near: bool) -> list[tuple[FittedLaw, _ModelPart]]:
     """Of the best places the best law each, the simplest as good one, and the best one without a memory.
 
-    What remembers imitates much.
+    What remembers imitates much. At the very best places the best one by another argument is tried as well: angle and
+    pressures of a joint move together.
     """
     out: dict[FittedLaw, _ModelPart] = {}
-    for place in list(dict.fromkeys(one.group.place for one, _ in standing))[:_FINALISTS]:
+    for number, place in enumerate(list(dict.fromkeys(one.group.place for one, _ in standing))[:_FINALISTS]):
         own = {one: part for one, part in standing if one.group.place == place}
         best = next(iter(own))
-        for one in (best, _as_good(list(own), best, kept_near)[0], next((one for one in own if one.is_plain), best)):
+        plain = next((one for one in own if one.is_plain), best)
+        tried = [best, _as_good(list(own), best, kept_near)[0], plain]
+        if number < _BY_ANOTHER:
+            others = (one for one in own if one.is_plain and one.group.argument != plain.group.argument)
+            tried.append(next(others, best))
+        for one in tried:
             out[one] = own[one]
     return list(out.items())
 
