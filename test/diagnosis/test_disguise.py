@@ -1,11 +1,11 @@
-"""An effect that numbers of the rig file can imitate, if they leave what the file allows."""
+"""What hides: behind numbers of the rig file, where the joint seldom is, and in a friction that is no number."""
 
 from __future__ import annotations
 
 import pytest
 
 from pam_antagonist import diagnose
-from validation.battery.carry import Joint
+from validation.battery.carry import Joint, cases
 
 
 @pytest.mark.slow(25)
@@ -19,3 +19,24 @@ def test_friction_is_named_where_forces_that_load_the_shaft_would_explain_as_muc
     assert friction.shaft == pytest.approx(0.2, rel=0.1)
     # Without them, recalibration makes a muscle stronger by more than the rig file allows.
     assert found.errors.extended.torque.rmse < 0.7 * found.errors.recalibrated.torque.rmse
+
+
+@pytest.mark.thorough(75)
+def test_friction_near_an_angle_gets_a_law_of_the_free_run() -> None:
+    """Along the motion friction explains the sticking, but the model that gets the commands errs more with it."""
+    form = "bearing that sticks near an angle"
+    joint = Joint("stick", "single", (("stick", None),), (form,), 1734747564, (10.96,), exact=True)
+    found = diagnose([joint.recording(name) for name in joint.given], "shin2022", jobs=1, profiles=False)
+    law = found.effects[-1].law
+    assert law is not None and (law.place, law.argument) == ("friction", "angle")
+    assert found.errors.extended.angle.rmse < 0.5 * found.errors.recalibrated.angle.rmse
+
+
+@pytest.mark.thorough(90)
+def test_what_acts_where_the_joint_seldom_is_is_no_event() -> None:
+    """A muscle whose ends bulge, when it is short: for twelve seconds."""
+    joint = dict(cases(21, 28, 0, 0, 0))[27]
+    found = diagnose([joint.recording(name) for name in joint.given], "shin2022", jobs=1, profiles=False)
+    (effect,) = found.effects
+    assert effect.law is not None and effect.law.at == "volume_2"
+    assert effect.onset_s is None
