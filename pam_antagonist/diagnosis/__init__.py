@@ -9,7 +9,8 @@
    an effect of the catalogue, or one of the :mod:`calibrations`, zeros, scales and late stamps.
 4. Judge. :mod:`judgement` has the rules of the verdict on a group, in one table; :mod:`verdicts` has their names. Some
    of the rules ask a hypothesis more: an effect that begins or ends during a recording (:mod:`onset`, by
-   :mod:`change_point`), a torque that comes and goes (:mod:`disturbance`), friction of a joint that sticks.
+   :mod:`change_point`), an effect that base parameters imitate (:mod:`disguise`), a torque that comes and goes
+   (:mod:`disturbance`), friction of a joint that sticks.
    :mod:`findings` names the effects, with muscle and size, and :mod:`splits` says how firm they are.
 5. Describe. The :class:`Diagnosis` is made: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
