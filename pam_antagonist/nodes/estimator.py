@@ -74,7 +74,6 @@ PARAMETERS = (
 
 _CHECKPOINT_PERIOD = 1.0  # [s]; at most this much at the start of a recording cannot be replayed bit for bit
 _LONGEST_QUEUE = 2.0  # [s] that samples may have waited on a computer that is too slow
-_LOOK = 1.0  # [s] between two looks for topics of further signals
 _CHECKS = 2  # checks for incomplete samples, within ``pairing_timeout``
 
 
@@ -133,8 +132,7 @@ class EstimatorNode(PamNode):
         self._pairing.reset()
         self._last = self._unused = None
         self.steady_timer(_CHECKPOINT_PERIOD, self._remember)
-        self._signals.look()
-        self.steady_timer(_LOOK, self._signals.look)
+        self._signals.listen()
         if self.linked:
             return
         for place, (name, _) in self._inputs.items():

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _HELD_NS = 1_000_000_000
 """For so long a value holds of a signal whose stamps are not those of the samples."""
+_LOOK = 1.0
+"""[s] Time between two looks for the topics."""
 _KEPT = 1000
 """Final samples whose stamps are remembered, for messages that come late."""
 
@@ -115,7 +117,13 @@ class SignalTopics:
         self._made: dict[str, Any] = {}
         self._missed = [0] * len(names)
 
-    def look(self) -> None:
+    def listen(self) -> None:
+        """Begin to look for the topics; until the node is deactivated."""
+        if self._names:
+            self._look()
+            self._node.steady_timer(_LOOK, self._look)
+
+    def _look(self) -> None:
         """Subscribe to the topics that have come since the last call."""
         if len(self._made) == len(self._names):
             return

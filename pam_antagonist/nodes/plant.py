@@ -13,6 +13,7 @@ from pam_antagonist.errors import BadInput
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.nodes import wire
 from pam_antagonist.nodes.ages import Moment
+from pam_antagonist.nodes.further import SignalTopics, SignalValues
 from pam_antagonist.nodes.health import Health, Level, Rate, Rises, Window, judged, too_slow
 from pam_antagonist.nodes.node import PamNode
 from pam_antagonist.nodes.parameters import (
@@ -41,7 +42,8 @@ publishes:   pressure_1, pressure_2 (sensor_msgs/FluidPressure), valve_state (pa
              external_torque), rig (std_msgs/String)
 subscribes:  valve_command (pam_antagonist_msgs/ValveCommand)
              A rig with drive: regulator has pressure_state and pressure_command (pam_antagonist_msgs/PressureCommand)
-             in the place of valve_state and valve_command.
+             in the place of valve_state and valve_command. A rig with signals has also/NAME
+             (sensor_msgs/FluidPressure, JointState or Temperature).
 services:    ~/stop, ~/clear_stop (std_srvs/Trigger), and those of a lifecycle node
 """
 
@@ -112,6 +114,8 @@ class PlantNode(PamNode):
         variance = rig.sensors.pressure_std**2 if values["noise"] else 0.0
         measured = values["pressure_sensors"] == "measured"
         self._output = wire.SampleOutput(self, rig, pressures=measured, variance=variance, encoder=encoder)
+        self._heard = SignalValues(len(rig.signals))
+        self._signals = SignalTopics(self, tuple(rig.signals), self._heard.add)
         self._push: float = values["push"]
         self._pushed: wire.Outgoing | None = None
         if DISTURBANCE in rig.effects:
@@ -125,10 +129,13 @@ class PlantNode(PamNode):
 
     @override
     def activate(self) -> None:
+        self._heard.reset()
+        self._signals.listen()
         self.port.listen()
 
     @override
     def deactivate(self) -> None:
+        self._signals.close()
         self.port.rest()
 
     def _tick(self) -> None:
@@ -175,7 +182,7 @@ class PlantNode(PamNode):
     def _sample(self, stamp_ns: int) -> None:
         """Advance by one period, which ends at the stamp, and publish."""
         push = self._push
-        sample = self._plant.step(self.port.output(stamp_ns).voltage, push)
+        sample = self._plant.step(self.port.output(stamp_ns).voltage, push, self._heard.at(stamp_ns))
         pressure = sample.pressure if self._output.pressures else (math.nan, math.nan)
         if self._output.pressures:
             self.port.supervise(stamp_ns, *pressure)
@@ -216,7 +223,8 @@ class PlantNode(PamNode):
             (jumped, Level.WARN, "the clock jumped: the samples went on from it"),
             (behind, Level.WARN, too_slow(1e9 / self._period, slow)),
         )
-        return {"sampling": sampling, **self.port.health(steady_ns)}
+        further = {"signals": self._signals.health(self._heard.missing)} if self._heard.missing else {}
+        return {"sampling": sampling, **self.port.health(steady_ns), **further}
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pam_antagonist.errors import BadInput
+from pam_antagonist.estimation.further import FurtherInputs
 from pam_antagonist.model import dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
@@ -118,6 +119,8 @@ class Plant:
             angle = lock_angle
         else:
             angle = equilibrium.rest_angle(*initial_pressure, p) if initial_angle is None else initial_angle
+        self._further, self._stamp = FurtherInputs.of(rig), 0
+        self._period = round(rig.sample_period * 1e9)
         self._u = np.zeros(3)
         self._x = equilibrium.initial_state(angle, *initial_pressure, self._u, p)
         self._begun = False
@@ -148,12 +151,25 @@ class Plant:
         value = float(self._x[0]) + self._encoder.offset
         return self._measured(value, self._encoder.std, self._encoder.step, self._encoder_rng)
 
-    def step(self, voltage: tuple[float, float] | np.ndarray, external_torque: float = 0.0) -> PlantSample:
+    def _take(self, signals: Sequence[float]) -> None:
+        """Set what the model goes by beside its state: further signals [SI], and sums of weak laws."""
+        if self._further is None:
+            return
+        self._stamp += self._period
+        self._further.step(self._stamp, self._x[None, 2:4], signals)
+        now = self._further.now[0]
+        self._p[par.SIGNAL : par.SIGNAL + len(now)] = now
+
+    def step(
+        self, voltage: tuple[float, float] | np.ndarray, external_torque: float = 0.0, signals: Sequence[float] = ()
+    ) -> PlantSample:
         """Advance one sample period.
 
         `voltage`: on the valves over the period (2,) [V], or commanded to the regulators [Pa]. `external_torque`: from
-        outside, over the period [N m].
+        outside, over the period [N m]. `signals`: further signals of the rig, in the order of its file [SI]; what is
+        NaN or not given is as the file says.
         """
+        self._take(signals)
         self._u[:2] = voltage
         self._u[2] = external_torque
         if not np.all(np.isfinite(self._u)):

@@ -18,6 +18,7 @@ from pam_antagonist.estimation import Estimator
 from pam_antagonist.nodes.pairing import PRESSURE_1, PRESSURE_2, VOLTAGES, Sample, SamplePairing
 from pam_antagonist.nodes.processes import Processes, ros_arguments
 from pam_antagonist.recording import read_bag
+from pam_antagonist.simulation.plant import Plant
 
 pytestmark = pytest.mark.ros
 
@@ -173,3 +174,34 @@ def test_what_was_estimated_with_a_signal_is_replayed_bit_by_bit(tmp_path: Path,
     # Without it another torque is estimated.
     taken = replay(bag, load_rig(rig).replaced(effects={}))
     assert taken.report.live_equal is not None and taken.report.live_equal.equal < 10
+
+
+@pytest.mark.slow(6)
+def test_the_simulated_joint_goes_by_a_signal_while_it_comes(tmp_path: Path, domain: None, rig: Path) -> None:
+    from probe import Probe
+    from sensor_msgs.msg import FluidPressure
+
+    from pam_antagonist.nodes import qos
+
+    # The signal is a torque from outside, of 2e-6 N m a pascal above what the file says.
+    joint, pushed = (Plant(load_rig(rig), noise=False) for _ in range(2))
+    for _ in range(300):
+        truth = joint.step((5.5, 5.5), signals=(550e3,)).truth
+        assert np.array_equal(truth, pushed.step((5.5, 5.5), external_torque=0.3).truth)
+    assert math.degrees(truth[0]) > 1.0
+    with Processes(tmp_path) as processes, Probe("measured_joint_states") as probe:
+        processes.start("plant", ros_arguments({"rig": str(rig), "noise": False}, {}))
+        beside = probe.node.create_publisher(FluidPressure, "also/other", qos.STREAM)
+        states = probe.seen["measured_joint_states"]
+        probe.until(lambda: beside.get_subscription_count() == 1, 60.0, "a plant that listens to the signal")
+        probe.until(lambda: len(states) > 100, 10.0, "a joint that moves")
+        at_rest = states[-1][1].position[0]
+
+        def deflected() -> bool:
+            message = FluidPressure(fluid_pressure=550e3)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(probe.now_ns(), 10**9)
+            beside.publish(message)
+            return bool(states[-1][1].position[0] > at_rest + math.radians(1.0))
+
+        probe.until(deflected, 10.0, "a joint that the signal turns")
+        processes.stop("plant")
