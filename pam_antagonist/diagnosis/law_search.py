@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -285,8 +285,16 @@ def _cost(model: Model) -> float:
 def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
     """Look for one law that a model lacks; it gets a number in the rig.
 
-    `model`: all parts of all recordings, with what was found so far.
+    `model`: all parts of all recordings, with what was found so far. One that was searched last is not searched again.
     """
+    asked = model.experiments, model.fits, number
+    last = _LAST.get("search")
+    if last is None or last[0] != asked:
+        last = _LAST["search"] = asked, _searched(model, number, progress)
+    return last[1]
+
+
+def _searched(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
     progress("a law that nobody wrote: every place of the model")
     own = [_ModelPart(part, number) for part in parts(model) if part.has_significant_excess]
     every = sorted(((one, part) for part in own for one in part.every_law()), key=lambda pair: -pair[0].gain)
@@ -309,6 +317,10 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
     others.pop((best.law.at, best.law.argument), None)
     alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES])
     return replace(found, found=_with_friction(best, model, number), alternatives=alternatives)
+
+
+_LAST: dict[str, tuple[tuple[Any, ...], LawSearch]] = {}
+"""What was found last: a rule of the verdict asks for the law that the diagnosis tries afterwards."""
 
 
 def _finalists(standing: Sequence[tuple[FittedLaw, _ModelPart]], kept_near: bool) -> list[tuple[FittedLaw, _ModelPart]]:
