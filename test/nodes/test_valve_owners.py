@@ -67,8 +67,8 @@ class Simulated(Owner):
         self.step, self.node._plant.step = self.node._plant.step, self.measure
         self.pressure: Callable[[float], float] | None = None
 
-    def measure(self, voltage: tuple[float, float], push: float) -> Any:
-        sample = self.step(voltage, push)
+    def measure(self, *inputs: Any) -> Any:
+        sample = self.step(*inputs)
         first, second = sample.pressure
         return sample._replace(pressure=(first, second if self.pressure is None else self.pressure(second)))
 
