@@ -13,7 +13,7 @@ from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.diagnosis.hypotheses import ResumeFolder
-from pam_antagonist.diagnosis.learned_law import with_laws
+from pam_antagonist.diagnosis.learned_law import diagnosed
 from pam_antagonist.diagnosis.preparation import Settings, silent
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.episode_filter import with_filter
@@ -233,7 +233,7 @@ def diagnose(
     else:
         for recording in every:
             recording.in_one_piece()
-        diagnosis = with_laws(partial(_diagnose, **settings), fitted, kept, chosen, progress or silent)
+        diagnosis = diagnosed(partial(_diagnose, **settings), fitted, kept, chosen, progress or silent)
     whole = tuple(part.recording for part in diagnosis.by_recording if part.role == "held out")
     return widened(
         DiagnoseResult, diagnosis, start=chosen, hashes=hashes, seed=seed, kept=whole or holdout,

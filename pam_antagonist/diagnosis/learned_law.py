@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +36,32 @@ from pam_antagonist.rig.learned import Law, laws_of, with_law
 Floats = NDArray[np.float64]
 
 MOST_LAWS = 2
+IN_TURN = (
+    "only the end of the recordings shows what the model lacks, so every third stretch of about 5 s was held out, and "
+    "the errors are those in these stretches"
+)
 _SMOOTHED_S = 0.010
 """[s] Time over which readings are averaged before an error of other readings is worked out from them."""
+
+
+def diagnosed(
+    diagnose: Callable[..., Diagnosis], recordings: Sequence[Recording], kept: Sequence[Recording], rig: Rig,
+    progress: Callable[[str], None],
+) -> Diagnosis:  # fmt: skip
+    """A diagnosis with laws, see :func:`with_laws`; with stretches held out in turn where only the end shows something.
+
+    What begins to act at the end of a recording leaves nothing where a model is fitted, so nothing is looked for.
+    """
+    found = with_laws(diagnose, recordings, kept, rig, progress)
+    base = found.recalibrated
+    at_the_end = found.verdict == UNEXPLAINED and not kept and not base.has_significant_excess
+    if not at_the_end or not all(one.runs_by_itself for one in base.experiments):
+        return found
+    progress("what only the end shows: stretches are held out in turn")
+    again = with_laws(partial(diagnose, in_turn=True), recordings, kept, rig, progress)
+    if again.verdict != EFFECT:
+        return found
+    return replace(again, warnings=(IN_TURN, *again.warnings))
 
 
 def with_laws(

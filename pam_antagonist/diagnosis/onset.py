@@ -20,19 +20,13 @@ from pam_antagonist.diagnosis.models import Model, explains, explains_in_part, i
 from pam_antagonist.diagnosis.preparation import Group
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.diagnosis.search import CatalogueEffect, search
-from pam_antagonist.diagnosis.splits import in_turn
+from pam_antagonist.diagnosis.splits import parted
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, Linearised, Near, cost_of, refit, relinearised
 from pam_antagonist.inference.point import THROUGHOUT, Point, Span
 from pam_antagonist.inference.starts import MAY_BE_NOISE
 
-_THIRDS = 3
-"""Blocks of such a recording that are counted in turn; the last of each three is held out in the selection."""
-_HELD_LENGTH = 5.0
-"""[s] Approximate length that is held out at once."""
-_BUFFER = 1.0
-"""[s] Between what is fitted and what is held out: one independent error."""
 _STEP, _LEAST_STEP = 0.8, 0.02
 """[s] First and last step of the search for an edge."""
 _WIDEST = 0.1
@@ -67,9 +61,9 @@ class EffectInPart(CatalogueEffect):
         spans = [THROUGHOUT if change is None else change.span for change in changes]
         for _ in range(_SEARCHES):
             pairs = zip(model.experiments, spans, strict=True)
-            parted = replace(model, experiments=tuple(_parted(*pair, model.effects) for pair in pairs))
-            quiet = _without_effects(parted, starts)
-            before = parted.map(_from, starts) if model.effects else quiet
+            split = replace(model, experiments=tuple(_parted(*pair, model.effects) for pair in pairs))
+            quiet = _without_effects(split, starts)
+            before = split.map(_from, starts) if model.effects else quiet
             # One effect at a time: another one that acts then is found in what is still above noise.
             ranking = search(before, work, first=quiet if model.effects else None, most=len(model.effects) + 1)
             new = [name for name in ranking.model.effects if name not in model.effects]
@@ -159,10 +153,7 @@ def _parted(experiment: Experiment, span: Span, effects: Sequence[str]) -> Exper
     now = replace(experiment, span=span)
     known = {edge for name in effects for edge in now.span_of(name).edges}
     edges = [round(edge / trial.block_s) for edge in sorted({*known, *span.edges})]
-    length, buffer = _HELD_LENGTH / trial.block_s, round(_BUFFER / trial.block_s)
-    count = len(trial) // trial.block
-    split = in_turn(count, _THIRDS, length, buffer, experiment.errors_from, edges)[-1]
-    return replace(now, fitted=count * trial.block, split=split)
+    return parted(now, edges)
 
 
 def _from(experiment: Experiment, fitted: Fitted, point: Point) -> Fitted:

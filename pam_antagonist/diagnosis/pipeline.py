@@ -31,7 +31,7 @@ from pam_antagonist.diagnosis.result import (
     PartVerdict,
 )
 from pam_antagonist.diagnosis.search import about, hypotheses, search
-from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
+from pam_antagonist.diagnosis.splits import by_itself_or_in_turn, parted
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED, overall
 from pam_antagonist.identification.filter_stage import Given, with_unknown_force, with_unknown_torque
 from pam_antagonist.identification.parts import is_free
@@ -72,6 +72,9 @@ def diagnose(
     """
     how, timings = Settings(**settings), Timings()
     prepared = prepare(recordings, held_out, rig, how)
+    if how.in_turn:
+        groups = (replace(one, experiments=tuple(map(parted, one.experiments))) for one in prepared.groups)
+        prepared = replace(prepared, groups=tuple(groups))
     return describe(prepared, verdicts(prepared, how, timings, first), how, timings)
 
 

@@ -27,6 +27,8 @@ Floats = NDArray[np.float64]
 SPLITS = 5
 _LENGTH = 10.0
 """[s] Approximate length that is held out at once in a long recording."""
+_THIRDS, _STRETCH, _BETWEEN = 3, 5.0, 1.0
+"""Stretches that are counted in turn, their length and what lies between fitted and held out ones, about [s]."""
 _MOST_BUFFER = 3.0
 """[s] Longest buffer between fitted and held-out data, however long the residual's memory is."""
 
@@ -52,6 +54,14 @@ def in_turn(
         near = np.convolve(held, np.ones(2 * buffer + 1), mode="full")[buffer : buffer + count] > 0.0
         out.append(Split(~near, held, errors_from))
     return tuple(out)
+
+
+def parted(experiment: Experiment, edges: Sequence[int] = ()) -> Experiment:
+    """A recording of which every third stretch is held out, and not its end. `edges`: as of :func:`in_turn`."""
+    trial = experiment.trial
+    count, length, buffer = len(trial) // trial.block, _STRETCH / trial.block_s, round(_BETWEEN / trial.block_s)
+    split = in_turn(count, _THIRDS, length, buffer, experiment.errors_from, edges)[-1]
+    return replace(experiment, fitted=count * trial.block, split=split)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pam_antagonist import diagnose
+from pam_antagonist.diagnosis.learned_law import IN_TURN
 from validation.battery.carry import Joint, cases
 
 
@@ -40,3 +41,14 @@ def test_what_acts_where_the_joint_seldom_is_is_no_event() -> None:
     (effect,) = found.effects
     assert effect.law is not None and effect.law.at == "volume_2"
     assert effect.onset_s is None
+
+
+@pytest.mark.thorough(60)
+def test_what_only_the_end_shows_is_found_with_stretches_held_out_in_turn() -> None:
+    """A muscle that hangs through where it is short, which it is in the last quarter of a minute."""
+    joint = dict(cases(47, 28, 0, 0, 0))[4]
+    found = diagnose([joint.recording(name) for name in joint.given], "shin2022", jobs=1, profiles=False)
+    law = found.effects[-1].law
+    assert law is not None and (law.at, law.argument) == ("force_2", "length")
+    assert IN_TURN in found.warnings
+    assert found.errors.extended.angle.rmse < 0.03
