@@ -207,6 +207,8 @@ def leaves_excess(found: Diagnosis) -> bool:
     that acts in a part of the range.
     """
     events = any(one.onset_s is not None or one.end_s is not None for one in found.effects)
+    # One that turned out to act throughout was judged on other stretches than a law would be.
+    events = events or any(one.spans for one in found.experiments)
     events = events or (len(found.effects) > 1 and any(one.name == DISTURBANCE for one in found.effects))
     if found.verdict == NONE or events:
         return False
