@@ -26,11 +26,6 @@ _FREEDOM = 4.0
 """Degrees of freedom of Student's distribution."""
 
 
-def is_likely(base: Model) -> bool:
-    """Whether base parameters have left what the rig file allows."""
-    return bool(implausible(base))
-
-
 def unmasked(base: Model, work: Work) -> Ranking | None:
     """What explains the recordings with a base that the rig file allows; None if nothing does.
 
@@ -42,7 +37,7 @@ def unmasked(base: Model, work: Work) -> Ranking | None:
     held = tuple(replace(experiment, narrower=_HELD) for experiment in base.experiments)
     ranking = search(recalibrated(held), work, hypotheses())
     model = _free(ranking.model)
-    if not model.effects or not model.is_at_noise or is_likely(model):
+    if not model.effects or not model.is_at_noise or implausible(model):
         return None
     gain = sum(_evidence(*one) for one in zip(base.experiments, base.fits, model.fits, strict=True))
     return replace(ranking, base=_free(ranking.base), model=model) if gain >= thresholds.STRONG else None

@@ -238,7 +238,7 @@ def _a_law_does_better(case: Case, changing: Model) -> bool:
 def _in_disguise(case: Case) -> Judged | None:
     if case.ranking.start is not None or case.ranking.base.has_significant_excess:
         return None
-    if not disguise.is_likely(case.ranking.base) and not case.stretches:
+    if not warnings.implausible(case.ranking.base) and not case.stretches:
         return None
     ranking = disguise.unmasked(case.ranking.base, case.work)
     if ranking is None:
