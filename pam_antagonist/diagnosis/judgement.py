@@ -168,10 +168,11 @@ class Case:
         """The model with the best law of what is no event; by the time a law would be one. None if there is none."""
         base = self.ranking.base
         learned = law_search.search(base, len(laws_of(base.experiments[0].rig)) + 1, self.work.progress)
-        if learned.law is None or learned.found is None or learned.law.is_of_readings or learned.law.argument == "time":
+        laws = learned.laws
+        if not laws or any(law.is_of_readings or law.argument == "time" for law in laws):
             return None
-        model = law_evidence.with_it(base, learned.law, learned.found.covariance)
-        return model if law_evidence.is_better(base, base, model, learned.law) else None
+        model = law_evidence.with_it(base, *laws)
+        return model if law_evidence.is_better(base, base, model, laws[0]) else None
 
     @property
     def left(self) -> tuple[remaining.RemainingResidual, ...]:

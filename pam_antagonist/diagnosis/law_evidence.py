@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +15,46 @@ from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.models import Model, further_share, likelier, share_of_all
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.gauss_newton import Fitted, held_residual, refit
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
+from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.rig.learned import Law, with_law
 
 Floats = NDArray[np.float64]
 
 
-def with_it(model: Model, law: Law, covariance: Floats | None = None) -> Model:
-    """A model with a law, everything else fitted anew."""
+def with_it(model: Model, *laws: Law) -> Model:
+    """A model with laws, everything else fitted anew."""
     # A sealed joint is diagnosed about what was identified of it, and not about the rig as configured.
-    own = tuple(one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in model.experiments)
+    own = tuple(_of_laws(one, laws) for one in model.experiments)
     return replace(model, experiments=own).map(lambda experiment, fitted: refit(experiment, fitted.point, fitted.free))
+
+
+def _of_laws(experiment: Experiment, laws: Sequence[Law]) -> Experiment:
+    """A recording of a rig with laws, and with the errors of readings that some of them are."""
+    errors = [law for law in laws if law.is_of_readings]
+    if errors:
+        judged = tuple(_of_laws(other, errors) for other in experiment.judged)
+        experiment = replace(experiment, misread=partial(misread, errors), judged=judged)
+    return functools.reduce(
+        lambda one, law: one if law in errors else one.of_rig(with_law(one.rig, law)), laws, experiment
+    )
+
+
+def misread(laws: Sequence[Law], readings: Floats, dt: float) -> Floats:
+    """By how much sensors read too high, by laws of their readings (N, 4), in the order of ``CHANNELS``.
+
+    `readings`: in that order (N, 4), NaN where there are none.
+    """
+    angle, torque, first, second = np.nan_to_num(readings).T
+    seen = {"pressure_1": first, "pressure_2": second, "pressure_difference": first - second, "angle": angle,
+            "torque": torque, "time": dt * np.arange(len(readings))}  # fmt: skip
+    high = np.zeros(readings.shape)
+    for law in laws:
+        group = LawForm.of(law)
+        column = {"angle": ANGLE, "torque": TORQUE, "pressure": PRESSURE_1}[TABLE[group.kind].reads]
+        for muscle in group.muscles:
+            high[:, column + muscle - 1] += np.interp(group.argument_of(seen, muscle, dt), law.nodes, law.values)
+    return high
 
 
 def evidence_held_out(before: Model, after: Model) -> float:

@@ -1,16 +1,16 @@
-"""The missing law of a model: every table at every place, by derivatives of the model.
+"""The missing laws of a model: every table at every place, by derivatives of the model.
 
 A law is first fitted to first order, beside the base parameters, and judged on stretches of the fitted part that its
 values were not fitted to. The best laws of the best places are then fitted to the recordings. They are judged so again,
-and on what was held out.
+and on what was held out. Where the best one leaves a clear excess, two laws at once are asked in the same way: what is
+missing beside a law bends its table, and hides it.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -18,23 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import law_forms, thresholds
-from pam_antagonist.diagnosis.law_arguments import arguments
-from pam_antagonist.diagnosis.law_evidence import acting, evidence_held_out, parts, with_it
-from pam_antagonist.diagnosis.law_forms import SMOOTH, LawForm, hats, nodes_of, roughness
-from pam_antagonist.diagnosis.models import Model, likelier, without
-from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, held_residual
-from pam_antagonist.inference.point import Point
-from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE, continued
-from pam_antagonist.model.effects import parameter_path
+from pam_antagonist.diagnosis.law_columns import Columns, Seen, solved
+from pam_antagonist.diagnosis.law_evidence import acting, evidence_held_out, is_better, parts, with_it
+from pam_antagonist.diagnosis.law_forms import SMOOTH, LawForm, nodes_of
+from pam_antagonist.diagnosis.models import Model, share_of_all, without
 from pam_antagonist.model.effects.places import SENSORS, TABLE
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, numbers_of, with_law
+from pam_antagonist.rig.learned import Law, with_law
 
 Floats = NDArray[np.float64]
 
-_FOLDS = 8
-"""Stretches of the fitted part, each judged by values that were fitted to the others."""
 _FINER = 8
 """So many of the best laws are tried with a finer table."""
 _WITH_MEMORY = 5
@@ -43,8 +36,8 @@ _FINALISTS, _IN_REACH = 4, 0.3
 """Most places whose laws are fitted to the recordings, and their least evidence as a share of the best one's."""
 _BY_ANOTHER = 2
 """At so many places a law by a second argument is fitted."""
-_ROUNDS = 2
-"""Solutions of a law, each weighed by what the one before leaves."""
+_FIRST_OF_TWO, _PAIRS = 3, 3
+"""Places whose best laws are asked with a second one, and most pairs that are fitted to the recordings."""
 _STEPS, _STEP_LENGTHS = 3, (1.0, 0.3, 0.1)
 """Most steps of a finalist's fit, and shares of a step that are tried."""
 _ENOUGH = 1.0
@@ -62,15 +55,25 @@ class LikelyPlace(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class FittedLaw:
-    """A law with its evidence."""
+class FittedLaws:
+    """One law, or two at once, with their evidence."""
 
-    group: LawForm
-    law: Law
-    gain: float  # on stretches that it was not fitted to, twice the log likelihood ratio
-    covariance: Floats  # of its values (N, N)
-    smooth: float  # precision of the table's second differences, as a share of what the data know of its values
-    held_out: float = 0.0  # evidence on what was held out; 0 of a law to first order
+    groups: tuple[LawForm, ...]
+    laws: tuple[Law, ...]
+    smooth: tuple[float, ...]  # of each table the precision of its second differences, of what the data know of them
+    gain: float  # on stretches that they were not fitted to, twice the log likelihood ratio
+    model: Model = field(default_factory=Model)  # with them; empty to first order
+    held_out: float = 0.0  # evidence on what was held out; 0 to first order
+
+    @property
+    def group(self) -> LawForm:
+        """The form of the first one."""
+        return self.groups[0]
+
+    @property
+    def law(self) -> Law:
+        """The first one."""
+        return self.laws[0]
 
     @property
     def evidence(self) -> float:
@@ -79,8 +82,8 @@ class FittedLaw:
 
     @property
     def is_plain(self) -> bool:
-        """Whether it has no memory."""
-        return self.group.operator == "none"
+        """Whether none has a memory."""
+        return all(group.operator == "none" for group in self.groups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,97 +91,24 @@ class LawSearch:
     """What was found."""
 
     places: tuple[LikelyPlace, ...]  # the likeliest first
-    found: FittedLaw | None = None  # the law; None if none is taken
-    alternatives: tuple[Law, ...] = ()  # laws that do as well
+    found: FittedLaws | None = None  # None if none is taken
+    alternatives: tuple[Law, ...] = ()  # laws that do as well as the first one
+
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """The laws that are taken, with the standard deviations of their values."""
+        return self.found.laws if self.found else ()
 
     @property
     def law(self) -> Law | None:
-        """The law that is taken, with the standard deviations of its values."""
-        if self.found is None:
-            return None
-        variances = np.maximum(np.diag(self.found.covariance), 0.0)
-        return replace(self.found.law, std=tuple(map(float, np.sqrt(variances))))
+        """The first one."""
+        return self.laws[0] if self.found else None
 
     def in_rig(self, rig: Rig) -> Rig:
-        """A rig with the law; as it is, where none was taken or it is an error of readings."""
-        if self.found is None or self.law is None or self.law.is_of_readings:
-            return rig
-        return with_law(rig, self.law, covariance=self.found.covariance)
-
-
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    """A recording about a model of it."""
-
-    experiment: Experiment
-    fitted: Fitted
-    base: Floats  # derivatives of the residual by the base coordinates (B, C, K)
-    sampled: Mapping[str, Floats]  # what a law may depend on, at each sample (N,), by name
-    seen: Mapping[str, Floats]  # its means over the blocks that are fitted (B,)
-
-    @classmethod
-    def of(cls, experiment: Experiment, fitted: Fitted) -> _Recording:
-        """A recording with its derivatives."""
-        sampled, count = arguments(experiment, fitted.point), len(fitted.residual)
-        means = _means(experiment, np.column_stack(list(sampled.values())))[:count]
-        base = experiment.jacobian(fitted.point, fitted.residual)
-        return cls(experiment, fitted, base, sampled, dict(zip(sampled, means.T, strict=True)))
-
-    def weight(self, left: Floats) -> Floats:
-        """Of each channel (C,): one over the variance of what is left (B, C) and the blocks of a counted value."""
-        scale = self.fitted.scale
-        return np.asarray(1.0 / (scale.variances(left) * scale.blocks_per_error))
-
-    @property
-    def folds(self) -> NDArray[np.int64]:
-        """Number of the stretch that a block belongs to (B,)."""
-        return np.arange(len(self.fitted.residual)) * _FOLDS // len(self.fitted.residual)
-
-    def argument_of(self, group: LawForm, muscle: int) -> Floats:
-        """What a law depends on at a muscle (B,), with its memory."""
-        return group.argument_of(self.seen, muscle, self.experiment.trial.block_s)
-
-    def columns(self, group: LawForm, law: Law, number: int) -> Floats:
-        """Derivatives of the residual by a law's values, in units of its place, at its values (B, C, N)."""
-        unit, nodes = TABLE[group.kind].step, np.array(law.nodes)
-        if TABLE[group.kind].part == SENSORS:
-            return self._columns_of_readings(group, nodes) * unit
-
-        def with_values(values: Floats) -> Point:
-            numbers = numbers_of(replace(law, values=tuple(values)), number).items()
-            effects = {parameter_path("learned", name): value for name, value in numbers}
-            return Point(self.fitted.point.theta, {**self.fitted.point.effects, **effects})
-
-        def slopes(unit: float, rows: Floats) -> Floats:
-            moved = [with_values(np.array(law.values) + unit * row) for row in rows]
-            return np.stack(self.experiment.differences(self.fitted.point, self.fitted.residual, moved), axis=2)
-
-        rows = np.eye(len(nodes))
-        out = slopes(unit, rows)
-        # Air flows towards the lower pressure only: a flow the other way shows nothing.
-        hidden = ~out.any(axis=(0, 1))
-        if hidden.any() and not hidden.all():
-            out[:, :, hidden] = -slopes(-unit, rows[hidden])
-        if group.rests_at_zero:
-            out = out - out.sum(axis=2, keepdims=True) * hats(np.zeros(1), nodes)[:, 0]
-        return np.asarray(out)
-
-    def _columns_of_readings(self, group: LawForm, nodes: Floats) -> Floats:
-        """Likewise of a law by which a sensor reads too high, per SI unit."""
-        out = np.zeros((*self.fitted.residual.shape, len(nodes)))
-        first = {"angle": ANGLE, "torque": TORQUE, "pressure": PRESSURE_1}[TABLE[group.kind].reads]
-        for muscle in group.muscles:
-            channel = first + muscle - 1
-            if channel in self.experiment.channels:
-                # A table is not linear: its mean over a block is not its value at a mean.
-                each = hats(group.argument_of(self.sampled, muscle, self.experiment.trial.dt), nodes).T
-                out[:, self.experiment.channels.index(channel)] -= _means(self.experiment, each)[: len(out)]
-        return out
-
-
-def _means(experiment: Experiment, columns: Floats) -> Floats:
-    """Means of columns (N, C) over the blocks that may be fitted (B, C)."""
-    return experiment.fitted_rows(continued(experiment.trial.blocks(columns)))
+        """A rig with the laws that it can hold: an error of readings is none."""
+        for law in self.laws:
+            rig = rig if law.is_of_readings else with_law(rig, law)
+        return rig
 
 
 class _ModelPart:
@@ -186,104 +116,163 @@ class _ModelPart:
 
     def __init__(self, model: Model, number: int) -> None:
         self.model, self.number = model, number
-        self.recordings = [_Recording.of(*pair) for pair in model.pairs]
+        self.recordings = [Seen.of(*pair) for pair in model.pairs]
+        self._columns: dict[LawForm, tuple[Law, Columns]] = {}
 
     @cached_property
-    def left(self) -> list[Floats]:
-        """What each recording's stretches leave (B, C)."""
-        nothing = [np.zeros((*one.fitted.residual.shape, 0)) for one in self.recordings]
-        return _solved(self.recordings, nothing, 0.0)[2]
+    def _misfit(self) -> float:
+        """−2 log likelihood of what each recording's stretches leave without a law."""
+        each = zip(self.recordings, solved(self.recordings, (), ()).squares, strict=True)
+        return sum(one.misfit(squares) for one, squares in each)
 
     def gain(self, left: Sequence[Floats]) -> float:
-        """Evidence of what a law's stretches leave, of each recording (B, C)."""
-        return sum(likelier(one.fitted.scale, b, a) for one, b, a in zip(self.recordings, self.left, left, strict=True))
+        """Evidence of laws by what the stretches leave, of each recording the sums of squares (C,)."""
+        each = zip(self.recordings, left, strict=True)
+        return self._misfit - sum(one.misfit(squares) for one, squares in each)
 
     def span(self, group: LawForm) -> float:
         """Range of the argument of a law."""
         return float(max(np.ptp(one.argument_of(group, side)) for one in self.recordings for side in group.muscles))
 
-    def fitted(self, group: LawForm) -> FittedLaw | None:
-        """A law to first order; None if its argument does not move, or it shows nowhere."""
+    def columns(self, group: LawForm) -> tuple[Law, Columns] | None:
+        """An empty law with its columns in each recording; None if its argument does not move, or it shows nowhere."""
+        if group in self._columns:
+            return self._columns[group]
         seen = np.concatenate([one.argument_of(group, side) for one in self.recordings for side in group.muscles])
         nodes = np.zeros(1) if group.argument == "none" else nodes_of(seen, group.number)
         if len(nodes) == 1 and group.argument != "none":
             return None
-        zero = group.law(nodes, np.zeros(len(nodes)))
-        if not zero.is_of_readings and replace(zero, values=tuple(np.ones(len(nodes)))).complaint():
+        empty = group.law(nodes, np.zeros(len(nodes)))
+        if not empty.is_of_readings and replace(empty, values=tuple(np.ones(len(nodes)))).complaint():
             return None
-        columns = [one.columns(group, zero, self.number) for one in self.recordings]
+        columns = [one.columns(group, empty, self.number) for one in self.recordings]
         if not any(item.any() for item in columns):
             return None
-        unit, found = TABLE[group.kind].step, []
-        for smooth in SMOOTH if len(nodes) > 1 else SMOOTH[:1]:
-            values, covariance, left = _solved(self.recordings, columns, smooth)
-            if values.any():
-                law = group.law(nodes, values * unit)
-                found.append(FittedLaw(group, law, self.gain(left), covariance * unit**2, smooth))
+        self._columns[group] = empty, Columns(self.recordings, columns)
+        return self._columns[group]
+
+    def fitted(self, group: LawForm, beside: FittedLaws | None = None) -> FittedLaws | None:
+        """A law to first order, alone or beside another one; None if it cannot be told."""
+        groups = (*(beside.groups if beside else ()), group)
+        known = [pair for each in groups if (pair := self.columns(each)) is not None]
+        if len(known) < len(groups):
+            return None
+        found = []
+        for own in SMOOTH if len(known[-1][0].nodes) > 1 else SMOOTH[:1]:
+            smooth = (*(beside.smooth if beside else ()), own)
+            step = solved(self.recordings, [columns for _, columns in known], smooth)
+            if all(values.any() for values in step.steps):
+                each = zip(groups, known, step.steps, step.covariances, strict=True)
+                laws = tuple(_law_of(form, law.nodes, *of) for form, (law, _), *of in each)
+                found.append(FittedLaws(groups, laws, smooth, self.gain(step.squares)))
         return max(found, key=lambda one: one.gain, default=None)
 
-    def every_law(self) -> list[FittedLaw]:
-        """All laws to first order, the best first; those with a memory at the best places."""
-        places = self.model.experiments[0].law_places
-        found = [one for group in law_forms.plain_groups(places) if (one := self.fitted(group))]
+    def every_law(self, beside: FittedLaws | None = None) -> list[FittedLaws]:
+        """All laws to first order, alone or beside another one, the best first; those with a memory at the best places.
+
+        Beside another law, one of its own place is none: that would be another form of it.
+        """
+        places = [at for at in self.model.experiments[0].law_places if beside is None or at != beside.group.place]
+        found = [one for group in law_forms.plain_groups(places) if (one := self.fitted(group, beside))]
         found.sort(key=lambda one: -one.gain)
+        last = [one.groups[-1] for one in found]
         # What rubs or engages somewhere on the way does so within a short part of it.
-        finer = [one.group for k, one in enumerate(found) if k < _FINER or one.group.argument == "angle"]
+        finer = [group for k, group in enumerate(last) if k < _FINER or group.argument == "angle"]
         groups = [replace(group, number=law_forms.FINE) for group in finer if group.argument != "none"]
-        likely = list(dict.fromkeys(one.group.place for one in found))[:_WITH_MEMORY]
+        likely = list(dict.fromkeys(group.place for group in last))[:_WITH_MEMORY]
         # A sensor may be late and read right at rest; its columns need no simulation.
         likely += [place for place in places if TABLE[LawForm(place).kind].part == SENSORS and place not in likely]
         groups += law_forms.groups_with_memory(likely, self.span)
-        found += [one for group in groups if (one := self.fitted(group))]
+        found += [one for group in groups if (one := self.fitted(group, beside))]
         return sorted(found, key=lambda one: -one.gain)
 
-    def refined(self, one: FittedLaw) -> FittedLaw:
-        """A law fitted to the recordings, as far as that makes it likelier; it is judged about that fit."""
-        if one.law.is_of_readings:
-            # No rig can hold it. The diagnosis of corrected recordings will tell; till then it is taken to hold.
-            held = sum(len(held_residual(*pair)) for pair in self.model.pairs)
-            return replace(one, held_out=one.gain * held / sum(len(fit.residual) for fit in self.model.fits))
-        now = [(law := _scaled(one.law, share), with_it(self.model, law)) for share in _STEP_LENGTHS]
-        law, model = min(now, key=lambda pair: _cost(pair[1]))
+    def every_pair(self, found: Sequence[FittedLaws]) -> list[FittedLaws]:
+        """Two laws at once to first order, one of them the best law of a likely place; the best of two places first."""
+        firsts = {one.group.place: one for one in reversed(found)}
+        likely = list(dict.fromkeys(one.group.place for one in found))[:_FIRST_OF_TWO]
+        pairs = sorted((pair for at in likely for pair in self.every_law(firsts[at])), key=lambda one: -one.gain)
+        best = dict[frozenset[str], FittedLaws]()
+        for one in pairs:
+            best.setdefault(frozenset(group.place for group in one.groups), one)
+        return list(best.values())
+
+    def refined(self, one: FittedLaws) -> FittedLaws:
+        """Laws fitted to the recordings, as far as that makes them likelier; they are judged about that fit."""
+        now = [(laws := _scaled(one.laws, share), with_it(self.model, *laws)) for share in _STEP_LENGTHS]
+        laws, model = min(now, key=lambda pair: _cost(pair[1]))
         gained = math.inf
         for number in range(_STEPS + 1):
-            step, covariance, left = self._step(one, law, model)
+            here = [Seen.of(*pair) for pair in model.pairs]
+            columns = [
+                Columns(here, [each.columns(group, law, self.number + k) for each in here])
+                for k, (group, law) in enumerate(zip(one.groups, laws, strict=True))
+            ]
+            step = solved(here, columns, one.smooth)
             if number == _STEPS or gained < _ENOUGH:
                 break
             moved = next(
                 ((there, after) for share in _STEP_LENGTHS
-                 if _cost(after := with_it(self.model, there := _moved(law, share * step))) < _cost(model)), None,
+                 if _cost(after := with_it(self.model, *(there := _moved(one.groups, laws, step.steps, share))))
+                 < _cost(model)), None,
             )  # fmt: skip
             if moved is None:
                 break
             gained = _cost(model) - _cost(moved[1])
-            law, model = moved
+            laws, model = moved
+        certain = tuple(
+            law.measured(np.array(law.values), covariance * TABLE[law.place].step ** 2)
+            for law, covariance in zip(laws, step.covariances, strict=True)
+        )
         held_out = evidence_held_out(self.model, model)
-        return FittedLaw(one.group, law, self.gain(left), covariance, one.smooth, held_out)
+        return replace(one, laws=certain, gain=self.gain(step.squares), model=model, held_out=held_out)
 
-    def _step(self, one: FittedLaw, law: Law, model: Model) -> tuple[Floats, Floats, list[Floats]]:
-        """Step of a law's values (N,), their covariance (N, N), and what each recording's stretches leave (B, C)."""
-        here = [_Recording.of(*pair) for pair in model.pairs]
-        columns = [each.columns(one.group, law, self.number) for each in here]
-        step, covariance, left = _solved(here, columns, one.smooth)
-        unit = TABLE[one.group.kind].step
-        return step * unit, covariance * unit**2, left
+    def takes_two(self, found: Sequence[FittedLaws], best: FittedLaws) -> FittedLaws:
+        """Two laws where each is a further effect beside the other; the best law alone where there are no such two."""
+        if not leaves_more(self.model, best.model):
+            return best
+        two = [one for one in self.every_pair(found)[:_PAIRS] if one.gain - found[0].gain >= thresholds.STRONG]
+        for one in sorted(map(self.refined, two), key=lambda one: -one.evidence):
+            alone = [with_it(self.model, law) for law in reversed(one.laws)]
+            each = zip(alone, one.laws, strict=True)
+            if all(is_better(self.model, before, one.model, law) for before, law in each):
+                return one
+        return best
 
 
-def _scaled(law: Law, share: float) -> Law:
-    return replace(law, values=tuple(share * value for value in law.values))
+def leaves_more(base: Model, model: Model) -> bool:
+    """Whether a model with a law leaves so much that there may be another one."""
+    return 1.0 - share_of_all(base, model) >= thresholds.FURTHER_SHARE and model.has_significant_excess
 
 
-def _moved(law: Law, step: Floats) -> Law:
-    return replace(law, values=tuple(map(float, np.array(law.values) + step)))
+def _law_of(group: LawForm, nodes: Sequence[float], values: Floats, covariance: Floats) -> Law:
+    """A law by its values in units of its place (N,), and their covariance."""
+    unit = TABLE[group.kind].step
+    law = group.law(np.array(nodes), values * unit)
+    return law.measured(np.array(law.values), covariance * unit**2)
+
+
+def _scaled(laws: Sequence[Law], share: float) -> list[Law]:
+    return [replace(law, values=tuple(share * value for value in law.values)) for law in laws]
+
+
+def _moved(groups: Sequence[LawForm], laws: Sequence[Law], steps: Sequence[Floats], share: float) -> list[Law]:
+    units = [TABLE[group.kind].step for group in groups]
+    return [
+        replace(law, values=tuple(map(float, np.array(law.values) + share * unit * step)))
+        for law, step, unit in zip(laws, steps, units, strict=True)
+    ]
 
 
 def _cost(model: Model) -> float:
     return sum(fit.cost for fit in model.fits)
 
 
+_LAST: dict[str, tuple[tuple[Any, ...], LawSearch]] = {}
+"""What was found last: a rule of the verdict asks for the law that the diagnosis tries afterwards."""
+
+
 def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
-    """Look for one law that a model lacks; it gets a number in the rig.
+    """Look for laws that a model lacks; the first one gets a number in the rig, the next one the number after it.
 
     `model`: all parts of all recordings, with what was found so far. One that was searched last is not searched again.
     """
@@ -296,8 +285,9 @@ def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSea
 
 def _searched(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
     progress("a law that nobody wrote: every place of the model")
-    own = [_ModelPart(part, number) for part in parts(model) if part.has_significant_excess]
-    every = sorted(((one, part) for part in own for one in part.every_law()), key=lambda pair: -pair[0].gain)
+    judged = [_ModelPart(part, number) for part in parts(model) if part.has_significant_excess]
+    own = {part: part.every_law() for part in judged}
+    every = sorted(((one, part) for part, laws in own.items() for one in laws), key=lambda pair: -pair[0].gain)
     places: dict[str, float] = {}
     for one, _ in every:
         places.setdefault(one.group.place, one.gain)
@@ -308,28 +298,32 @@ def _searched(model: Model, number: int, progress: Callable[[str], None]) -> Law
         return found
     progress("a law that nobody wrote: the best of them, fitted to the recordings")
     kept_near = model.experiments[0].is_kept_near
-    fitted = [part.refined(one) for one, part in _finalists(standing, kept_near)]
-    best = _as_good(fitted, max(fitted, key=lambda one: one.evidence), kept_near, lambda one: one.evidence)[0]
-    if best.gain < thresholds.STRONG:
+    fitted = {part.refined(one): part for one, part in _finalists(standing, kept_near)}
+    likeliest = max(fitted, key=lambda one: one.evidence)
+    best = _as_good(list(fitted), likeliest, kept_near, lambda one: one.evidence)[0]
+    part = fitted[best]
+    progress("a law that nobody wrote: two at once")
+    two = part.takes_two(own[part], best)
+    if two.gain < thresholds.STRONG:
         return found
     near = _as_good([*fitted, *(one for one, _ in standing)], best, kept_near)
     others = {(one.law.at, one.law.argument): one.law for one in reversed(near)}
-    others.pop((best.law.at, best.law.argument), None)
-    alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES])
-    return replace(found, found=_with_friction(best, model, number), alternatives=alternatives)
+    for law in two.laws:
+        others.pop((law.at, law.argument), None)
+    alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES]) if two is best else ()
+    taken = two if two is not best else _with_friction(best, model, number)
+    return replace(found, found=taken, alternatives=alternatives)
 
 
-_LAST: dict[str, tuple[tuple[Any, ...], LawSearch]] = {}
-"""What was found last: a rule of the verdict asks for the law that the diagnosis tries afterwards."""
-
-
-def _finalists(standing: Sequence[tuple[FittedLaw, _ModelPart]], kept_near: bool) -> list[tuple[FittedLaw, _ModelPart]]:
+def _finalists(
+    standing: Sequence[tuple[FittedLaws, _ModelPart]], kept_near: bool
+) -> list[tuple[FittedLaws, _ModelPart]]:
     """Of the best places the best law each, the simplest as good one, and the best one without a memory.
 
     What remembers imitates much. At the very best places the best one by another argument is tried as well: angle and
     pressures of a joint move together.
     """
-    out: dict[FittedLaw, _ModelPart] = {}
+    out: dict[FittedLaws, _ModelPart] = {}
     for number, place in enumerate(list(dict.fromkeys(one.group.place for one, _ in standing))[:_FINALISTS]):
         own = {one: part for one, part in standing if one.group.place == place}
         best = next(iter(own))
@@ -344,16 +338,16 @@ def _finalists(standing: Sequence[tuple[FittedLaw, _ModelPart]], kept_near: bool
 
 
 def _as_good(
-    tried: Sequence[FittedLaw], best: FittedLaw, kept_near: bool,
-    of: Callable[[FittedLaw], float] = lambda one: one.gain,
-) -> list[FittedLaw]:  # fmt: skip
+    tried: Sequence[FittedLaws], best: FittedLaws, kept_near: bool,
+    of: Callable[[FittedLaws], float] = lambda one: one.gain,
+) -> list[FittedLaws]:  # fmt: skip
     """Laws that data cannot tell from one, none of them with more of a memory, the simplest first.
 
     `kept_near`: whether measured inputs keep the model near; then what the motion tells best comes first. `of`: the
     evidence that is compared.
     """
 
-    def order(one: FittedLaw) -> tuple[bool, int, float]:
+    def order(one: FittedLaws) -> tuple[bool, int, float]:
         argument = one.group.argument
         rank = _FIRST.index(argument) if kept_near and argument in _FIRST else len(_FIRST)
         return not one.is_plain, rank, -of(one)
@@ -362,47 +356,8 @@ def _as_good(
     return sorted((one for one in near if one.is_plain or not best.is_plain), key=order)
 
 
-def _with_friction(best: FittedLaw, model: Model, number: int) -> FittedLaw:
+def _with_friction(best: FittedLaws, model: Model, number: int) -> FittedLaws:
     """A law of friction with the constant friction that was found: a friction below zero would be none."""
     if best.law.place != "friction" or "friction" not in model.effects:
         return best
     return _ModelPart(acting(best.law, without(model, "effects.friction.")), number).fitted(best.group) or best
-
-
-def _solved(
-    here: Sequence[_Recording], columns: Sequence[Floats], smooth: float
-) -> tuple[Floats, Floats, list[Floats]]:
-    """Step of a law's values in units (N,), their covariance (N, N), and what each recording's stretches leave (B, C).
-
-    A stretch is left by values and base parameters that were fitted to the others.
-    """
-    count = columns[0].shape[2]
-    ends = np.cumsum([0, *(one.base.shape[2] for one in here)])
-    total = int(ends[-1]) + count
-    wheres = [np.r_[begin:end, total - count : total] for begin, end in itertools.pairwise(ends)]
-    each = [np.concatenate([one.base, own], axis=2) for one, own in zip(here, columns, strict=True)]
-    left = [one.fitted.residual for one in here]
-    for _ in range(_ROUNDS):
-        gram, right = np.zeros((_FOLDS, total, total)), np.zeros((_FOLDS, total))
-        prior, pulled = np.zeros((total, total)), np.zeros(total)
-        for one, both, where, now in zip(here, each, wheres, left, strict=True):
-            weighted = both * one.weight(now)[None, :, None]
-            for fold in range(_FOLDS):
-                rows = one.folds == fold
-                gram[fold][np.ix_(where, where)] += np.einsum("bcn,bcm->nm", weighted[rows], both[rows])
-                right[fold][where] -= np.einsum("bcn,bc->n", weighted[rows], one.fitted.residual[rows])
-            own = where[: len(where) - count]
-            prior[own, own] = one.experiment.prior
-            pulled[own] = -one.experiment.prior * one.fitted.point.theta
-        if count:
-            known = float(np.trace(gram.sum(axis=0)[-count:, -count:])) / count
-            prior[-count:, -count:] = smooth * known * roughness(count) + 1e-6 * max(known, 1e-30) * np.eye(count)
-        matrix = gram.sum(axis=0) + prior
-        step = np.linalg.solve(matrix, right.sum(axis=0) + pulled)
-        left = [one.fitted.residual + both @ step[where] for one, both, where in zip(here, each, wheres, strict=True)]
-    for fold in range(_FOLDS):
-        other = np.linalg.solve(matrix - gram[fold], (right.sum(axis=0) - right[fold]) + pulled)
-        for one, both, where, now in zip(here, each, wheres, left, strict=True):
-            rows = one.folds == fold
-            now[rows] = one.fitted.residual[rows] + both[rows] @ other[where]
-    return step[total - count :], np.linalg.inv(matrix)[total - count :, total - count :], left

@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from pam_antagonist.diagnosis import law_evidence, thresholds
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
-from pam_antagonist.diagnosis.law_evidence import all_acting, parts, with_it
+from pam_antagonist.diagnosis.law_evidence import all_acting, misread, parts, with_it
 from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, search
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
@@ -31,83 +31,101 @@ from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, laws_of, with_law
+from pam_antagonist.rig.learned import Law, laws_of
 
 Floats = NDArray[np.float64]
 
 MOST_LAWS = 2
-IN_TURN = (
-    "only the end of the recordings shows what the model lacks, so every third stretch of about 5 s was held out, and "
-    "the errors are those in these stretches"
-)
 _SMOOTHED_S = 0.010
 """[s] Time over which readings are averaged before an error of other readings is worked out from them."""
+_ONLY_AT_THE_END = "only the end of the recordings shows what the model lacks"
+_NOT_TO_THE_END = "no law that was learned from their begin holds to the end of the recordings"
+IN_TURN = "so every third stretch of about 5 s was held out, and the errors are those in these stretches"
 
 
 def diagnosed(
     diagnose: Callable[..., Diagnosis], recordings: Sequence[Recording], kept: Sequence[Recording], rig: Rig,
     progress: Callable[[str], None],
 ) -> Diagnosis:  # fmt: skip
-    """A diagnosis with laws, see :func:`with_laws`; with stretches held out in turn where only the end shows something.
+    """A diagnosis with laws, see :func:`with_laws`; where none holds, with stretches held out in turn.
 
-    What begins to act at the end of a recording leaves nothing where a model is fitted, so nothing is looked for.
+    What begins to act at the end of a recording leaves nothing where a model is fitted, so nothing is looked for. What
+    changes from the begin to the end, as rubber that gets warm, has no law that holds at the end.
     """
     found = with_laws(diagnose, recordings, kept, rig, progress)
-    base = found.recalibrated
-    at_the_end = found.verdict == UNEXPLAINED and not kept and not base.has_significant_excess
-    if not at_the_end or not all(one.runs_by_itself for one in base.experiments):
+    if found.verdict != UNEXPLAINED or kept or not all(one.runs_by_itself for one in found.experiments):
         return found
-    progress("what only the end shows: stretches are held out in turn")
+    progress("stretches are held out in turn, in place of the end")
     again = with_laws(partial(diagnose, in_turn=True), recordings, kept, rig, progress)
-    if again.verdict != EFFECT:
+    at_the_end = not found.recalibrated.has_significant_excess
+    if again.verdict != EFFECT or not (at_the_end or any(one.law for one in again.effects)):
         return found
-    return replace(again, warnings=(IN_TURN, *again.warnings))
+    return replace(
+        again, warnings=(f"{_ONLY_AT_THE_END if at_the_end else _NOT_TO_THE_END}, {IN_TURN}", *again.warnings)
+    )
 
 
 def with_laws(
     diagnose: Callable[..., Diagnosis], recordings: Sequence[Recording], kept: Sequence[Recording], rig: Rig,
     progress: Callable[[str], None],
 ) -> Diagnosis:  # fmt: skip
-    """A diagnosis; where it leaves a clear excess, with the law that is missing, and then perhaps with a second one.
+    """A diagnosis; where it leaves a clear excess, with the laws that are missing.
 
     ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
     """
     now = diagnose(recordings, rig, held_out=kept)
-    fitted, others = list(recordings), list(kept)
-    for _ in range(MOST_LAWS):
-        if not leaves_excess(now):
-            break
+    fitted, others, taken = list(recordings), list(kept), 0
+    while taken < MOST_LAWS and leaves_excess(now):
         before = now
         if any(isinstance(one, MeasuredMotion) for one in now.experiments):
             along = _along_the_motion(now, diagnose, fitted, others, rig, progress)
             if along is not now or not _friction_fails(now):
                 return along
             before = _in_free_run(now)
-        if rig.units.pressure != "pascal":
-            return _saying(now, "No law was looked for: pressures are not known in pascals.")
-        learned = None
         try:
-            if rig.valves.sealed:
-                _refuse_few_sweeps(now)
-            # Effects of the catalogue imitate a law that is missing; on a sealed joint few of them can.
-            about = before.extended if rig.valves.sealed else before.recalibrated
-            learned = search(about, len(laws_of(rig)) + 1, progress)
-            own, after = learned.in_rig(rig), now
-            right, also = (corrected(some, learned.law) for some in (fitted, others))
-            if may_be_better(before, learned):
-                after = diagnose(right, own, held_out=also, first=before.recalibrated)
+            learned = _looked_for(before, rig, progress)
         except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
-            if learned is None or learned.law is None:
-                return _saying(now, f"No law was looked for: {reason}.")
-            return _saying(now, f"A law was learned ({learned.law.in_words()}), but it cannot be tried: {reason}.")
-        if learned.law is None:
+            return _saying(now, f"No law was looked for: {reason}.")
+        if not learned.laws:
             return _saying(now, place_in_words(learned, ", by nothing that was measured"))
-        if after is now or not is_better(before, after.extended, learned.law):
-            words = f"A law was learned ({learned.law.in_words()}), but it does not hold on data that no fit used."
+        right, also = (corrected(some, learned.laws) for some in (fitted, others))
+        try:
+            own = learned.in_rig(rig)
+            tried = may_be_better(before, learned)
+            after = diagnose(right, own, held_out=also, first=before.recalibrated) if tried else None
+        except BadInput as reason:
+            return _saying(now, f"{_was_learned(learned)} cannot be tried: {reason}.")
+        if after is None or not is_better(before, after.extended, learned.laws):
+            words = f"{_was_learned(learned)} does not hold on data that no fit used."
             return _saying(now, f"{place_in_words(learned)} {words}".strip())
         now, rig, fitted, others = joined(before, after, learned), own, right, also
+        taken += len(learned.laws)
     return now
+
+
+def _looked_for(before: Diagnosis, rig: Rig, progress: Callable[[str], None]) -> LawSearch:
+    """The laws that a diagnosis lacks.
+
+    Raises:
+        BadInput: recordings in which none can be looked for.
+    """
+    if rig.units.pressure != "pascal":
+        raise BadInput("pressures are not known in pascals")
+    if rig.valves.sealed:
+        _refuse_few_sweeps(before)
+    # Effects of the catalogue imitate a law that is missing; on a sealed joint few of them can.
+    return search(before.extended if rig.valves.sealed else before.recalibrated, len(laws_of(rig)) + 1, progress)
+
+
+def _was_learned(learned: LawSearch) -> str:
+    """What was learned, as the beginning of a sentence that says what is wrong with it."""
+    words = "; ".join(law.in_words() for law in learned.laws)
+    return (
+        f"A law was learned ({words}), but it"
+        if len(learned.laws) == 1
+        else f"Two laws were learned ({words}), but this"
+    )
 
 
 def _friction_fails(now: Diagnosis) -> bool:
@@ -134,11 +152,10 @@ def _along_the_motion(
         # A rig with the law may be one that no command would take: then the catalogue's diagnosis stands.
         with suppress(BadInput):
             learned = search(before, len(laws_of(rig)) + 1, progress)
-            own = learned.in_rig(rig)
-            if learned.law is None or learned.found is None:
+            if not learned.laws:
                 continue
-            model = with_it(before, learned.law, learned.found.covariance)
-            if law_evidence.is_better(now.recalibrated, now.extended, model, learned.law):
+            own, model = learned.in_rig(rig), with_it(before, *learned.laws)
+            if law_evidence.is_better(now.recalibrated, now.extended, model, learned.laws[0]):
                 after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
                 return joined(now, after, learned, model)
     return now
@@ -160,39 +177,34 @@ def of_part(judged: Judged, progress: Callable[[str], None]) -> tuple[Judged, La
     if judged.verdict == NONE or not before.has_significant_excess:
         return judged, None
     learned = search(before, len(laws_of(before.experiments[0].rig)) + 1, progress)
-    if learned.law is None or learned.found is None:
+    if not learned.laws:
         return judged, None
-    model = with_it(before, learned.law, learned.found.covariance)
-    if not law_evidence.is_better(base, before, model, learned.law):
+    model = with_it(before, *learned.laws)
+    if not law_evidence.is_better(base, before, model, learned.laws[0]):
         return judged, None
     names = [one.trial.name for one in base.experiments]
-    effect = law_effect(base, model, learned, names, judged.ranking.tried)
-    effects = (*(judged.effects if before is judged.model else ()), effect)
+    found = law_effects(base, model, learned, names, judged.ranking.tried)
+    effects = (*(judged.effects if before is judged.model else ()), *found)
     share = held_share(base, model)
     return replace(judged, verdict=EFFECT, model=model, effects=effects, share=share), learned
 
 
-def corrected(recordings: Sequence[Recording], law: Law | None) -> list[Recording]:
-    """Recordings without the error of readings that a law is; as they are, if it is another one."""
-    if law is None or not law.is_of_readings:
-        return list(recordings)
-    group, out = LawForm.of(law), []
-    for one in recordings:
-        nothing, period = np.zeros(len(one.time_s)), one.sample_period_s
-        others = (nothing if each is None else each for each in (one.angle, one.torque))
-        columns = np.nan_to_num(np.column_stack([one.pressure, *others]))
-        size = 2 * int(0.5 * _SMOOTHED_S / period) + 1
-        first, second, angle, torque = uniform_filter1d(columns, size, axis=0, mode="nearest").T
-        seen = {"pressure_1": first, "pressure_2": second, "pressure_difference": first - second, "angle": angle,
-                "torque": torque, "time": one.time_s}  # fmt: skip
-        high = np.zeros(columns.shape)
-        for muscle in group.muscles:
-            column = {"pressure": 0, "angle": 2, "torque": 3}[TABLE[group.kind].reads] + muscle - 1
-            high[:, column] += np.interp(group.argument_of(seen, muscle, period), law.nodes, law.values)
-        angle, torque = (read if read is None else read - error
-                         for read, error in zip((one.angle, one.torque), high[:, 2:].T, strict=True))  # fmt: skip
-        out.append(replace(one, pressure=one.pressure - high[:, :2], angle=angle, torque=torque))
-    return out
+def corrected(recordings: Sequence[Recording], laws: Sequence[Law]) -> list[Recording]:
+    """Recordings without the errors of readings that some of the laws are."""
+    errors = [law for law in laws if law.is_of_readings]
+    return [_corrected(one, errors) for one in recordings] if errors else list(recordings)
+
+
+def _corrected(one: Recording, errors: Sequence[Law]) -> Recording:
+    nothing, period = np.zeros(len(one.time_s)), one.sample_period_s
+    others = [nothing if each is None else each for each in (one.angle, one.torque)]
+    size = 2 * int(0.5 * _SMOOTHED_S / period) + 1
+    readings = uniform_filter1d(np.nan_to_num(np.column_stack([*others, one.pressure])), size, axis=0, mode="nearest")
+    high = misread(errors, readings, period)
+    angle, torque = (
+        read if read is None else read - error for read, error in zip((one.angle, one.torque), high.T[:2], strict=True)
+    )
+    return replace(one, pressure=one.pressure - high[:, 2:], angle=angle, torque=torque)
 
 
 def _saying(found: Diagnosis, why: str) -> Diagnosis:
@@ -221,25 +233,19 @@ def leaves_excess(found: Diagnosis) -> bool:
 
 
 def may_be_better(before: Diagnosis, learned: LawSearch) -> bool:
-    """Whether a law is worth a diagnosis with it: alone, or beside the effects that were found, it does better."""
-    law = learned.law
-    if law is None or law.is_of_readings:
-        # Of what was recorded wrongly, only a diagnosis of the corrected recordings tells.
-        return law is not None
-
-    assert learned.found is not None
-    covariance = learned.found.covariance
-
+    """Whether laws are worth a diagnosis with them: alone, or beside the effects that were found, they do better."""
+    if not learned.laws:
+        return False
     base = before.recalibrated
-    own = [one.of_rig(with_law(one.rig, law, covariance=covariance)) for one in base.experiments]
-    if is_better(before, recalibrated(own, base), law):
+    own = with_it(Model(base.experiments, base.fits), *learned.laws).experiments
+    if is_better(before, recalibrated(own, base), learned.laws):
         return True
     beside = bool(before.effects) and not _is_a_torque_alone(before)
-    return beside and is_better(before, with_it(before.extended, law, covariance), law)
+    return beside and is_better(before, with_it(before.extended, *learned.laws), learned.laws)
 
 
-def is_better(before: Diagnosis, model: Model, law: Law) -> bool:
-    """Whether a model with a law does better where nothing was fitted, by the rules of a further effect.
+def is_better(before: Diagnosis, model: Model, laws: Sequence[Law]) -> bool:
+    """Whether a model with laws does better where nothing was fitted, by the rules of a further effect.
 
     A law that predicts held-out data comes before a torque of any course, if the law is the explanation.
     """
@@ -247,7 +253,7 @@ def is_better(before: Diagnosis, model: Model, law: Law) -> bool:
         before = replace(before, extended=before.recalibrated)
         if share_of_all(before.recalibrated, model) < thresholds.EXPLAINED:
             return False
-    return law_evidence.is_better(before.recalibrated, before.extended, model, law)
+    return law_evidence.is_better(before.recalibrated, before.extended, model, laws[0])
 
 
 def _is_a_torque_alone(found: Diagnosis) -> bool:
@@ -274,49 +280,50 @@ def like(law: Law, ranking: Sequence[TriedCandidate]) -> tuple[str, ...]:
     return tuple(sorted((n for n in acts if scores[n] >= thresholds.LEAST_SCORE), key=lambda name: -scores[name]))
 
 
-def law_effect(
+def law_effects(
     base: Model, model: Model, learned: LawSearch, names: Sequence[str], ranking: Sequence[TriedCandidate]
-) -> FoundEffect:
-    """A learned law as an effect of a diagnosis; each of its numbers has its price in the evidence.
+) -> list[FoundEffect]:
+    """Learned laws as effects of a diagnosis, each beside the other; its numbers have their price in the evidence.
 
-    `base`, `model`: without effects, and with the law. `names`: of the recordings that are fitted. `ranking`: all
-    candidates without the law.
+    `base`, `model`: without effects, and with the laws. `names`: of the recordings that are fitted. `ranking`: all
+    candidates without the laws.
     """
-    law = learned.law
-    assert law is not None
-    base, model = all_acting(law, base, model)
-    pairs = list(zip(base.fits, model.fits, strict=True))
-    gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
-    gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
-    sizes = {
-        ("everywhere" if len(law.nodes) == 1 else f"at {law.shown(node, 4)}"): Size(value, std, law.unit)
-        for node, value, std in zip(law.nodes, law.values, law.std, strict=True)
-    }
-    return FoundEffect(
-        "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, held_share(base, model),
-        tuple(names), law=law, like=like(law, ranking),
-        alternatives=tuple(law.in_words() for law in learned.alternatives),
-    )  # fmt: skip
+    out = []
+    for law in learned.laws:
+        others = [other for other in learned.laws if other is not law]
+        before, after = all_acting(law, with_it(base, *others) if others else base, model)
+        pairs = list(zip(before.fits, after.fits, strict=True))
+        gain = sum(likelier(old.scale, old.residual, new.residual) for old, new in pairs)
+        gain -= price(pairs[0][0], len(law.values) + int(law.operator != "none"))
+        sizes = {
+            ("everywhere" if len(law.nodes) == 1 else f"at {law.shown(node, 4)}"): Size(value, std, law.unit)
+            for node, value, std in zip(law.nodes, law.values, law.std, strict=True)
+        }
+        out.append(FoundEffect(
+            "learned", law.muscle if isinstance(law.muscle, int) else None, sizes, gain, held_share(before, after),
+            tuple(names), law=law, like=like(law, ranking),
+            alternatives=tuple(other.in_words() for other in learned.alternatives),
+        ))  # fmt: skip
+    return out
 
 
 def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Model | None = None) -> Diagnosis:
-    """The diagnosis with a law, and with the errors before it. An effect that acts where it does names it.
+    """The diagnosis with laws, and with the errors before them. An effect that acts where one does names it.
 
-    `judged`: the model by which the law was taken; default: that of the diagnosis with it.
+    `judged`: the model by which the laws were taken; default: that of the diagnosis with them.
     """
-    assert learned.law is not None
     model = after.extended if judged is None else judged
     names = [entry.recording for entry in before.by_recording if entry.role != "held out"]
-    effect = law_effect(before.recalibrated, model, learned, names, before.ranking)
-    share = effect.holdout_gain
+    effects = law_effects(before.recalibrated, model, learned, names, before.ranking)
+    both = all_acting(learned.laws[0], before.recalibrated, model)
+    share = held_share(*both)
     again = {one.name for one in after.effects}
     first = [one for one in before.effects if one.law is not None]
     namers = {name for one in first for name in one.like} - again
     earlier = [one for one in before.effects if one.law is not None or one.name in namers]
     others = [one for one in before.effects if one not in earlier and one.name not in again]
     # One law has one name: a second effect there only imitates what its form leaves.
-    like_it = (one for one in others if one.name in effect.like and one.muscle in (None, effect.muscle))
-    named = sorted(like_it, key=lambda one: -one.delta_bic)[:1]
+    named = list({one.name: one for effect in effects for one in _namers(effect, others)[:1]}.values())
     entries = tuple(
         replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
@@ -325,19 +332,19 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     assert errors is not None
     taken = {one.name for one in (*named, *earlier)}
     ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
-    shown = [one.trial.name for one in law_evidence.acting(learned.law, model).experiments]
+    shown = [one.trial.name for one in both[1].experiments]
     here = [len(after.parts) == 1 or any(name.endswith(f", {part.name}") for name in shown) for part in after.parts]
     with_law = list(zip(after.parts, here, strict=True))
-    effect = replace(effect, part=next((part.name for part, acts in with_law if acts), ""))
+    effects = [replace(one, part=next((part.name for part, acts in with_law if acts), "")) for one in effects]
     parts = [replace(part, verdict=EFFECT, share_explained=share) if acts else part for part, acts in with_law]
-    in_part = share_of_all(*all_acting(learned.law, before.recalibrated, model)) < thresholds.EXPLAINED_WELL
-    notes = ("the law explains the recordings in part only",) if in_part else ()
+    in_part = share_of_all(*both) < thresholds.EXPLAINED_WELL
+    notes = (f"{'the law explains' if len(effects) == 1 else 'both laws explain'} the recordings in part only",)
     return replace(
-        after, verdict=EFFECT, sentence=_sentence(learned, effect, named, earlier, before, after), errors=errors,
-        effects=(*named, *earlier, effect, *after.effects), by_recording=entries,
+        after, verdict=EFFECT, sentence=_sentence(learned, effects, named, earlier, before, after), errors=errors,
+        effects=(*named, *earlier, *effects, *after.effects), by_recording=entries,
         share=share, parts=tuple(parts),
         ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
-        warnings=(*notes, *after.warnings), recalibrated=before.recalibrated,
+        warnings=(*(notes if in_part else ()), *after.warnings), recalibrated=before.recalibrated,
         of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},
     )  # fmt: skip
 
@@ -349,25 +356,40 @@ def _from(before: ModelErrors | None, after: ModelErrors | None) -> ModelErrors 
     return replace(after, as_configured=before.as_configured, recalibrated=before.recalibrated)
 
 
+def _namers(law: FoundEffect, others: Sequence[FoundEffect]) -> list[FoundEffect]:
+    """Effects that may name a law, the best first: they act where it does, at its muscle."""
+    like_it = (one for one in others if one.name in law.like and one.muscle in (None, law.muscle))
+    return sorted(like_it, key=lambda one: -one.delta_bic)
+
+
 def _sentence(
-    learned: LawSearch, effect: FoundEffect, named: Sequence[FoundEffect], earlier: Sequence[FoundEffect],
+    learned: LawSearch, effects: Sequence[FoundEffect], named: Sequence[FoundEffect], earlier: Sequence[FoundEffect],
     before: Diagnosis, after: Diagnosis,
 ) -> str:  # fmt: skip
-    """The verdict by a learned law, in words."""
-    law = learned.law
-    assert law is not None
+    """The verdict by learned laws, in words."""
     change = change_in_words(before.errors.recalibrated, after.errors.extended, " after recalibration")
-    text = f"The missing effect sits in {law.where} and depends on {law.on}"
+    first, *second = learned.laws
     kind = " and ".join(one.name.replace("_", " ") for one in named)
-    text += f": {kind}, in another form than the catalogue's law. " if kind else ". "
-    text += f"Its law was measured as a table{law.range_in_words}. "
-    text += f"With it the model's errors on held-out data {change}."
-    others = [name.replace("_", " ") for name in effect.like if name not in {one.name for one in named}]
+    kind = f": {kind}, in another form than the catalogue's law" if kind else ""
+    if second:
+        text = f"Two effects are missing. One sits in {first.where} and depends on {first.on}, "
+        text += f"the other in {second[0].where} and depends on {second[0].on}{kind}. Their laws were measured as "
+        text += f"tables, the first one{first.range_in_words}, the other{second[0].range_in_words}. "
+    else:
+        text = f"The missing effect sits in {first.where} and depends on {first.on}{kind}. "
+        text += f"Its law was measured as a table{first.range_in_words}. "
+    text += f"With {'them' if second else 'it'} the model's errors on held-out data {change}."
+    names = {one.name for one in named}
+    like_them = dict.fromkeys(name for one in effects for name in one.like if name not in names)
+    others = [name.replace("_", " ") for name in like_them]
     text += f" Effects of the catalogue that act there, but explain less: {', '.join(others)}." if others else ""
     wrong = [] if named or earlier else [one.name.replace("_", " ") for one in before.effects]
-    text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the table." if wrong else ""
-    text += f" As good in a simulation: {'; '.join(effect.alternatives)}." if effect.alternatives else ""
-    text += " No rig file holds an error of readings: correct the recordings by it." if law.is_of_readings else ""
-    first = [one.law.in_words() for one in earlier if one.law is not None]
-    text += f" Another law was found before it: {'; '.join(first)}." if first else ""
+    than = "tables" if second else "table"
+    text += f" Of the catalogue alone, {' and '.join(wrong)} explained most, and less than the {than}." if wrong else ""
+    alternatives = effects[0].alternatives
+    text += f" As good in a simulation: {'; '.join(alternatives)}." if alternatives else ""
+    if any(law.is_of_readings for law in learned.laws):
+        text += " No rig file holds an error of readings: correct the recordings by it."
+    known = [one.law.in_words() for one in earlier if one.law is not None]
+    text += f" Another law was found before it: {'; '.join(known)}." if known else ""
     return text + (f" Beside it: {after.sentence}" if after.effects else "")

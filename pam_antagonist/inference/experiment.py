@@ -9,7 +9,7 @@ from that. Many short episodes are :class:`~pam_antagonist.inference.episodes.Ep
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -57,6 +57,8 @@ class Experiment(Driven):
     # rig file act throughout.
     spans: Mapping[str, Span] = field(default_factory=dict)
     span: Span = THROUGHOUT
+    # by how much sensors read too high (N, 4), by what they should show (N, 4) and the time between samples [s].
+    misread: Callable[[Floats, float], Floats] | None = None
     narrower: float = 1.0  # factor by which the priors of the base parameters are narrower than the rig file's
 
     # What each way of driving a joint gives.

@@ -175,8 +175,11 @@ class ValveDriven(Experiment):
             alike.setdefault(model.key, []).append(k)
 
         def of_all(key: Key, exact: Floats) -> dict[int, Floats]:
-            values = {k: calibration.values_of(points[k].effects) for k in alike[key]}
-            return {k: made(calibration.readings(exact, trial.dt, values[k])) for k in alike[key]}
+            def read(k: int) -> Floats:
+                right = calibration.readings(exact, trial.dt, calibration.values_of(points[k].effects))
+                return right if self.misread is None else right + self.misread(right, trial.dt)
+
+            return {k: made(read(k)) for k in alike[key]}
 
         recent = self._recent.get("runs", ())
         known = {key: exact for of, key, exact in recent if of is trial and key in alike}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,6 +57,13 @@ class Law:
     time: float = 0.0  # of ``lag`` and ``high_pass`` [s]
     width: float = 0.0  # of ``play`` and ``stop``, in the unit of the argument
     std: tuple[float, ...] = ()  # standard deviations of the values; empty: not known
+    # of the values (N, N); None where only the standard deviations are known: all are then taken to be wrong together.
+    covariance: Any = field(default=None, compare=False, repr=False)
+
+    def measured(self, values: np.ndarray, covariance: np.ndarray) -> Law:
+        """The law with other values (N,) and their covariance (N, N)."""
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return replace(self, values=tuple(map(float, values)), std=tuple(map(float, std)), covariance=covariance)
 
     @property
     def at(self) -> str:
@@ -128,7 +135,7 @@ class Law:
 
     def content(self) -> dict[str, Any]:
         """As a rig file has it, with what is not neutral."""
-        entries = {key: value for key, value in asdict(self).items() if key in _KEYS}
+        entries = {key: getattr(self, key) for key in _KEYS}
         neutral = {"muscle": None, "operator": "none", "time": 0.0, "width": 0.0}
         return {key: entries[key] for key in _KEYS if key not in neutral or entries[key] != neutral[key]}
 
@@ -334,12 +341,11 @@ def laws_of(rig: Rig) -> dict[int, Law]:
     return out
 
 
-def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = None) -> Rig:
+def with_law(rig: Rig, law: Law, number: int | None = None) -> Rig:
     """The rig with a learned law, as the first free one or in place of that with this number, and its uncertainty.
 
-    The filter carries the covariance (N, N) of the values in three directions at most: the two largest, and one for
-    what is left of each value's variance, as if these parts were wrong together. So each value keeps its standard
-    deviation. Where only standard deviations are known (``std`` of the law), all values are taken to be wrong together.
+    The filter carries the covariance of the values in three directions at most: the two largest, and one for what is
+    left of each value's variance, as if these parts were wrong together. So each value keeps its standard deviation.
     """
     from pam_antagonist.rig.file import checked  # which imports this module
 
@@ -362,9 +368,9 @@ def with_law(rig: Rig, law: Law, number: int | None = None, covariance: Any = No
         content[name] = without(content[name])
     directions = {name: without(changes) for name, changes in rig.directions.items()}
     directions = {name: changes for name, changes in directions.items() if changes}
-    std = np.array(law.std) if covariance is None else np.sqrt(np.diag(np.asarray(covariance, dtype=float)))
+    std = np.array(law.std)
     paths = [value_path(number, k) for k in range(1, len(law.values) + 1)]
-    for k, column in enumerate(_columns(std, covariance), 1):
+    for k, column in enumerate(_columns(std, law.covariance), 1):
         directions[f"law{number}_{k}"] = {name: float(step) for name, step in zip(paths, column, strict=True) if step}
     content["directions"] = directions
     usual = _PRIOR * max(map(abs, law.values))

@@ -24,7 +24,7 @@ from pam_antagonist.recording import Recording
 from pam_antagonist.report import html
 from pam_antagonist.report.close_loop import DiagnoseResult
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, with_law
+from pam_antagonist.rig.learned import Law, laws_of, with_law
 from pam_antagonist.simulation.excitation import profile
 
 EXCHANGE = Law(
@@ -146,8 +146,8 @@ def test_a_torque_that_comes_and_goes_alone_may_be_a_law(exchange: Course) -> No
     pushed = exchange.like("external_torque")
     assert leaves_excess(pushed)
     assert not leaves_excess(dataclasses.replace(pushed, effects=(*pushed.effects, *exchange.like("leak").effects)))
-    assert is_better(pushed, exchange.diagnoses[1].extended, EXCHANGE)
-    assert not is_better(pushed, pushed.recalibrated, EXCHANGE)
+    assert is_better(pushed, exchange.diagnoses[1].extended, [EXCHANGE])
+    assert not is_better(pushed, pushed.recalibrated, [EXCHANGE])
 
 
 def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
@@ -156,9 +156,9 @@ def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
     before, model = exchange.diagnoses[0], exchange.diagnoses[1].extended
     assert law_evidence.largest_share_of_a_channel(before.recalibrated, model) > 0.8
     assert law_evidence.largest_share_of_a_channel(before.recalibrated, before.recalibrated) == 0.0
-    assert is_better(before, model, EXCHANGE)
+    assert is_better(before, model, [EXCHANGE])
     monkeypatch.setattr(law_evidence, "largest_share_of_a_channel", lambda *_models: 0.05)
-    assert not is_better(before, model, EXCHANGE)
+    assert not is_better(before, model, [EXCHANGE])
 
 
 def test_a_law_is_said_by_its_place_and_argument() -> None:
@@ -243,6 +243,24 @@ def test_a_second_law_is_found_beside_the_first() -> None:
     assert law.value(0.0) - law.value(0.1) == pytest.approx(0.1, rel=0.2)
 
 
+@pytest.mark.thorough(12)
+def test_two_laws_are_found_at_once() -> None:
+    """Alone, each would take on what the other lacks, and neither would hold."""
+    found = learned_from(recorded(EXCHANGE, COGGING), rig())
+    one, other = sorted(found.laws, key=lambda law: law.place)
+    assert (one.place, one.argument) == ("exchange", "pressure_difference")
+    assert (other.place, other.argument) == ("torque", "angle")
+    assert one.value(1e5) == pytest.approx(1.2e-6, rel=0.2)
+    assert other.value(0.0) - other.value(0.1) == pytest.approx(0.1, rel=0.2)
+    in_rig = found.in_rig(rig())
+    assert [law.place for law in laws_of(in_rig).values()] == [law.place for law in found.laws]
+
+
+@pytest.mark.thorough(10)
+def test_a_law_is_no_second_one_where_one_is_missing() -> None:
+    assert [law.place for law in learned_from(recorded(EXCHANGE), rig()).laws] == ["exchange"]
+
+
 @pytest.mark.slow(6)
 def test_a_law_is_found_with_regulators_and_without_a_torque_meter() -> None:
     known = load_rig("shin2022_regulators", regulators=True).replaced(sample_period=0.004)
@@ -262,7 +280,7 @@ def test_recordings_are_corrected_by_the_error_of_an_encoder() -> None:
     law = learned_from(read, rig()).law
     assert law is not None
     assert (law.place, law.argument) == ("encoder", "angle")
-    corrected = learned_law.corrected([read], law)[0].angle
+    corrected = learned_law.corrected([read], [law])[0].angle
     assert corrected is not None
     # In the part that it was learned from: later the joint turns further.
     seen = slice(2 * len(true) // 3)

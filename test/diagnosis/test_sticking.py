@@ -73,8 +73,8 @@ def test_cogging_is_learned_as_a_torque_by_the_angle(recorded, experiment_of) ->
     assert isinstance(experiment, MeasuredMotion)
     base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
     found = search(base, 1, lambda text: None)
-    assert found.found is not None and found.found.law is not None
-    law = found.found.law
+    law = found.law
+    assert law is not None
     assert (law.place, law.argument, law.operator) == ("torque", "angle", "none")
     # It pulls to and fro on the way, and not to one side as a spring does.
     assert len({value > 0.0 for value in law.values}) == 2

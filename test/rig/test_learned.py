@@ -155,12 +155,12 @@ def test_laws_take_the_places_that_are_free(rig: Rig) -> None:
 def test_a_covariance_is_carried_in_three_directions_that_keep_each_deviation(rig: Rig) -> None:
     root = np.random.default_rng(2).normal(size=(3, 3)) * 1e-7
     covariance = root @ root.T
-    uncertain = with_law(rig, LAW, covariance=covariance)
+    uncertain = with_law(rig, LAW.measured(np.array(LAW.values), covariance))
     assert laws_of(uncertain)[1].std == pytest.approx(np.sqrt(np.diag(covariance)))
     steps = np.array([list(changes.values()) for changes in uncertain.directions.values()])
     assert steps.T @ steps == pytest.approx(covariance, rel=1e-6)
     nodes = tuple(float(k) for k in range(8))
-    wide = with_law(rig, Law("torque", nodes, nodes, argument="angle"), covariance=np.eye(8))
+    wide = with_law(rig, Law("torque", nodes, nodes, argument="angle").measured(np.array(nodes), np.eye(8)))
     assert len(wide.directions) == 3 and laws_of(wide)[1].std == pytest.approx(np.ones(8))
     assert not with_law(wide, Law("torque", (0.0,), (0.1,)), number=1).directions
 
