@@ -22,7 +22,6 @@ from pam_antagonist.diagnosis import (
     disturbance,
     findings,
     held_out,
-    law_evidence,
     law_search,
     onset,
     remaining,
@@ -50,7 +49,6 @@ from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motio
 from pam_antagonist.inference.point import Point
 from pam_antagonist.inference.starts import STARTS, best_of_starts
 from pam_antagonist.model.effects import DISTURBANCE
-from pam_antagonist.rig.learned import laws_of
 
 _FRICTION = "friction"
 _RIVALS = 4
@@ -167,12 +165,10 @@ class Case:
     def with_a_law(self) -> Model | None:
         """The model with the best law of what is no event; by the time a law would be one. None if there is none."""
         base = self.ranking.base
-        learned = law_search.search(base, len(laws_of(base.experiments[0].rig)) + 1, self.work.progress)
-        laws = learned.laws
-        if not laws or any(law.is_of_readings or law.argument == "time" for law in laws):
+        found = law_search.better(base, base, base, self.work.progress)
+        if found is None or any(law.is_of_readings or law.argument == "time" for law in found[0].laws):
             return None
-        model = law_evidence.with_it(base, *laws)
-        return model if law_evidence.is_better(base, base, model, laws[0]) else None
+        return found[1]
 
     @property
     def left(self) -> tuple[remaining.RemainingResidual, ...]:

@@ -22,9 +22,10 @@ from pam_antagonist.diagnosis.law_columns import Columns, Seen, solved
 from pam_antagonist.diagnosis.law_evidence import acting, evidence_held_out, is_better, parts, with_it
 from pam_antagonist.diagnosis.law_forms import SMOOTH, LawForm, nodes_of
 from pam_antagonist.diagnosis.models import Model, share_of_all, without
+from pam_antagonist.model.effects.learned import LAWS
 from pam_antagonist.model.effects.places import SENSORS, TABLE
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, with_law
+from pam_antagonist.rig.learned import Law, laws_of, with_law
 
 Floats = NDArray[np.float64]
 
@@ -114,8 +115,10 @@ class LawSearch:
 class _ModelPart:
     """A part of a model, as laws are judged: about the model without a further law."""
 
-    def __init__(self, model: Model, number: int) -> None:
-        self.model, self.number = model, number
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        taken = laws_of(model.experiments[0].rig)
+        self.numbers = [number for number in range(1, LAWS + 1) if number not in taken]  # of further laws of the rig
         self.recordings = [Seen.of(*pair) for pair in model.pairs]
         self._columns: dict[LawForm, tuple[Law, Columns]] = {}
 
@@ -145,7 +148,7 @@ class _ModelPart:
         empty = group.law(nodes, np.zeros(len(nodes)))
         if not empty.is_of_readings and replace(empty, values=tuple(np.ones(len(nodes)))).complaint():
             return None
-        columns = [one.columns(group, empty, self.number) for one in self.recordings]
+        columns = [one.columns(group, empty, self.numbers[0]) for one in self.recordings]
         if not any(item.any() for item in columns):
             return None
         self._columns[group] = empty, Columns(self.recordings, columns)
@@ -204,8 +207,8 @@ class _ModelPart:
         for number in range(_STEPS + 1):
             here = [Seen.of(*pair) for pair in model.pairs]
             columns = [
-                Columns(here, [each.columns(group, law, self.number + k) for each in here])
-                for k, (group, law) in enumerate(zip(one.groups, laws, strict=True))
+                Columns(here, [each.columns(group, law, number) for each in here])
+                for group, law, number in zip(one.groups, laws, self.numbers, strict=False)
             ]
             step = solved(here, columns, one.smooth)
             if number == _STEPS or gained < _ENOUGH:
@@ -271,21 +274,33 @@ _LAST: dict[str, tuple[tuple[Any, ...], LawSearch]] = {}
 """What was found last: a rule of the verdict asks for the law that the diagnosis tries afterwards."""
 
 
-def search(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
-    """Look for laws that a model lacks; the first one gets a number in the rig, the next one the number after it.
+def search(model: Model, progress: Callable[[str], None]) -> LawSearch:
+    """Look for laws that a model lacks.
 
     `model`: all parts of all recordings, with what was found so far. One that was searched last is not searched again.
     """
-    asked = model.experiments, model.fits, number
+    asked = model.experiments, model.fits
     last = _LAST.get("search")
     if last is None or last[0] != asked:
-        last = _LAST["search"] = asked, _searched(model, number, progress)
+        last = _LAST["search"] = asked, _searched(model, progress)
     return last[1]
 
 
-def _searched(model: Model, number: int, progress: Callable[[str], None]) -> LawSearch:
+def better(base: Model, before: Model, about: Model, progress: Callable[[str], None]) -> tuple[LawSearch, Model] | None:
+    """Laws that do better where nothing was fitted, with the model that has them; None if there are none.
+
+    `base`: without effects. `before`: what they have to do better than. `about`: what they are looked for beside.
+    """
+    learned = search(about, progress)
+    if not learned.laws:
+        return None
+    model = with_it(about, *learned.laws)
+    return (learned, model) if is_better(base, before, model, learned.laws[0]) else None
+
+
+def _searched(model: Model, progress: Callable[[str], None]) -> LawSearch:
     progress("a law that nobody wrote: every place of the model")
-    judged = [_ModelPart(part, number) for part in parts(model) if part.has_significant_excess]
+    judged = [_ModelPart(part) for part in parts(model) if part.has_significant_excess]
     own = {part: part.every_law() for part in judged}
     every = sorted(((one, part) for part, laws in own.items() for one in laws), key=lambda pair: -pair[0].gain)
     places: dict[str, float] = {}
@@ -311,7 +326,7 @@ def _searched(model: Model, number: int, progress: Callable[[str], None]) -> Law
     for law in two.laws:
         others.pop((law.at, law.argument), None)
     alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES]) if two is best else ()
-    taken = two if two is not best else _with_friction(best, model, number)
+    taken = two if two is not best else _with_friction(best, model)
     return replace(found, found=taken, alternatives=alternatives)
 
 
@@ -356,8 +371,8 @@ def _as_good(
     return sorted((one for one in near if one.is_plain or not best.is_plain), key=order)
 
 
-def _with_friction(best: FittedLaws, model: Model, number: int) -> FittedLaws:
+def _with_friction(best: FittedLaws, model: Model) -> FittedLaws:
     """A law of friction with the constant friction that was found: a friction below zero would be none."""
     if best.law.place != "friction" or "friction" not in model.effects:
         return best
-    return _ModelPart(acting(best.law, without(model, "effects.friction.")), number).fitted(best.group) or best
+    return _ModelPart(acting(best.law, without(model, "effects.friction."))).fitted(best.group) or best

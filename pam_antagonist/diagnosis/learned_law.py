@@ -20,7 +20,7 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.law_evidence import all_acting, misread, parts, with_it
 from pam_antagonist.diagnosis.law_forms import LawForm
-from pam_antagonist.diagnosis.law_search import LawSearch, search
+from pam_antagonist.diagnosis.law_search import LawSearch, better, search
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Judged, Size
@@ -31,7 +31,7 @@ from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
 from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
-from pam_antagonist.rig.learned import Law, laws_of
+from pam_antagonist.rig.learned import Law
 
 Floats = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def _looked_for(before: Diagnosis, rig: Rig, progress: Callable[[str], None]) ->
     if rig.valves.sealed:
         _refuse_few_sweeps(before)
     # Effects of the catalogue imitate a law that is missing; on a sealed joint few of them can.
-    return search(before.extended if rig.valves.sealed else before.recalibrated, len(laws_of(rig)) + 1, progress)
+    return search(before.extended if rig.valves.sealed else before.recalibrated, progress)
 
 
 def _was_learned(learned: LawSearch) -> str:
@@ -148,14 +148,13 @@ def _along_the_motion(
 
     Held-out data decide along the measured motion: a free run of a joint that sticks says little of any model.
     """
-    for before in (now.recalibrated, now.extended):
+    for about in (now.recalibrated, now.extended):
         # A rig with the law may be one that no command would take: then the catalogue's diagnosis stands.
         with suppress(BadInput):
-            learned = search(before, len(laws_of(rig)) + 1, progress)
-            if not learned.laws:
-                continue
-            own, model = learned.in_rig(rig), with_it(before, *learned.laws)
-            if law_evidence.is_better(now.recalibrated, now.extended, model, learned.laws[0]):
+            found = better(now.recalibrated, now.extended, about, progress)
+            if found is not None:
+                learned, model = found
+                own = learned.in_rig(rig)
                 after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
                 return joined(now, after, learned, model)
     return now
@@ -176,15 +175,13 @@ def of_part(judged: Judged, progress: Callable[[str], None]) -> tuple[Judged, La
     base, before = judged.base, judged.base if judged.verdict == UNEXPLAINED else judged.model
     if judged.verdict == NONE or not before.has_significant_excess:
         return judged, None
-    learned = search(before, len(laws_of(before.experiments[0].rig)) + 1, progress)
-    if not learned.laws:
+    found = better(base, before, before, progress)
+    if found is None:
         return judged, None
-    model = with_it(before, *learned.laws)
-    if not law_evidence.is_better(base, before, model, learned.laws[0]):
-        return judged, None
+    learned, model = found
     names = [one.trial.name for one in base.experiments]
-    found = law_effects(base, model, learned, names, judged.ranking.tried)
-    effects = (*(judged.effects if before is judged.model else ()), *found)
+    laws = law_effects(base, model, learned, names, judged.ranking.tried)
+    effects = (*(judged.effects if before is judged.model else ()), *laws)
     share = held_share(base, model)
     return replace(judged, verdict=EFFECT, model=model, effects=effects, share=share), learned
 

@@ -81,7 +81,7 @@ def test_a_place_is_one_row(rig, recorded, monkeypatch) -> None:
     sound = recorded(seconds=30.0, joint="free")
     bent = dataclasses.replace(sound, torque=sound.torque + 0.05 * np.sin(40.0 * sound.angle))
     model = diagnose([bent], rig, joint="free", jobs=1, profiles=False, estimator=False).recalibrated
-    found = law_search.search(model, 1, lambda words: None)
+    found = law_search.search(model, lambda words: None)
     assert found.places[0].name == "bracket"
     assert found.law is not None and found.law.where == "the bracket of the torque meter"
     wanted = 0.05 * np.sin(40.0 * np.array(found.law.nodes))

@@ -52,9 +52,9 @@ def recalibrated_on(recording: Recording, own: Rig) -> Model:
     return recalibrated([ValveDriven(own, trial, 2 * len(trial) // 3)])
 
 
-def learned_from(recording: Recording, own: Rig, number: int = 1) -> LawSearch:
+def learned_from(recording: Recording, own: Rig) -> LawSearch:
     """What the search finds in a recording of a free joint."""
-    return search(recalibrated_on(recording, own), number, lambda text: None)
+    return search(recalibrated_on(recording, own), lambda text: None)
 
 
 @dataclasses.dataclass
@@ -237,7 +237,7 @@ def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
 
 @pytest.mark.thorough(5)
 def test_a_second_law_is_found_beside_the_first() -> None:
-    law = learned_from(recorded(EXCHANGE, COGGING, duration=24.0), with_law(rig(), EXCHANGE), 2).law
+    law = learned_from(recorded(EXCHANGE, COGGING, duration=24.0), with_law(rig(), EXCHANGE)).law
     assert law is not None
     assert (law.place, law.argument) == ("torque", "angle")
     assert law.value(0.0) - law.value(0.1) == pytest.approx(0.1, rel=0.2)

@@ -109,7 +109,7 @@ def test_what_the_muscles_lack_at_low_pressures_is_learned_as_a_law_of_their_str
     inertia = Unknown("joint.inertia", ("joint.inertia",), rig.joint.inertia, 0.05, True)
     experiment = part(rig, simulate(with_law(rig, weak), duration=12.0, seed=3, path="free"), free=[inertia])
     base = Model((experiment,), (refit(experiment, experiment.origin),))
-    found = search(base, 1, lambda text: None)
+    found = search(base, lambda text: None)
     assert found.law is not None and len(found.laws) == 1
     assert (found.law.place, found.law.argument) == ("strength", "pressure")
     low, high = (found.law.value(pressure) - weak.value(pressure) for pressure in (3e5, 5e5))

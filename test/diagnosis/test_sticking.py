@@ -72,7 +72,7 @@ def test_cogging_is_learned_as_a_torque_by_the_angle(recorded, experiment_of) ->
     experiment = along_motion(experiment_of(recorded("cogging", None, "cogging", 16.0, "free", 40.0), "free"))
     assert isinstance(experiment, MeasuredMotion)
     base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
-    found = search(base, 1, lambda text: None)
+    found = search(base, lambda text: None)
     law = found.law
     assert law is not None
     assert (law.place, law.argument, law.operator) == ("torque", "angle", "none")
