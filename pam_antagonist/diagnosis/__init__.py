@@ -23,8 +23,8 @@ A regulator-driven joint with many short episodes has a pipeline of its own: :mo
 differ in what is prepared and what is concluded: :mod:`from_pressures` identifies the rig, and :mod:`model_parts` makes
 an experiment of each of its parts. Search, rules and result are the same.
 
-Where the catalogue leaves a clear excess, :mod:`learned_law` measures the laws that are missing. :mod:`law_search` finds
-one, or two at once, by derivatives of the model (:mod:`law_columns`). :mod:`law_forms` says what a law may be,
+Where the catalogue leaves a clear excess, :mod:`learned_law` measures the laws that are missing. :mod:`law_search`
+finds one, or two at once, by derivatives of the model (:mod:`law_columns`). :mod:`law_forms` says what a law may be,
 :mod:`law_arguments` what it may depend on, and :mod:`law_evidence` whether it is worth taking.
 
 :mod:`monitor` tests a running joint: :mod:`monitor_responses` is what each hypothesis would change in the innovations,

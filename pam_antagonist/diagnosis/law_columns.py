@@ -30,7 +30,7 @@ _ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class FittedRecording:
     """A recording about a model of it."""
 
     experiment: Experiment
@@ -40,7 +40,7 @@ class Seen:
     means: Mapping[str, Floats]  # its means over the blocks that are fitted (B,)
 
     @classmethod
-    def of(cls, experiment: Experiment, fitted: Fitted) -> Seen:
+    def of(cls, experiment: Experiment, fitted: Fitted) -> FittedRecording:
         """A recording with its derivatives."""
         sampled, count = arguments(experiment, fitted.point), len(fitted.residual)
         means = _means(experiment, np.column_stack(list(sampled.values())))[:count]
@@ -126,10 +126,10 @@ def _means(experiment: Experiment, columns: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class LawColumns:
     """Derivatives of the residuals of some recordings by one law's values, and their sums over stretches."""
 
-    here: Sequence[Seen]
+    here: Sequence[FittedRecording]
     each: Sequence[Floats]  # of every recording (B, C, N)
 
     @property
@@ -156,7 +156,7 @@ class Columns:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class LawSteps:
     """Steps of the values of some laws, in units of their places, and what they leave."""
 
     steps: list[Floats]  # of each law (N,)
@@ -166,7 +166,7 @@ class Solution:
     squares: list[Floats]
 
 
-def solved(here: Sequence[Seen], laws: Sequence[Columns], smooth: Sequence[float]) -> Solution:
+def solved(here: Sequence[FittedRecording], laws: Sequence[LawColumns], smooth: Sequence[float]) -> LawSteps:
     """The best step of the values of laws, beside the base parameters.
 
     `smooth`: of each law the precision of its table's second differences, as a share of what the data know of its
@@ -200,7 +200,7 @@ def solved(here: Sequence[Seen], laws: Sequence[Columns], smooth: Sequence[float
     others = np.linalg.solve(matrix - gram, (right.sum(axis=0) - right + pulled)[..., None])[..., 0]
     squares = [known.left(others[:, where]) for known, where in zip(sums, wheres, strict=True)]
     covariance = np.linalg.inv(matrix)
-    return Solution([step[at] for at in own], [covariance[at, at] for at in own], squares)
+    return LawSteps([step[at] for at in own], [covariance[at, at] for at in own], squares)
 
 
 class _Sums(NamedTuple):
@@ -211,7 +211,7 @@ class _Sums(NamedTuple):
     squares: Floats  # of the residual's (F, C)
 
     @classmethod
-    def of(cls, one: Seen, laws: Sequence[Columns], number: int) -> _Sums:
+    def of(cls, one: FittedRecording, laws: Sequence[LawColumns], number: int) -> _Sums:
         """Those of a recording with its number."""
         of_base, slopes_of_base, squares = one.of_base
         ends = np.cumsum([of_base.shape[2], *(law.size for law in laws)])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import law_forms, thresholds
-from pam_antagonist.diagnosis.law_columns import Columns, Seen, solved
+from pam_antagonist.diagnosis.law_columns import FittedRecording, LawColumns, solved
 from pam_antagonist.diagnosis.law_evidence import acting, evidence_held_out, is_better, parts, with_it
 from pam_antagonist.diagnosis.law_forms import SMOOTH, LawForm, nodes_of
 from pam_antagonist.diagnosis.models import Model, share_of_all, without
@@ -119,8 +119,8 @@ class _ModelPart:
         self.model = model
         taken = laws_of(model.experiments[0].rig)
         self.numbers = [number for number in range(1, LAWS + 1) if number not in taken]  # of further laws of the rig
-        self.recordings = [Seen.of(*pair) for pair in model.pairs]
-        self._columns: dict[LawForm, tuple[Law, Columns]] = {}
+        self.recordings = [FittedRecording.of(*pair) for pair in model.pairs]
+        self._columns: dict[LawForm, tuple[Law, LawColumns]] = {}
 
     @cached_property
     def _misfit(self) -> float:
@@ -137,7 +137,7 @@ class _ModelPart:
         """Range of the argument of a law."""
         return float(max(np.ptp(one.argument_of(group, side)) for one in self.recordings for side in group.muscles))
 
-    def columns(self, group: LawForm) -> tuple[Law, Columns] | None:
+    def columns(self, group: LawForm) -> tuple[Law, LawColumns] | None:
         """An empty law with its columns in each recording; None if its argument does not move, or it shows nowhere."""
         if group in self._columns:
             return self._columns[group]
@@ -151,7 +151,7 @@ class _ModelPart:
         columns = [one.columns(group, empty, self.numbers[0]) for one in self.recordings]
         if not any(item.any() for item in columns):
             return None
-        self._columns[group] = empty, Columns(self.recordings, columns)
+        self._columns[group] = empty, LawColumns(self.recordings, columns)
         return self._columns[group]
 
     def fitted(self, group: LawForm, beside: FittedLaws | None = None) -> FittedLaws | None:
@@ -205,9 +205,9 @@ class _ModelPart:
         laws, model = min(now, key=lambda pair: _cost(pair[1]))
         gained = math.inf
         for number in range(_STEPS + 1):
-            here = [Seen.of(*pair) for pair in model.pairs]
+            here = [FittedRecording.of(*pair) for pair in model.pairs]
             columns = [
-                Columns(here, [each.columns(group, law, number) for each in here])
+                LawColumns(here, [each.columns(group, law, number) for each in here])
                 for group, law, number in zip(one.groups, laws, self.numbers, strict=False)
             ]
             step = solved(here, columns, one.smooth)
