@@ -54,6 +54,11 @@ class LawForm:
             return (1, 2)
         return (self.muscle if isinstance(self.muscle, int) else 1,)
 
+    def is_of_term(self, other: LawForm) -> bool:
+        """Whether it acts in the term of the equations in which another one acts."""
+        alike = set(TABLE[self.kind].alike) & set(TABLE[other.kind].alike)
+        return self.place == other.place or bool(alike and set(self.muscles) & set(other.muscles))
+
     @property
     def rests_at_zero(self) -> bool:
         """Whether it only damps: it is 0 at rest, where a constant would be a force of the base."""

@@ -82,6 +82,11 @@ class FittedLaws:
         return self.gain + self.held_out
 
     @property
+    def reversed(self) -> FittedLaws:
+        """Two laws in the other order: the first one is that which explains more."""
+        return replace(self, groups=self.groups[::-1], laws=self.laws[::-1], smooth=self.smooth[::-1])
+
+    @property
     def is_plain(self) -> bool:
         """Whether none has a memory."""
         return all(group.operator == "none" for group in self.groups)
@@ -173,9 +178,11 @@ class _ModelPart:
     def every_law(self, beside: FittedLaws | None = None) -> list[FittedLaws]:
         """All laws to first order, alone or beside another one, the best first; those with a memory at the best places.
 
-        Beside another law, one of its own place is none: that would be another form of it.
+        Beside another law, one of its own term is none: that would be another form of it.
         """
-        places = [at for at in self.model.experiments[0].law_places if beside is None or at != beside.group.place]
+        places = self.model.experiments[0].law_places
+        if beside is not None:
+            places = tuple(at for at in places if not LawForm(at).is_of_term(beside.group))
         found = [one for group in law_forms.plain_groups(places) if (one := self.fitted(group, beside))]
         found.sort(key=lambda one: -one.gain)
         last = [one.groups[-1] for one in found]
@@ -235,10 +242,10 @@ class _ModelPart:
             return best
         two = [one for one in self.every_pair(found)[:_PAIRS] if one.gain - found[0].gain >= thresholds.STRONG]
         for one in sorted(map(self.refined, two), key=lambda one: -one.evidence):
-            alone = [with_it(self.model, law) for law in reversed(one.laws)]
-            each = zip(alone, one.laws, strict=True)
+            lacks_first, lacks_second = (with_it(self.model, law) for law in reversed(one.laws))
+            each = zip((lacks_first, lacks_second), one.laws, strict=True)
             if all(is_better(self.model, before, one.model, law) for before, law in each):
-                return one
+                return one if _cost(lacks_first) >= _cost(lacks_second) else one.reversed
         return best
 
 

@@ -18,6 +18,7 @@ from pam_antagonist.diagnosis.learned_law import is_better, joined, leaves_exces
 from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.result import FoundEffect
 from pam_antagonist.errors import BadInput
+from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.recording import Recording
@@ -285,6 +286,19 @@ def test_recordings_are_corrected_by_the_error_of_an_encoder() -> None:
     # In the part that it was learned from: later the joint turns further.
     seen = slice(2 * len(true) // 3)
     assert np.std((corrected - true.angle)[seen]) < 0.2 * np.std(wrong[seen])
+
+
+def test_an_error_of_readings_is_what_the_model_shows_wrongly() -> None:
+    """What was measured stays: a law that shrank it would leave less of any error."""
+    trial = make_trial(recorded(duration=12.0), rig(), "free", 0.0, "free")
+    right = ValveDriven(rig(), trial, 2 * len(trial) // 3)
+    point = right.origin
+    model = Model((right,), (refit(right, point, rounds=0),))
+    (wrong,) = law_evidence.with_it(model, Law("encoder", (-0.1, 0.1), (0.01, 0.03), None, "angle")).experiments
+    assert wrong.trial is trial
+    shown, misread = right.simulated(point), wrong.simulated(point)
+    assert misread[:, 0] - shown[:, 0] == pytest.approx(np.interp(shown[:, 0], (-0.1, 0.1), (0.01, 0.03)))
+    assert np.array_equal(misread[:, 1:], shown[:, 1:])
 
 
 def test_no_law_is_added_where_nothing_is_wrong() -> None:
