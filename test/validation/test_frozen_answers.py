@@ -12,7 +12,7 @@ OLD = oracle.read(Path(__file__).resolve().parents[1] / "diagnosis" / "oracle.js
 JOINTS = frozen.joints(None, OLD)
 ASKED = {
     "battery/1009 none": 2, "battery/035 none": 2, "battery/008 warm_up 1": 3, "battery/036 gear_friction": 12,
-    "battery/046 load_torque": 12, "battery/030 crack 2": 12, "battery/025 creep": 17, "battery/034 leak 1": 24,
+    "battery/046 load_torque": 60, "battery/025 creep": 17, "battery/034 leak 1": 24,
     "sealed/1": 3, "sealed/2": 4, "sealed/3": 3, "sealed/4": 3, "regulators/900": 8, "regulators/915": 8,
     "guessed/821": 23,
 }  # fmt: skip
