@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from pam_antagonist.diagnosis import calibrations, thresholds
 from pam_antagonist.diagnosis.result import Diagnosis, RecordingEntry, Size
-from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, choose
+from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile, by_time, choose
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.verdicts import EFFECT, UNEXPLAINED
 from pam_antagonist.diagnosis.warnings import like_a_curve
@@ -82,6 +82,11 @@ class ClosedLoop(Diagnosis):
             out.append(
                 f"Next: record once more, to decide between {either}. {typed_command('excite')} --tell-apart with the "
                 "folder of this report designs the experiment."
+            )
+        if by_time(self.effects) and "rig_extended.yaml" in files:
+            out.append(
+                "rig_extended.yaml is for these recordings: its law depends on the time since the start. Record once "
+                "more on another day. If the same law comes again, each time from the start, that rig file is for both."
             )
         keep = f"keep the rig file of {rig.name}"
         proposed, use = choice.proposed, ""

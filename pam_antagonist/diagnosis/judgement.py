@@ -317,12 +317,14 @@ RULES = (
     Rule(UNEXPLAINED, _unexplained, "nothing of the catalogue explains enough"),
 )
 """The rules in order: the first one that holds decides."""
+WITHOUT_EFFECTS = tuple(rule for rule in RULES if rule.verdict in (_nothing, _unexplained))
+"""Those that are left where no effect of the catalogue is asked."""
 
 
-def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work) -> Judged:
+def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work, rules: Sequence[Rule] = RULES) -> Judged:
     """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained."""
     case = Case(prepared, group, ranking, work)
-    asked = (rule.verdict(case) for rule in RULES if rule.so_far is None or rule.so_far == case.so_far)
+    asked = (rule.verdict(case) for rule in rules if rule.so_far is None or rule.so_far == case.so_far)
     judged = next(one for one in asked if one is not None)
     found = calibrations.found(judged.ranking, judged.model)
     notes = (*calibrations.differences(found, judged.ranking), *warnings.at_bounds(judged.model))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from pam_antagonist.model.effects.places import SENSORS, TABLE
 from pam_antagonist.rig.learned import Law, numbers_of
 
 Floats = NDArray[np.float64]
+Columns = NDArray[np.float32] | NDArray[np.float64]
 
 _FOLDS = 8
 """Stretches of the fitted part, each judged by values that were fitted to the others."""
@@ -65,11 +66,11 @@ class FittedRecording:
         """Number of the stretch that a block belongs to (B,)."""
         return np.arange(len(self.fitted.residual)) * _FOLDS // len(self.fitted.residual)
 
-    def products(self, a: Floats, b: Floats) -> Floats:
+    def products(self, a: Columns, b: Columns) -> Floats:
         """Sums of products of columns over each stretch (F, C, N, M). `a`, `b`: (B, C, N) and (B, C, M)."""
         ends = np.searchsorted(self.folds, np.arange(_FOLDS + 1))
-        pairs = ((a[b0:b1].transpose(1, 2, 0), b[b0:b1].swapaxes(0, 1)) for b0, b1 in itertools.pairwise(ends))
-        return np.stack([left @ right for left, right in pairs])
+        parts = ((a[b0:b1].astype(np.float64), b[b0:b1].astype(np.float64)) for b0, b1 in itertools.pairwise(ends))
+        return np.stack([left.transpose(1, 2, 0) @ right.swapaxes(0, 1) for left, right in parts])
 
     @cached_property
     def of_base(self) -> tuple[Floats, Floats, Floats]:
@@ -127,32 +128,46 @@ def _means(experiment: Experiment, columns: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LawColumns:
-    """Derivatives of the residuals of some recordings by one law's values, and their sums over stretches."""
+    """Derivatives of the residuals of some recordings by one law's values, as sums over stretches."""
 
     here: Sequence[FittedRecording]
-    each: Sequence[Floats]  # of every recording (B, C, N)
+    own: list[Floats]  # products of the columns (F, C, N, N), of each recording
+    by_base: list[Floats]  # products of the base's columns with these (F, C, K, N)
+    by_residual: list[Floats]  # products of the columns with the residual (F, C, N, 1)
+    each: list[Columns]  # the columns of every recording (B, C, N); empty where they are not kept
+    _by: dict[LawColumns, list[Floats]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, here: Sequence[FittedRecording], each: Sequence[Floats], kept: bool = True) -> LawColumns:
+        """The sums of columns of every recording (B, C, N)."""
+        # As they are kept: sums of columns and sums with other laws then belong to the same ones.
+        short: list[Columns] = [one.astype(np.float32) for one in each]
+        pairs = list(zip(here, short, strict=True))
+        return cls(
+            here,
+            [one.products(own, own) for one, own in pairs],
+            [one.products(one.base, own) for one, own in pairs],
+            [one.products(own, one.fitted.residual[:, :, None]) for one, own in pairs],
+            short if kept else [],
+        )  # fmt: skip
 
     @property
     def size(self) -> int:
         """Values of the law."""
-        return int(self.each[0].shape[2])
+        return int(self.own[0].shape[2])
 
-    @cached_property
-    def own(self) -> list[Floats]:
-        """Products of the columns (F, C, N, N), of each recording."""
-        return [one.products(own, own) for one, own in zip(self.here, self.each, strict=True)]
+    def meet(self, others: Sequence[LawColumns], made: Callable[[], Sequence[Floats]]) -> None:
+        """Work out the products with the columns of others. `made` makes its own, where they are not kept."""
+        new = [other for other in others if other not in self._by]
+        each = [one.astype(np.float32) for one in made()] if new and not self.each else self.each
+        for other in new:
+            trios = zip(self.here, other.each, each, strict=True)
+            self._by[other] = [one.products(theirs, own) for one, theirs, own in trios]
 
-    @cached_property
-    def by_base(self) -> list[Floats]:
-        """Products of the base's columns with these (F, C, K, N)."""
-        return [one.products(one.base, own) for one, own in zip(self.here, self.each, strict=True)]
-
-    @cached_property
-    def by_residual(self) -> list[Floats]:
-        """Products of the columns with the residual (F, C, N, 1)."""
-        return [
-            one.products(own, one.fitted.residual[:, :, None]) for one, own in zip(self.here, self.each, strict=True)
-        ]
+    def by(self, other: LawColumns) -> list[Floats]:
+        """Products of another law's columns with these (F, C, M, N), of each recording."""
+        self.meet([other], lambda: ())
+        return self._by[other]
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +240,7 @@ class _Sums(NamedTuple):
             products[:, :, at, base] = law.by_base[number].swapaxes(2, 3)
             slopes[:, :, at] = law.by_residual[number][..., 0]
         for (a, at), (b, there) in itertools.combinations(zip(laws, own, strict=True), 2):
-            products[:, :, at, there] = both = one.products(a.each[number], b.each[number])
+            products[:, :, at, there] = both = b.by(a)[number]
             products[:, :, there, at] = both.swapaxes(2, 3)
         return cls(products, slopes, squares)
 

@@ -39,6 +39,8 @@ _BY_ANOTHER = 2
 """At so many places a law by a second argument is fitted."""
 _FIRST_OF_TWO, _PAIRS = 3, 3
 """Places whose best laws are asked with a second one, and most pairs that are fitted to the recordings."""
+_MOST_KEPT = 1e8
+"""Most values of columns that are kept, of 4 bytes each; those of further laws are worked out again for pairs."""
 _STEPS, _STEP_LENGTHS = 3, (1.0, 0.3, 0.1)
 """Most steps of a finalist's fit, and shares of a step that are tried."""
 _ENOUGH = 1.0
@@ -126,6 +128,8 @@ class _ModelPart:
         self.numbers = [number for number in range(1, LAWS + 1) if number not in taken]  # of further laws of the rig
         self.recordings = [FittedRecording.of(*pair) for pair in model.pairs]
         self._columns: dict[LawForm, tuple[Law, LawColumns]] = {}
+        self._firsts: list[LawColumns] = []  # of laws that are asked with a second one
+        self._room = _MOST_KEPT
 
     @cached_property
     def _misfit(self) -> float:
@@ -153,11 +157,16 @@ class _ModelPart:
         empty = group.law(nodes, np.zeros(len(nodes)))
         if not empty.is_of_readings and replace(empty, values=tuple(np.ones(len(nodes)))).complaint():
             return None
-        columns = [one.columns(group, empty, self.numbers[0]) for one in self.recordings]
+        columns = self._made(group, empty)
         if not any(item.any() for item in columns):
             return None
-        self._columns[group] = empty, LawColumns(self.recordings, columns)
+        self._room -= sum(item.size for item in columns)
+        self._columns[group] = empty, LawColumns.of(self.recordings, columns, self._room >= 0)
         return self._columns[group]
+
+    def _made(self, group: LawForm, law: Law) -> list[Floats]:
+        """The columns of a law in each recording (B, C, N)."""
+        return [one.columns(group, law, self.numbers[0]) for one in self.recordings]
 
     def fitted(self, group: LawForm, beside: FittedLaws | None = None) -> FittedLaws | None:
         """A law to first order, alone or beside another one; None if it cannot be told."""
@@ -165,9 +174,11 @@ class _ModelPart:
         known = [pair for each in groups if (pair := self.columns(each)) is not None]
         if len(known) < len(groups):
             return None
+        empty, own = known[-1]
+        own.meet(self._firsts, lambda: self._made(group, empty))
         found = []
-        for own in SMOOTH if len(known[-1][0].nodes) > 1 else SMOOTH[:1]:
-            smooth = (*(beside.smooth if beside else ()), own)
+        for share in SMOOTH if len(empty.nodes) > 1 else SMOOTH[:1]:
+            smooth = (*(beside.smooth if beside else ()), share)
             step = solved(self.recordings, [columns for _, columns in known], smooth)
             if all(values.any() for values in step.steps):
                 each = zip(groups, known, step.steps, step.covariances, strict=True)
@@ -200,6 +211,11 @@ class _ModelPart:
         """Two laws at once to first order, one of them the best law of a likely place; the best of two places first."""
         firsts = {one.group.place: one for one in reversed(found)}
         likely = list(dict.fromkeys(one.group.place for one in found))[:_FIRST_OF_TWO]
+        for group in (firsts[at].group for at in likely):
+            empty = self._columns[group][0]
+            known = LawColumns.of(self.recordings, self._made(group, empty))
+            self._columns[group] = empty, known
+            self._firsts.append(known)
         pairs = sorted((pair for at in likely for pair in self.every_law(firsts[at])), key=lambda one: -one.gain)
         best = dict[frozenset[str], FittedLaws]()
         for one in pairs:
@@ -208,13 +224,18 @@ class _ModelPart:
 
     def refined(self, one: FittedLaws) -> FittedLaws:
         """Laws fitted to the recordings, as far as that makes them likelier; they are judged about that fit."""
-        now = [(laws := _scaled(one.laws, share), with_it(self.model, *laws)) for share in _STEP_LENGTHS]
-        laws, model = min(now, key=lambda pair: _cost(pair[1]))
+        begun: list[tuple[list[Law], Model]] = []
+        for share in _STEP_LENGTHS:
+            laws = _scaled(one.laws, share)
+            begun.append((laws, with_it(self.model, *laws)))
+            if _cost(begun[-1][1]) < _cost(self.model):
+                break
+        laws, model = min(begun, key=lambda pair: _cost(pair[1]))
         gained = math.inf
         for number in range(_STEPS + 1):
             here = [FittedRecording.of(*pair) for pair in model.pairs]
             columns = [
-                LawColumns(here, [each.columns(group, law, number) for each in here])
+                LawColumns.of(here, [each.columns(group, law, number) for each in here])
                 for group, law, number in zip(one.groups, laws, self.numbers, strict=False)
             ]
             step = solved(here, columns, one.smooth)

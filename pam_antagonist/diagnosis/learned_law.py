@@ -50,14 +50,17 @@ def diagnosed(
     """A diagnosis with laws, see :func:`with_laws`; where none holds, with stretches held out in turn.
 
     What begins to act at the end of a recording leaves nothing where a model is fitted, so nothing is looked for. What
-    changes from the begin to the end, as rubber that gets warm, has no law that holds at the end.
+    changes from the begin to the end, as rubber that gets warm, has no law that holds at the end. What the catalogue
+    does not explain to the end, it is not asked again.
     """
-    found = with_laws(diagnose, recordings, kept, rig, progress)
+    found = with_laws(diagnose, recordings, kept, rig, progress, diagnose(recordings, rig, held_out=kept))
     if found.verdict != UNEXPLAINED or kept or not all(one.runs_by_itself for one in found.experiments):
         return found
     progress("stretches are held out in turn, in place of the end")
-    again = with_laws(partial(diagnose, in_turn=True), recordings, kept, rig, progress)
-    at_the_end = not found.recalibrated.has_significant_excess
+    at_the_end, in_turn = not found.recalibrated.has_significant_excess, partial(diagnose, in_turn=True)
+    begin = in_turn(recordings, rig, catalogue=at_the_end)
+    begin = begin if at_the_end else replace(begin, ranking=found.ranking)
+    again = with_laws(in_turn, recordings, kept, rig, progress, begin)
     if again.verdict != EFFECT or not (at_the_end or any(one.law for one in again.effects)):
         return found
     return replace(
@@ -67,13 +70,13 @@ def diagnosed(
 
 def with_laws(
     diagnose: Callable[..., Diagnosis], recordings: Sequence[Recording], kept: Sequence[Recording], rig: Rig,
-    progress: Callable[[str], None],
+    progress: Callable[[str], None], now: Diagnosis,
 ) -> Diagnosis:  # fmt: skip
     """A diagnosis; where it leaves a clear excess, with the laws that are missing.
 
     ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
+    `now`: that of the catalogue.
     """
-    now = diagnose(recordings, rig, held_out=kept)
     fitted, others, taken = list(recordings), list(kept), 0
     while taken < MOST_LAWS and leaves_excess(now):
         before = now

@@ -17,7 +17,7 @@ from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate, Work
-from pam_antagonist.diagnosis.judgement import judge
+from pam_antagonist.diagnosis.judgement import RULES, WITHOUT_EFFECTS, judge
 from pam_antagonist.diagnosis.models import Model, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings, prepare
 from pam_antagonist.diagnosis.remaining import RemainingResidual
@@ -30,7 +30,7 @@ from pam_antagonist.diagnosis.result import (
     Judged,
     PartVerdict,
 )
-from pam_antagonist.diagnosis.search import about, hypotheses, search
+from pam_antagonist.diagnosis.search import CALIBRATIONS, about, hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn, parted
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED, overall
 from pam_antagonist.identification.filter_stage import Given, with_unknown_force, with_unknown_torque
@@ -88,9 +88,11 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Mo
         names = {experiment.trial.name for experiment in group.experiments}
         before = [] if first is None else [k for k, e in enumerate(first.experiments) if e.trial.name in names]
         work = Work(settings.about(group), settings.store)
-        ranking = search(base, work, hypotheses(), first=None if first is None else first.of(before))
+        asked = hypotheses() if settings.catalogue else CALIBRATIONS
+        ranking = search(base, work, asked, first=None if first is None else first.of(before))
         timings.end("selection")
-        judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.store)))
+        rules = RULES if settings.catalogue else WITHOUT_EFFECTS
+        judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.store), rules))
         timings.end("judgement")
     return sorted(judged, key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))
 

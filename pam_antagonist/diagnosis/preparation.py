@@ -58,6 +58,7 @@ class Settings:
     lock_angle: float | None = None  # angle of a locked joint [rad], where it is known
     holdout: float = 1.0 / 3.0  # share at the end of each recording that no fit sees
     in_turn: bool = False  # whether every third stretch is held out, and not the end
+    catalogue: bool = True  # whether effects of the catalogue are asked; where not, calibrations alone
     jobs: int = 2  # threads
     seed: int = 0  # draws the starts of fits
     progress: Callable[[str], None] = silent  # is called with what is being done

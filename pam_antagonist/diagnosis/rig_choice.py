@@ -17,7 +17,7 @@ from pam_antagonist.diagnosis.agreement import common_point
 from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
-from pam_antagonist.diagnosis.result import MODELS, Diagnosis, HeldOutComparison, RecordingEntry
+from pam_antagonist.diagnosis.result import MODELS, Diagnosis, FoundEffect, HeldOutComparison, RecordingEntry
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
 from pam_antagonist.diagnosis.verdicts import UNEXPLAINED
 from pam_antagonist.inference import calibration
@@ -155,7 +155,9 @@ def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> Ri
     elif common and not explained and not extended.is_better(explained):
         no_common = f"nothing is explained, and the recalibrated rig halves no error of {name} that is above noise"
     common = [file for file in common if not (no_common if file is extended else refusal(file))]
-    better = [file for file in common if file.is_better(explained and file is extended)]
+    # A law by the time since the start is of these recordings: who goes on with the rig begins with another joint.
+    lasting = [file for file in common if not (file is extended and by_time(found.effects))]
+    better = [file for file in lasting if file.is_better(explained and file is extended)]
     proposed = min(better, key=lambda file: file.ratio, default=None)
     own = [file for file in own if file.is_fit(explained) and not refusal(file)] if explained or not no_common else []
     if proposed is None and no_common:
@@ -164,6 +166,11 @@ def choose(found: Diagnosis, name: str, refusal: Callable[[RigFile], str]) -> Ri
         proposed = next((file for file in alone if found.by_recording[file.number or 0].recording in shows), None)
     written = [file for file in common if file in (extended, proposed)]
     return RigChoice((*written, *own), proposed, no_common)
+
+
+def by_time(effects: Sequence[FoundEffect]) -> bool:
+    """Whether one of some effects is a law by the time since the start of a recording."""
+    return any(one.law is not None and one.law.argument == "time" for one in effects)
 
 
 def _own(found: Diagnosis) -> list[RigFile]:

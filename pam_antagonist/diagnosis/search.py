@@ -269,12 +269,14 @@ def _with(point: Point, size: Unknown, shape: Mapping[str, float]) -> Point:
 
 EFFECTS: tuple[Hypothesis, ...] = (CatalogueEffect(),)
 """What is looked for where calibrations are known already."""
+CALIBRATIONS: tuple[Hypothesis, ...] = (CalibrationHypothesis(),)
+"""What is looked for where the catalogue was asked already."""
 GROUP = "pam_antagonist.hypotheses"
 
 
 def hypotheses() -> tuple[Hypothesis, ...]:
     """What is looked for in recordings as they were made; of equals the first one is taken."""
-    return (*EFFECTS, CalibrationHypothesis(), *(point.load()() for point in entry_points(group=GROUP)))
+    return (*EFFECTS, *CALIBRATIONS, *(point.load()() for point in entry_points(group=GROUP)))
 
 
 def about(name: str) -> Hypothesis:

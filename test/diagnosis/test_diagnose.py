@@ -26,6 +26,7 @@ from pam_antagonist.replays.result import TORQUE
 from pam_antagonist.report.close_loop_findings import calibration_findings
 from pam_antagonist.report.document import Tiles
 from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.learned import Law
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +132,19 @@ def test_the_best_of_the_three_rigs_is_proposed_and_the_only_one_that_is_named(r
     # A filter that is as good as before is no reason to change a file, however good the model alone is.
     same = with_errors(result, extended=(0.1, 1.0), recalibrated=(0.1, 1.0))
     assert same.choice.proposed is None and same.rig_files == ("rig_extended.yaml",)
+
+
+def test_a_law_by_the_time_since_the_start_is_written_but_not_proposed_for_other_days(result) -> None:
+    def with_law_by(argument: str) -> DiagnoseResult:
+        law = Law("force", (0.0, 40.0), (0.0, 3.0), 1, argument)
+        found = with_errors(result, extended=(0.4, 0.3), recalibrated=(0.6, 0.5))
+        return dataclasses.replace(found, effects=(dataclasses.replace(found.effects[0], name="learned", law=law),))
+
+    by_length, by_time = with_law_by("length"), with_law_by("time")
+    assert by_length.next_rig == by_length.rig_files[0] == by_time.rig_files[0] == "rig_extended.yaml"
+    assert by_time.next_rig == "rig_recalibrated.yaml"
+    assert "its law depends on the time since the start" in by_time.next_steps[0]
+    assert not any("time since the start" in step for step in by_length.next_steps)
 
 
 def test_recalibration_is_compared_with_what_the_user_had(result) -> None:

@@ -201,7 +201,7 @@ def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
 ) -> None:
     monkeypatch.setattr(learned_law, "search", lambda *_args: exchange.learned[0])
     first = exchange.diagnoses[0]
-    found = learned_law.with_laws(lambda *_a, **_b: first, [recorded()], [], rig(), print)
+    found = learned_law.with_laws(lambda *_a, **_b: first, [recorded()], [], rig(), print, first)
     assert (found.verdict, found.effects) == ("unexplained", ())
     assert "does not hold on data that no fit used" in found.sentence
 
@@ -210,13 +210,11 @@ def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
 def test_a_law_that_cannot_be_tried_is_said(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
     first = exchange.diagnoses[0]
 
-    def diagnosis(*_args: Any, **options: Any) -> Diagnosis:
-        if "first" in options:
-            raise BadInput("too short with it")
-        return first
+    def diagnosis(*_args: Any, **_options: Any) -> Diagnosis:
+        raise BadInput("too short with it")
 
     monkeypatch.setattr(learned_law, "search", lambda *_: exchange.learned[0])
-    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), print)
+    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), print, first)
     assert "A law was learned" in found.sentence and "cannot be tried: too short with it." in found.sentence
     assert found.verdict == first.verdict == "unexplained"
 
@@ -230,10 +228,10 @@ def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
 
     def diagnosis(*_args: Any, first: Any = None, **_options: Any) -> Diagnosis:
         before.append(first)
-        return exchange.diagnoses[len(before) - 1]
+        return exchange.diagnoses[1]
 
-    learned_law.with_laws(diagnosis, [recorded()], [], rig(), print)
-    assert before == [None, exchange.diagnoses[0].recalibrated]
+    learned_law.with_laws(diagnosis, [recorded()], [], rig(), print, exchange.diagnoses[0])
+    assert before == [exchange.diagnoses[0].recalibrated]
 
 
 @pytest.mark.thorough(5)
