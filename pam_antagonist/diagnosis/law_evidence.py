@@ -88,6 +88,9 @@ def is_better(base: Model, before: Model, after: Model, law: Law) -> bool:
         removes_enough = share_of_all(before, after) >= thresholds.EXPLAINED
     else:
         removes_enough = further_share(base, before, after) >= thresholds.FURTHER_SHARE
+    if law.argument == "time":
+        # A table by time follows whatever is slow. It says little of the rig unless it is the explanation.
+        removes_enough = removes_enough and share_of_all(base, after) >= thresholds.EXPLAINED
     takes_enough = largest_share_of_a_channel(before, after) >= thresholds.SHARE_OF_CHANNEL
     return evidence_held_out(before, after) >= thresholds.STRONG and removes_enough and takes_enough
 

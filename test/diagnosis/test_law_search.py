@@ -162,6 +162,15 @@ def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
     assert not is_better(before, model, [EXCHANGE])
 
 
+@pytest.mark.thorough(1)
+def test_a_law_by_time_has_to_be_the_explanation(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    before, model = exchange.diagnoses[0], exchange.diagnoses[1].extended
+    by_time = dataclasses.replace(EXCHANGE, argument="time")
+    assert is_better(before, model, [by_time])
+    monkeypatch.setattr(law_evidence, "share_of_all", lambda *_models: 0.36)
+    assert is_better(before, model, [EXCHANGE]) and not is_better(before, model, [by_time])
+
+
 def test_a_law_is_said_by_its_place_and_argument() -> None:
     effect = FoundEffect("learned", None, {}, 20.0, 0.6, law=EXCHANGE)
     said = "the flow from muscle 1 to muscle 2 depends on P1 - P2, seen from -300 kPa to 300 kPa (a learned law)"
