@@ -44,7 +44,10 @@ def judged(values: Mapping[str, object], well: str, *cases: tuple[object, Level,
 
 def too_slow(rate: float, what: str) -> str:
     """What is said where a computer does not keep up. `rate`: samples a second. `what`: shows it, in words."""
-    return f"this computer is too slow for {rate:g} samples a second: {what}"
+    return (
+        f"this computer is too slow for {rate:g} samples a second: {what}. Set a longer sample_period in the rig file, "
+        "or end other programs"
+    )
 
 
 class Spread(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import time
@@ -61,12 +62,8 @@ def refuse_renames(arguments: Sequence[str]) -> None:
 
 
 _TYPES = "start_type_description_service"
-_TICK = 0.001  # time between two checks of the nodes' timers [s]
 _TABLES = (bridge.PARAMETERS, laws.PARAMETERS, estimator.PARAMETERS, plant.PARAMETERS, PARAMETERS)
 _KNOWN = tuple({parameter.name for table in _TABLES for parameter in table})
-
-
-_EARLY = 500_000  # [ns] by which a call may come early; otherwise it would come up to a tick late
 
 
 @dataclass(eq=False)
@@ -91,6 +88,8 @@ class SharedTimers:
         ...     timers.run()
         >>> calls
         [2000000, 4000000, 6000000, 8000000]
+        >>> timers.until_next(0.1), timers.until_next(0.001)
+        (0.002, 0.001)
     """
 
     def __init__(self, clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -108,13 +107,17 @@ class SharedTimers:
         """Remove a timer."""
         self._entries = [other for other in self._entries if other is not entry]
 
+    def until_next(self, most: float) -> float:
+        """Time until a timer is due [s], at most that."""
+        due = min((entry.next_ns for entry in self._entries), default=math.inf)
+        return min(max(1e-9 * (due - self._clock()), 0.0), most)
+
     def run(self) -> None:
-        """Call all due timers; called by the executor's timer every millisecond."""
+        """Call all due timers; called by the loop of the process, between messages."""
         now = self._clock()
         for entry in self._entries:  # the present list; a callback may replace it
-            if now >= entry.next_ns - _EARLY:
-                behind = now - entry.next_ns
-                entry.next_ns += entry.period_ns * (1 + max(behind, 0) // entry.period_ns)
+            if now >= entry.next_ns:
+                entry.next_ns += entry.period_ns * (1 + (now - entry.next_ns) // entry.period_ns)
                 entry.callback()
 
 
@@ -173,8 +176,8 @@ class JointsNode(PamNode):
     def __init__(self, **options: Any) -> None:
         self.joints: list[JointNodes] = []
         super().__init__(also_known=_KNOWN, **{"namespace": "/", **options})
-        timers = SharedTimers()
-        self.create_timer(_TICK, timers.run, clock=self._steady)
+        # Not the executor's: each of those costs more than a sample.
+        self.loop_timers = timers = SharedTimers()
         # Made in every state of this node: its joints have life cycles of their own, and can be stopped at any time.
         self._make({**{name: value for name, value in options.items() if name != "namespace"}, "timers": timers})
         self.members = [node for joint in self.joints for node in joint.nodes]

@@ -88,6 +88,7 @@ class PamNode(LifecycleNode):  # type: ignore[misc]
     finished = False  # set when the node has finished, or was shut down by its lifecycle service
     active = configured = False
     members: Sequence[PamNode] = ()  # nodes in the same executor that start and end with this one
+    loop_timers: SharedTimers | None = None  # of these nodes, called by the loop around the executor
     joint_namespaces: Sequence[str] = ()  # of the joints that this node has started
     deliver: Callable[..., None] | None = None  # the next node of the same process is called with each result
 

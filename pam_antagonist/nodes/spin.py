@@ -269,7 +269,9 @@ def spin(node: PamNode) -> None:
         for one in (*node.members, node):
             one.start()
         while stop.signal is None and not node.finished and rclpy.ok():
-            executor.spin_once(timeout_sec=_WAIT)
+            executor.spin_once(timeout_sec=_WAIT if node.loop_timers is None else node.loop_timers.until_next(_WAIT))
+            if node.loop_timers is not None:
+                node.loop_timers.run()
             if parent and os.getppid() != parent:
                 break
     finally:

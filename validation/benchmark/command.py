@@ -6,6 +6,8 @@
   pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): lost samples,
             the time from pressure to command, memory; then again with the monitor beside them, with one message a
             sample, and all in one process
+  board     all in one process, with a recorder, on one core beside three busy processes, at 1000, 500 and 250 Hz: which
+            samples have an estimate in time
 
 Compare ratios rather than times: a busy machine slows both sides of a ratio.
 Status: 0, or 2 for bad input.
@@ -38,9 +40,10 @@ from pam_antagonist.replays.accounting import account
 from pam_antagonist.report.document import Table, number
 from pam_antagonist.rig import load_rig
 from validation import frame
+from validation.benchmark import board
 from validation.pipeline import running
 
-PARTS = ("kernels", "replay", "pipeline")
+PARTS = ("kernels", "replay", "pipeline", "board")
 _RUNS = 3
 _SETTLE = 2.0  # after the nodes have started, before memory is looked at [s]
 _NODES = ("plant", "estimator", "controller")
@@ -68,8 +71,9 @@ def parser() -> common.Parser:
 def _main(arguments: argparse.Namespace) -> int:
     rig = load_rig(arguments.rig)
     parts = [part for part in PARTS if part in (arguments.only or PARTS)]
-    if "pipeline" in parts:
-        needs_ros("benchmark --only pipeline")
+    for part in ("pipeline", "board"):
+        if part in parts:
+            needs_ros(f"benchmark --only {part}")
     figures: dict[str, float] = {}
     with counted(len(parts), "benchmark") as done:
         for part in parts:
@@ -79,8 +83,13 @@ def _main(arguments: argparse.Namespace) -> int:
                 figures |= kernels.measure(rig)
             elif part == "replay":
                 figures |= _replay(arguments.rig, arguments.bag)
-            else:
+            elif part == "pipeline":
                 figures |= _pipeline(arguments.rig, arguments.duration)
+            else:
+                with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as folder:
+                    figures |= board.measure(
+                        arguments.rig, Path(folder), lambda rig: _run(rig, arguments.duration, ("joints",), _ONE)
+                    )
             done(1)
     table = Table(("figure", "measured"), tuple((name, number(value)) for name, value in figures.items()))
     machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
@@ -175,24 +184,27 @@ def _run(
         "samples expected": float(found.expected),
         "samples lost": float(sum(found.lost.values())),
         "samples late": float(found.late),
+        "samples in time [%]": 100.0 - 100.0 * (found.lost["joint_estimate"] + found.late) / found.expected,
         "messages out of order": float(sum(found.out_of_order.values())),
         "drift against the machine's clock [ms]": (last - first) * 1e-6,
     }
     for node in taken:
-        (memory, cpu), (now, spent) = before[node], after[node]
+        (memory, _, cpu), (now, own, spent) = before[node], after[node]
         out[f"{node}, resident memory [MB]"] = now
+        out[f"{node}, of it not shared [MB]"] = own
         out[f"{node}, growth of it [MB]"] = now - memory
         out[f"{node}, share of a core [%]"] = 100.0 * (spent - cpu) / elapsed
     return out
 
 
-def _taken(process: Process) -> tuple[float, float]:
-    """Resident memory of a process [MB], and processor time that it has taken [s]."""
+def _taken(process: Process) -> tuple[float, float, float]:
+    """Resident memory of a process, what of it is no file's [MB], and processor time that it has taken [s]."""
     files = Path(f"/proc/{process.popen.pid}")
-    pages = int((files / "statm").read_text().split()[1])
+    pages, shared = map(int, (files / "statm").read_text().split()[1:3])
     fields = (files / "stat").read_text().rsplit(")", 1)[1].split()
     ticks = int(fields[11]) + int(fields[12])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, ticks / os.sysconf("SC_CLK_TCK")
+    page = os.sysconf("SC_PAGE_SIZE") / 1e6
+    return pages * page, (pages - shared) * page, ticks / os.sysconf("SC_CLK_TCK")
 
 
 main = common.command(parser, _main)
