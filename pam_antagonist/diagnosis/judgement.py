@@ -321,9 +321,9 @@ WITHOUT_EFFECTS = tuple(rule for rule in RULES if rule.verdict in (_nothing, _un
 """Those that are left where no effect of the catalogue is asked."""
 
 
-def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work, rules: Sequence[Rule] = RULES) -> Judged:
+def judge(prepared: Prepared, group: Group, ranking: Ranking, work: Work, catalogue: bool = True) -> Judged:
     """The verdict on a group: effects, a disturbance torque, nothing, or something unexplained."""
-    case = Case(prepared, group, ranking, work)
+    case, rules = Case(prepared, group, ranking, work), RULES if catalogue else WITHOUT_EFFECTS
     asked = (rule.verdict(case) for rule in rules if rule.so_far is None or rule.so_far == case.so_far)
     judged = next(one for one in asked if one is not None)
     found = calibrations.found(judged.ranking, judged.model)

@@ -212,9 +212,10 @@ class _ModelPart:
         firsts = {one.group.place: one for one in reversed(found)}
         likely = list(dict.fromkeys(one.group.place for one in found))[:_FIRST_OF_TWO]
         for group in (firsts[at].group for at in likely):
-            empty = self._columns[group][0]
-            known = LawColumns.of(self.recordings, self._made(group, empty))
-            self._columns[group] = empty, known
+            empty, known = self._columns[group]
+            if not known.each:
+                known = LawColumns.of(self.recordings, self._made(group, empty))
+                self._columns[group] = empty, known
             self._firsts.append(known)
         pairs = sorted((pair for at in likely for pair in self.every_law(firsts[at])), key=lambda one: -one.gain)
         best = dict[frozenset[str], FittedLaws]()

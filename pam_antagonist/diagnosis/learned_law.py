@@ -20,7 +20,7 @@ from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.law_evidence import all_acting, misread, parts, with_it
 from pam_antagonist.diagnosis.law_forms import LawForm
-from pam_antagonist.diagnosis.law_search import LawSearch, better, search
+from pam_antagonist.diagnosis.law_search import LawSearch, better, leaves_more, search
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Judged, Size
@@ -228,8 +228,7 @@ def leaves_excess(found: Diagnosis) -> bool:
         return True
     if any(one.is_kept_near for one in found.experiments):
         return any(part.has_significant_excess for part in parts(found.extended))
-    left = 1.0 - (share_of_all(found.recalibrated, found.extended) if found.effects else 0.0)
-    return left >= thresholds.FURTHER_SHARE and found.extended.has_significant_excess
+    return leaves_more(found.recalibrated, found.extended)
 
 
 def may_be_better(before: Diagnosis, learned: LawSearch) -> bool:

@@ -17,7 +17,7 @@ from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate, Work
-from pam_antagonist.diagnosis.judgement import RULES, WITHOUT_EFFECTS, judge
+from pam_antagonist.diagnosis.judgement import judge
 from pam_antagonist.diagnosis.models import Model, in_threads
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings, prepare
 from pam_antagonist.diagnosis.remaining import RemainingResidual
@@ -91,8 +91,8 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Mo
         asked = hypotheses() if settings.catalogue else CALIBRATIONS
         ranking = search(base, work, asked, first=None if first is None else first.of(before))
         timings.end("selection")
-        rules = RULES if settings.catalogue else WITHOUT_EFFECTS
-        judged.append(judge(prepared, group, ranking, Work(settings.progress, settings.store), rules))
+        work = Work(settings.progress, settings.store)
+        judged.append(judge(prepared, group, ranking, work, settings.catalogue))
         timings.end("judgement")
     return sorted(judged, key=lambda j: -max((effect.delta_bic for effect in j.effects), default=0.0))
 

@@ -11,7 +11,7 @@ import pytest
 
 from pam_antagonist import diagnose, load_rig, simulate
 from pam_antagonist.api import diagnose as api
-from pam_antagonist.diagnosis import Diagnosis, law_evidence, learned_law, pipeline
+from pam_antagonist.diagnosis import Diagnosis, law_evidence, law_search, learned_law, pipeline
 from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, search
 from pam_antagonist.diagnosis.learned_law import is_better, joined, leaves_excess
@@ -252,8 +252,10 @@ def test_a_second_law_is_found_beside_the_first() -> None:
 
 
 @pytest.mark.thorough(12)
-def test_two_laws_are_found_at_once() -> None:
-    """Alone, each would take on what the other lacks, and neither would hold."""
+@pytest.mark.parametrize("kept", [law_search._MOST_KEPT, 0])
+def test_two_laws_are_found_at_once(kept: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Alone, each would take on what the other lacks, and neither would hold; also where no columns are kept."""
+    monkeypatch.setattr(law_search, "_MOST_KEPT", kept)
     found = learned_from(recorded(EXCHANGE, COGGING), rig())
     one, other = sorted(found.laws, key=lambda law: law.place)
     assert (one.place, one.argument) == ("exchange", "pressure_difference")
