@@ -50,8 +50,8 @@ def diagnosed(
     """A diagnosis with laws, see :func:`with_laws`; where none holds, with stretches held out in turn.
 
     What begins to act at the end of a recording leaves nothing where a model is fitted, so nothing is looked for. What
-    changes from the begin to the end, as rubber that gets warm, has no law that holds at the end. What the catalogue
-    does not explain to the end, it is not asked again.
+    changes from the begin to the end, as rubber that gets warm, has no law that holds at the end. There,
+    effects of the catalogue were asked, and are not asked again.
     """
     found = with_laws(diagnose, recordings, kept, rig, progress, diagnose(recordings, rig, held_out=kept))
     if found.verdict != UNEXPLAINED or kept or not all(one.runs_by_itself for one in found.experiments):
@@ -59,7 +59,8 @@ def diagnosed(
     progress("stretches are held out in turn, in place of the end")
     at_the_end, in_turn = not found.recalibrated.has_significant_excess, partial(diagnose, in_turn=True)
     begin = in_turn(recordings, rig, catalogue=at_the_end)
-    begin = begin if at_the_end else replace(begin, ranking=found.ranking)
+    if not at_the_end:
+        begin = replace(begin, ranking=found.ranking)
     again = with_laws(in_turn, recordings, kept, rig, progress, begin)
     if again.verdict != EFFECT or not (at_the_end or any(one.law for one in again.effects)):
         return found
@@ -75,7 +76,7 @@ def with_laws(
     """A diagnosis; where it leaves a clear excess, with the laws that are missing.
 
     ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
-    `now`: that of the catalogue.
+    `now`: the one without laws.
     """
     fitted, others, taken = list(recordings), list(kept), 0
     while taken < MOST_LAWS and leaves_excess(now):

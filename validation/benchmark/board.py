@@ -1,4 +1,4 @@
-"""A small computer, as far as this machine can be one: the nodes in one process with a quarter of one core.
+"""A small computer, as far as this machine can be one: the nodes in one process on a busy core.
 
 They and the recorder share the core with three busy processes of the same priority.
 """
@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 from pam_antagonist.nodes.processes import PRIORITY_VARIABLE
 from pam_antagonist.rig import load_rig
@@ -29,7 +30,7 @@ def measure(rig: str, folder: Path, run: Callable[[str], dict[str, float]]) -> d
     for rate in _RATES:
         file = folder / f"board_{rate:.0f}.yaml"
         write_rig(load_rig(rig).replaced(sample_period=1.0 / rate), file, [])
-        with quarter_of_a_core():
+        with one_busy_core():
             found = run(str(file))
         shares = [value for name, value in found.items() if "share of a core" in name]
         out[f"beside three busy processes, {rate:.0f} Hz: {_IN_TIME}"] = found[_IN_TIME]
@@ -38,22 +39,18 @@ def measure(rig: str, folder: Path, run: Callable[[str], dict[str, float]]) -> d
 
 
 @contextmanager
-def quarter_of_a_core() -> Iterator[None]:
-    """Whatever is started here shares one core with busy processes."""
-    cores, priority = os.sched_getaffinity(0), os.environ.get(PRIORITY_VARIABLE)
-    os.sched_setaffinity(0, {max(cores)})
-    os.environ[PRIORITY_VARIABLE] = "0"
-    # A session of its own each, as nodes have: Linux shares a core between sessions first.
-    words = [sys.executable, "-c", "while True: pass"]
-    busy = [subprocess.Popen(words, start_new_session=True) for _ in range(_BUSY)]
-    try:
-        yield
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
-        os.sched_setaffinity(0, cores)
-        if priority is None:
-            del os.environ[PRIORITY_VARIABLE]
-        else:
-            os.environ[PRIORITY_VARIABLE] = priority
+def one_busy_core() -> Iterator[None]:
+    """Whatever is started here shares one core with busy processes, and asks for no real-time priority."""
+    cores, busy = os.sched_getaffinity(0), list[subprocess.Popen[bytes]]()
+    with patch.dict(os.environ, {PRIORITY_VARIABLE: "0"}):
+        try:
+            os.sched_setaffinity(0, {max(cores)})
+            for _ in range(_BUSY):
+                # A session of its own each, as nodes have: Linux shares a core between sessions first.
+                busy.append(subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True))
+            yield
+        finally:
+            for process in busy:
+                process.kill()
+                process.wait()
+            os.sched_setaffinity(0, cores)
