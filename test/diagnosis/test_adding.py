@@ -1,4 +1,7 @@
-"""Adding is short: a force law takes two files, a place of laws one row. Hypothesis and verdict have other tests."""
+"""Adding is short: a force law takes two files, a place of laws one row, a way of driving one class.
+
+Hypothesis and verdict have other tests.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +18,18 @@ import pytest
 
 import pam_antagonist
 from pam_antagonist.diagnosis import diagnose, law_search
-from pam_antagonist.model.effects import places
+from pam_antagonist.diagnosis.hypotheses import Work
+from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.diagnosis.search import search
+from pam_antagonist.diagnosis.splits import by_itself_or_in_turn
+from pam_antagonist.inference.experiment import Experiment, Floats
+from pam_antagonist.inference.free_parameters import Candidate, base_directions, candidates
+from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, make_trial
+from pam_antagonist.inference.unknown import Unknown
+from pam_antagonist.inference.valve_driven import TITLES
+from pam_antagonist.model.drive import Inputs
+from pam_antagonist.model.effects import CATALOGUE, places
 from pam_antagonist.model.effects.places import SENSORS, Place
 from pam_antagonist.paths import config_dir
 
@@ -86,3 +101,48 @@ def test_a_place_is_one_row(rig, recorded, monkeypatch) -> None:
     assert found.law is not None and found.law.where == "the bracket of the torque meter"
     wanted = 0.05 * np.sin(40.0 * np.array(found.law.nodes))
     assert np.abs(np.array(found.law.values) - wanted).max() < 0.015
+
+
+HOOKS = {"joint_torque", "muscle_force", "contraction_force", "coulomb_torque"}
+"""Where an effect acts on the joint: the air is given."""
+
+
+class AlongPressures(Experiment):
+    """A way of driving of one's own: the measured pressures are given, and the angle of a free joint is compared."""
+
+    channels = (ANGLE,)
+    titles = (TITLES[ANGLE],)
+    runs_by_itself = True
+
+    @property
+    def directions(self) -> tuple[Unknown, ...]:
+        return base_directions(self.rig)
+
+    @property
+    def noise(self) -> Floats:
+        return np.array([self.trial.noise(ANGLE)])
+
+    def candidates(self, taken: Mapping[str, float]) -> tuple[Candidate, ...]:
+        return tuple(one for one in candidates(taken) if HOOKS & set(CATALOGUE[one.effect].hooks))
+
+    def simulated_each(self, points: Sequence[Point], whole: bool = False) -> list[Floats]:
+        trial = self.trial if whole else self.trial.part(0.0, self.fitted * self.trial.dt)
+        pressure, angle = trial.measured[:, PRESSURE_1:], trial.measured[:1, ANGLE]
+        along = Inputs.even(len(trial), trial.dt, trial.substeps, pressure=pressure)
+        vectors = [self.parameters(point) for point in points]
+        starts = [along.settled(angle, pressure[:1], p) for p in vectors]
+        return [states[:, :4] for states, _ in along.driven_each(starts, vectors)]
+
+    def states(self, point: Point) -> tuple[Floats, Floats]:
+        states = self.simulated(point, whole=True)
+        return states, np.zeros(len(states))
+
+
+@pytest.mark.slow(8)
+@pytest.mark.parametrize(("size", "wanted"), [(0.0, ()), (6.0, ("hysteresis",))])
+def test_a_way_of_driving_is_one_class(rig, recorded, size: float, wanted: tuple[str, ...]) -> None:
+    what = {"effect": "hysteresis", "form": "dahl", "size": size} if size else {}
+    trial = make_trial(recorded(joint="free", **what), rig, "free", 0.0, "free")
+    experiment = AlongPressures(rig, trial, len(trial) * 2 // 3 // 100 * 100)
+    found = search(by_itself_or_in_turn(Group("joint", (experiment,), (0,))), Work())
+    assert found.model.effects == wanted
