@@ -48,6 +48,7 @@ def arguments(experiment: Experiment, point: Point) -> dict[str, Floats]:
         out["time"] = np.arange(len(states)) * experiment.trial.dt
     if experiment.rig.drive == "valve" and not experiment.rig.valves.sealed:
         voltage = np.ascontiguousarray(experiment.trial.voltage)
+        out |= {"voltage_1": voltage[:, 0], "voltage_2": voltage[:, 1]}
         out |= zip(_VALVES, _through_valves(np.ascontiguousarray(states[:, 2:]), voltage, p).T, strict=True)
     on_pulley = p[par.PULLEY] != 0.0
     sine, arm = (angle, np.ones(len(angle))) if on_pulley else (np.sin(angle), np.cos(angle))

@@ -63,14 +63,16 @@ _EXPRESSIONS = {
 }
 """Quantities that are computed only where a function asks for them."""
 _CHANGES = {"adds": "value + {}", "subtracts": "value - {}", "replaces": "{}"}
-_OF_MUSCLE = "(muscle_length, length_rate, wanted_open_rate, valve_flow)"
+_OF_MUSCLE = "muscle_length, length_rate, wanted_open_rate, valve_flow"
 _OWN = {
-    **dict.fromkeys(("mass_loss", "muscle_rates", "muscle_steady"), _OF_MUSCLE),
-    "open_rate": "(muscle_length, length_rate, wanted_open_rate, wanted_open_rate)",
-    **dict.fromkeys(("swelling", "contraction_force"), "(muscle_length, length_rate, length_rate, length_rate)"),
-    **dict.fromkeys(("joint_rates", "joint_steady"), "(drawn_flow, drawn_flow, drawn_flow, drawn_flow)"),
+    "spool_voltage": f"({', '.join(5 * ['valve_voltage'])})",
+    "mass_loss": f"({_OF_MUSCLE}, valve_flow)",
+    **dict.fromkeys(("muscle_rates", "muscle_steady"), f"({_OF_MUSCLE}, valve_voltage)"),
+    "open_rate": f"(muscle_length, {', '.join(['length_rate', *3 * ['wanted_open_rate']])})",
+    **dict.fromkeys(("swelling", "contraction_force"), f"(muscle_length, {', '.join(4 * ['length_rate'])})"),
+    **dict.fromkeys(("joint_rates", "joint_steady"), f"({', '.join(5 * ['drawn_flow'])})"),
 }
-"""Argument ``own`` of learned laws: what is known where."""
+"""Argument ``own`` of learned laws: what is known where; what is not repeats another one."""
 _HEADER = '''"""Effects put together; written by pam_antagonist.model.composition, which explains it."""
 
 import numpy as np

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -250,7 +249,4 @@ def _state(joint: JointNodes) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the nodes; see ``joints --help``."""
-    # Fast DDS then sends from a thread of its own on another core. For six joints at 500 Hz with a recorder, sending
-    # takes a quarter of a core.
-    os.environ.setdefault("RMW_FASTRTPS_PUBLICATION_MODE", "ASYNCHRONOUS")
     return run_node(JointsNode, argv, name="joints", description=DESCRIPTION, table=PARAMETERS, check=refuse_renames)

@@ -39,8 +39,8 @@ _ON = {
     "none": "nothing that was measured", "pressure_difference": "P1 - P2", "pressure_sum": "P1 + P2",
     "pressure_1": "P1", "pressure_2": "P2", "pressure": "its own pressure", "other_pressure": "the other pressure",
     "length": "its length", "length_rate": "the rate of its length", "open_rate": "the valve's open rate",
-    "valve_flow": "the valve's flow", "draw": "the air that is drawn", "time": "the time since the start",
-    "torque": "its torque",
+    "valve_flow": "the valve's flow", "draw": "the air that is drawn", "voltage": "its voltage",
+    "time": "the time since the start", "torque": "its torque",
 }  # fmt: skip
 
 

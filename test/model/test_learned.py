@@ -50,6 +50,8 @@ def cases() -> dict[str, Law]:
         Law("volume", (0.15, 0.16, 0.18), (0.1, -0.1, 0.2), 2, "length"),
         Law("volume", (2e5, 5e5), (0.0, 0.1), "both", "pressure"),
         Law("passage", (-2e-4, 2e-4), (0.3, -0.4), 1, "valve_flow"),
+        Law("command", (4.0, 6.0), (0.2, -0.3), 2, "voltage"),
+        Law("command", (-1.0, 1.0), (-0.4, 0.5), "both", "voltage", "high_pass", time=0.2),
     ]
     return {f"{law.at}-{law.argument}-{law.operator}": law for law in laws}
 
@@ -117,6 +119,7 @@ def second_version(law: Law, x: list[float], u: tuple[float, float], time: float
         "open_rate": lambda i: open_rate[i],
         "valve_flow": lambda i: valve(i, open_rate[i], T["P_tank"]),
         "time": lambda i: time,
+        "voltage": lambda i: u[i - 1],
         "draw": lambda i: draw(),
         **{name: lambda i, k=k: signals[k] for k, name in enumerate(SIGNALS)},
     }
@@ -144,7 +147,8 @@ def second_version(law: Law, x: list[float], u: tuple[float, float], time: float
     supply = T["P_tank"] * (1 + place("supply"))
     p_dot = []
     for i in (1, 2):
-        alpha = min(max(open_rate[i] + place("valve", i), 0.0), 1.0)
+        asked = paper.kappa(T, u[i - 1] + place("command", i))
+        alpha = min(max(asked + place("valve", i), 0.0), 1.0)
         flow = valve(i, alpha, supply) * (1.0 + max(place("passage", i), -1.0))
         extra = place("flow", i)
         flow += fade(extra, T["P_tank"] - pressure[i] if extra > 0 else pressure[i] - T["P_out"])

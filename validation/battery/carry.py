@@ -138,7 +138,7 @@ def judge(joint: Joint, duration: float, jobs: int) -> dict[str, Any]:
     from pam_antagonist import diagnose
 
     recordings = [joint.recording(name, duration) for name in joint.given]
-    options: dict[str, Any] = {"holdout": HOLDOUT, "profiles": False, "estimator": False}
+    options: dict[str, Any] = {"holdout": HOLDOUT, "profiles": False}
     configured, begin = load_rig(RIG), time.monotonic()
     rigs, sentence = dict.fromkeys(_RIGS, configured), ""
     said: Any = None

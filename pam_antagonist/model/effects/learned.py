@@ -37,13 +37,14 @@ effects:
 | `supply` | joint | - | change of the supply's pressure, as a share of it |
 | `passage` | muscle | - | change of the flow through the valve, as a share of it, −1 at least: a hose that throttles |
 | `volume` | muscle | - | change of the volume, as a share of it, by `length` or `pressure`, without an operator |
+| `command` | muscle | V | change of the voltage for which the valve's spool stands |
 
 The arguments `pressure_1`, `pressure_2`, `pressure_difference` (P_1 − P_2), `pressure_sum`, `angle`, `velocity`,
 `speed` (its absolute value), `time` (since the start) and the names of the file's `signals` are known everywhere. At a
 place of a muscle there are its own `pressure`, `other_pressure`, `length` and `length_rate`. At `flow`, `leak` and
-`passage` there are `open_rate` (that the voltage asks for) and `valve_flow`, at `valve` there is `open_rate`. A place
-of the joint may depend on `draw`, the flow of both valves out of the supply, with the operator `lag`. `none` makes a
-constant, with one node.
+`passage` there are `open_rate` (that the voltage asks for) and `valve_flow`, at `valve` there is `open_rate`, at
+`command` the valve's `voltage`. A place of the joint may depend on `draw`, the flow of both valves out of the supply,
+with the operator `lag`. `none` makes a constant, with one node.
 
 | operator | its number | what the table gets |
 |---|---|---|
@@ -78,7 +79,7 @@ OF_JOINT = tuple(name for name in PLACES if not places.TABLE[name].sides)
 ARGUMENTS = {
     "none": "-", "pressure_1": "Pa", "pressure_2": "Pa", "pressure_difference": "Pa", "pressure_sum": "Pa",
     "angle": "rad", "velocity": "rad/s", "speed": "rad/s", "pressure": "Pa", "other_pressure": "Pa", "length": "m",
-    "length_rate": "m/s", "open_rate": "-", "valve_flow": "kg/s", "draw": "kg/s", "time": "s",
+    "length_rate": "m/s", "open_rate": "-", "valve_flow": "kg/s", "draw": "kg/s", "voltage": "V", "time": "s",
     "signal1": "SI", "signal2": "SI", "signal3": "SI", "signal4": "SI",
 }  # fmt: skip
 """What a law may depend on, with units."""
@@ -88,15 +89,15 @@ MUSCLES = ("both", "1", "2", "joint")
 """Where a law acts; these codes begin at 0."""
 
 # numba would compile a function anew for each literal.
-FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, _DAMPING, FRICTION, SUPPLY, PASSAGE, VOLUME = map(
-    np.int64, range(1, 14)
-)
+(
+    FLOW, LEAK, EXCHANGE, FORCE, STRENGTH, VALVE, SENSOR, TORQUE, _DAMPING, FRICTION, SUPPLY, PASSAGE, VOLUME, COMMAND,
+) = map(np.int64, range(1, 15))  # fmt: skip
 JOINT = np.int64(2)
 """Index of the joint, in the place of a muscle's."""
 (
     _, _FIRST, _SECOND, _DIFFERENCE, _SUM, _ANGLE, _VELOCITY, _SPEED, _PRESSURE, _OTHER, _LENGTH, _LENGTH_RATE,
-    _OPEN_RATE, _VALVE_FLOW, _DRAW, _TIME, FIRST_SIGNAL,
-) = range(1, 18)  # fmt: skip
+    _OPEN_RATE, _VALVE_FLOW, _DRAW, _VOLTAGE, _TIME, FIRST_SIGNAL,
+) = range(1, 19)  # fmt: skip
 _NONE, _CLOCK, _LAG, _PLAY, _HIGH_PASS, _STOP = range(1, 1 + len(OPERATORS))
 
 CODES = ("place", "muscle", "argument", "operator", "count", "keeps_1", "keeps_2", "keeps")
@@ -116,7 +117,7 @@ _FADE = 2e3
 
 # In all functions, ``law`` is the index in ``p`` of the first law's codes, behind the number of laws; ``muscle`` is 0,
 # 1 or JOINT; ``now`` is ψ [rad], ψ̇ [rad/s] and the pressures in both muscles [Pa]; ``own`` is of the muscle: length and
-# its rate [m, m/s], open rate that the voltage asks for [-], flow through the valve [kg/s].
+# its rate [m, m/s], open rate that the voltage asks for [-], flow through the valve [kg/s], its voltage [V].
 
 
 @inlined
@@ -142,7 +143,7 @@ def _argued(law, muscle, now, own, p):  # noqa: C901 (a table of cases)
     """What a law depends on, before its operator [SI]; and the distance from its first node to the last one."""
     what = int(p[law + _ARGUMENT])
     angle, velocity, first, second = now
-    length, length_rate, open_rate, flow = own
+    length, length_rate, open_rate, flow, voltage = own
     value = 0.0 * first
     if what >= FIRST_SIGNAL:
         value = p[int(p[law + SIGNAL])]
@@ -170,6 +171,8 @@ def _argued(law, muscle, now, own, p):  # noqa: C901 (a table of cases)
         value = length_rate
     elif what == _OPEN_RATE:
         value = open_rate
+    elif what == _VOLTAGE:
+        value = voltage
     elif what < _TIME:
         value = flow
     first_node = int(p[law + TABLE]) + _NODE_AT
@@ -220,7 +223,7 @@ def _passive(law, value, rate, p):
 def _lost_air(chamber_pressure, orifice_flow, now, own, atmosphere, supply_pressure, muscle, law, x, p):
     """Mass flow out of a muscle beside the valve [kg/s]: places ``flow``, ``leak``, ``exchange`` and ``passage``."""
     share, _, _ = _sums(PASSAGE, muscle, now, own, law, x, p)
-    _, _, _, through_valve = own
+    _, _, _, through_valve, _ = own
     flow, area, passed = _sums(FLOW, muscle, now, own, law, x, p)
     _, _, first, second = now
     left = supply_pressure - chamber_pressure if flow > 0.0 else chamber_pressure - atmosphere
@@ -253,11 +256,18 @@ def _swollen(polytropic_rate, bulk_modulus, volume_rate, now, own, muscle, law, 
             slope = _slope_of(codes, argument, p)
             by_length += slope if p[codes + _ARGUMENT] == _LENGTH else 0.0
             by_pressure += slope if p[codes + _ARGUMENT] == _PRESSURE else 0.0
-    _, length_rate, _, _ = own
+    _, length_rate, _, _, _ = own
     volume = max(1.0 + share, _LEAST_VOLUME)
     carried = bulk_modulus * volume_rate
     rate = (polytropic_rate + carried - bulk_modulus * by_length * length_rate) / volume - carried
     return rate / max(1.0 + bulk_modulus * by_pressure / volume, _LEAST_GIVE)
+
+
+@in_place
+def _moved_command(value, now, own, muscle, law, x, p):
+    """Voltage for which the spool stands [V], from the one without laws: place ``command``."""
+    change, _, _ = _sums(COMMAND, muscle, now, own, law, x, p)
+    return value + change
 
 
 @in_place
@@ -275,16 +285,23 @@ def _further_force(static_force, passive_force, now, own, muscle, law, x, p):
 
 
 @inlined
+def _nothing_own(now):
+    """The argument ``own`` where no muscle's is known."""
+    angle, velocity, first, second = now
+    return angle, velocity, first, second, second
+
+
+@inlined
 def _of_joint(place, now, law, x, p):
     """Sum of the laws at a place of the joint: ``friction`` [N m], ``supply``."""
-    value, _, _ = _sums(place, JOINT, now, now, law, x, p)
+    value, _, _ = _sums(place, JOINT, now, _nothing_own(now), law, x, p)
     return value
 
 
 @inlined
 def _further_torque(now, viscous, law, x, p):
     """Further torque on the joint [N m]: places ``torque`` and ``damping``."""
-    torque, damping, _ = _sums(TORQUE, JOINT, now, now, law, x, p)
+    torque, damping, _ = _sums(TORQUE, JOINT, now, _nothing_own(now), law, x, p)
     _, velocity, _, _ = now
     return torque - max(damping, -viscous) * velocity
 
@@ -383,6 +400,7 @@ EFFECT = Effect(
     parameters=tuple(item for number in range(1, LAWS + 1) for item in _parameters(number)),
     states=tuple(state for number in range(1, LAWS + 1) for state in _states(number)),
     hooks={
+        "spool_voltage": _moved_command,
         "open_rate": _moved_valve,
         "supply_change": _supply_shift,
         "mass_loss": _lost_air,

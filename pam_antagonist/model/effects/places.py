@@ -95,6 +95,10 @@ TABLE: Mapping[str, Place] = {
         "the volume of {m}", "-", ("swelling",), _EACH, AIR, (), ("pressure", "length"), (), 1e-3,
         only=("pressure", "length"),
     ),
+    "command": Place(
+        "the voltage at {v}", "V", ("spool_voltage",), _AND_BOTH, VALVES, _FLOWS, ("voltage",), ("voltage",), 1e-2,
+        ("voltage",),
+    ),
     "encoder": Place(
         "the encoder", "rad", (), (), SENSORS, (), ("angle",), ("angle",), 1e-4, reads="angle",
         fading=(), widths=(0.01, 0.03, 0.1),
