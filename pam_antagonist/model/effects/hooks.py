@@ -84,15 +84,7 @@ _FORCE = (*_LENGTH, "chamber_pressure", "passive_force")
 HOOKS: dict[str, Hook] = {
     hook.name: hook
     for hook in (
-        Hook(
-            "spool_voltage",
-            "voltage for which the spool stands",
-            "V",
-            "replaces",
-            "valve_voltage",
-            ("now",),
-            states="needed",
-        ),
+        Hook("spool_voltage", "the spool's voltage", "V", "replaces", "valve_voltage", ("now",), states="needed"),
         Hook("voltage_shift", "shift of the curve along the voltage", "V", "subtracts", "valve_voltage", states="none"),
         Hook("open_rate_shift", "change of the open rate", "-", "adds", "wanted_open_rate", states="none"),
         Hook("open_rate", "open rate of the valve", "-", "replaces", "wanted_open_rate", _LENGTH, states="needed"),
