@@ -60,15 +60,11 @@ class FrictionAlongMotion(CatalogueEffect):
 
     @override
     def propose(self, now: Ranking, number: int, work: Work) -> list[TriedCandidate]:
-        base = replace(now.base, experiments=tuple(_along_motion(*pair) for pair in now.base.pairs))
-        stuck = [r for r, experiment in enumerate(base.experiments) if isinstance(experiment, MeasuredMotion)]
-        if not stuck:
+        base = base_along_motion(now.base)
+        if base is None:
             return []
         work.progress("where the joint sticks: the balance of its torques along the measured motion")
-        fits = list(base.fits)
-        for r, fitted in zip(stuck, in_threads(_without_effects, base.of(stuck).pairs, base.jobs), strict=True):
-            fits[r] = fitted
-        base = Model(base.experiments, tuple(fits))
+        fits, stuck = base.fits, [r for r, one in enumerate(base.experiments) if isinstance(one, MeasuredMotion)]
         scores = dict(zip(stuck, base.of(stuck).each(score_all), strict=True))
         total = {name: sum(max(scores[r][name].gain, 0.0) for r in stuck) for name in scores[stuck[0]]}
         if _FRICTION not in total:  # the rig declares it
@@ -98,6 +94,16 @@ def friction_along_motion(found: Ranking, work: Work) -> Ranking | None:
     ranking = search(found.base, work, (FrictionAlongMotion(),), most=1)
     model = ranking.model
     return ranking if model.effects and (explains(ranking.base, model) or ranking.leader) else None
+
+
+def base_along_motion(base: Model) -> Model | None:
+    """The base parameters, along the measured motion where a joint sticks; None where none does."""
+    experiments = tuple(_along_motion(*pair) for pair in base.pairs)
+    stuck = [r for r, experiment in enumerate(experiments) if isinstance(experiment, MeasuredMotion)]
+    moving, fits = Model(experiments, base.fits), list(base.fits)
+    for r, fitted in zip(stuck, in_threads(_without_effects, moving.of(stuck).pairs, base.jobs), strict=True):
+        fits[r] = fitted
+    return replace(moving, fits=tuple(fits)) if stuck else None
 
 
 def _along_motion(experiment: Experiment, fitted: Fitted) -> Experiment:

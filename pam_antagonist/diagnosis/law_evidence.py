@@ -14,7 +14,7 @@ from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.models import Model, further_share, likelier, share_of_all
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, held_residual, refit
+from pam_antagonist.inference.gauss_newton import held_residual, refit
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, TORQUE
 from pam_antagonist.model.effects.places import TABLE
 from pam_antagonist.rig.learned import Law, with_law
@@ -64,17 +64,14 @@ def evidence_held_out(before: Model, after: Model) -> float:
 
 
 def parts(model: Model) -> list[Model]:
-    """The parts of a model, as laws are judged."""
+    """The parts of a model, as laws are judged; those along a measured motion first, which say most of friction."""
+    seen = {view: (one, fitted) for one, fitted in model.pairs for view in one.for_laws if view.law_places}
     out = []
-    for places in dict.fromkeys(one.law_places for one in model.experiments if one.law_places):
-        pairs = [_for_laws(e, f) for e, f in model.pairs if e.law_places == places]
-        out.append(Model(tuple(one for one, _ in pairs), tuple(fit for _, fit in pairs), model.effects))
+    for places in dict.fromkeys(view.law_places for view in sorted(seen, key=lambda view: not view.is_kept_near)):
+        here = {view: pair for view, pair in seen.items() if view.law_places == places}
+        fits = (fit if view is one else refit(view, fit.point, fit.free) for view, (one, fit) in here.items())
+        out.append(Model(tuple(here), tuple(fits), model.effects))
     return out
-
-
-def _for_laws(experiment: Experiment, fitted: Fitted) -> tuple[Experiment, Fitted]:
-    clear = experiment.for_laws
-    return clear, fitted if clear is experiment else refit(clear, fitted.point, fitted.free)
 
 
 def is_better(base: Model, before: Model, after: Model, law: Law) -> bool:

@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from pam_antagonist.diagnosis import law_evidence, thresholds
 from pam_antagonist.diagnosis.errors import ModelErrors
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
+from pam_antagonist.diagnosis.judgement import base_along_motion
 from pam_antagonist.diagnosis.law_evidence import all_acting, misread, parts, with_it
 from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, better, leaves_more, search
@@ -80,12 +81,12 @@ def with_laws(
     """
     fitted, others, taken = list(recordings), list(kept), 0
     while taken < MOST_LAWS and leaves_excess(now):
-        before = now
-        if any(isinstance(one, MeasuredMotion) for one in now.experiments):
-            along = _along_the_motion(now, diagnose, fitted, others, rig, progress)
-            if along is not now or not _friction_fails(now):
+        before, moving = now, _moving(now)
+        if moving is not None:
+            along = _along_the_motion(moving, diagnose, fitted, others, rig, progress)
+            if along is not moving or (moving is now and not _friction_fails(now)):
                 return along
-            before = _in_free_run(now)
+            before = _in_free_run(now) if moving is now else now
         try:
             learned = _looked_for(before, rig, progress)
         except BadInput as reason:
@@ -136,6 +137,19 @@ def _friction_fails(now: Diagnosis) -> bool:
     """Whether a joint that sticks is predicted worse with what explains the balance of its torques than without."""
     before, after = (one.angle for one in (now.errors.recalibrated, now.errors.extended))
     return before is not None and after is not None and after.rmse > before.rmse
+
+
+def _moving(now: Diagnosis) -> Diagnosis | None:
+    """A diagnosis of a joint that sticks, with models along its motion; None where none does, or an effect was found.
+
+    What nothing explains in a free run, or a torque of any course alone, may be friction.
+    """
+    if any(isinstance(one, MeasuredMotion) for one in now.experiments):
+        return now
+    if now.verdict != UNEXPLAINED and not _is_a_torque_alone(now):
+        return None
+    base = base_along_motion(now.recalibrated)
+    return None if base is None else replace(now, recalibrated=base, extended=base)
 
 
 def _in_free_run(now: Diagnosis) -> Diagnosis:

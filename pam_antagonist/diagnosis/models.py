@@ -96,7 +96,7 @@ class Model:
             times = _times_tolerated(experiment, fitted)
             if np.max(times) < thresholds.AT_NOISE:
                 continue
-            gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.maximum(np.log(times**2), 0.0))
+            gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.log(np.maximum(times**2, 1.0)))
             total += max(float(gain) - price(fitted, thresholds.LEAST_PARAMETERS), 0.0)
         return total >= thresholds.STRONG
 

@@ -282,9 +282,9 @@ class AngleDriven(Experiment):
 
     @property
     @override
-    def for_laws(self) -> AngleDriven:
+    def for_laws(self) -> tuple[AngleDriven, ...]:
         # Where the joint sticks, friction may be anything up to its bound: that says nothing of a law.
-        return replace(self, resolved=True) if self.part == BALANCE and not self.resolved else self
+        return (replace(self, resolved=True) if self.part == BALANCE and not self.resolved else self,)
 
     @property
     @override

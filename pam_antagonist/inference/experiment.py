@@ -183,9 +183,9 @@ class Experiment(Driven):
         return ()
 
     @property
-    def for_laws(self) -> Experiment:
-        """The recording as laws are judged on it."""
-        return self
+    def for_laws(self) -> tuple[Experiment, ...]:
+        """The recording as laws are judged on it: each law where it can stand first."""
+        return (self,)
 
     @property
     def slides(self) -> NDArray[np.bool_] | None:

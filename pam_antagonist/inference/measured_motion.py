@@ -104,9 +104,9 @@ class MeasuredMotion(ValveDriven):
 
     @property
     @override
-    def for_laws(self) -> MeasuredMotion:
-        # Where the joint sticks, friction may be anything up to its bound: that says nothing of a law.
-        return self if self.sliding else replace(self, sliding=True)
+    def for_laws(self) -> tuple[MeasuredMotion, ...]:
+        # Where the joint stands still, its friction is at least what holds it. That says nothing of other laws.
+        return (self,) if self.sliding else (self, replace(self, sliding=True))
 
     @cached_property
     def motion(self) -> ShownMotion:
@@ -154,7 +154,7 @@ class MeasuredMotion(ValveDriven):
     @property
     @override
     def law_places(self) -> tuple[str, ...]:
-        return JOINT_PLACES
+        return JOINT_PLACES if self.sliding else ("friction",)
 
     @property
     @override

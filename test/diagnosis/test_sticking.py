@@ -82,3 +82,20 @@ def test_cogging_is_learned_as_a_torque_by_the_angle(recorded, experiment_of) ->
     assert sum(swings) >= 3
     # A law that held-out data do not show is not taken.
     assert not law_evidence.is_better(base, base, base, law)
+
+
+@pytest.mark.slow(8)
+def test_where_a_bearing_sticks_friction_is_learned_by_the_angle(recorded, experiment_of) -> None:
+    made = recorded("stick", None, "bearing that sticks near an angle", 8.0, "free", 40.0)
+    experiment = along_motion(experiment_of(made, "free"))
+    base = Model((experiment,), (refit(experiment, experiment.origin, rounds=4, renewals=1),))
+    law = search(base, lambda text: None).law
+    assert law is not None
+    assert (law.place, law.argument, law.operator) == ("friction", "angle", "none")
+    # True: 0.08 N m more at -0.048 rad, within 0.048 rad to either side.
+    assert -0.07 < law.nodes[int(np.argmax(law.values))] < -0.03
+    assert 0.06 < max(law.values) < 0.1
+    assert abs(law.values[0]) < 0.01 and abs(law.values[-1]) < 0.01
+    model = law_evidence.with_it(base, law)
+    assert law_evidence.is_better(base, base, model, law)
+    assert not law_evidence.is_better(base, base, base, law)
