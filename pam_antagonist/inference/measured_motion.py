@@ -154,7 +154,7 @@ class MeasuredMotion(ValveDriven):
     @property
     @override
     def law_places(self) -> tuple[str, ...]:
-        return JOINT_PLACES if self.sliding else ("friction",)
+        return tuple(at for at in JOINT_PLACES if (at == "friction") != self.sliding)
 
     @property
     @override
