@@ -166,7 +166,7 @@ def _along_the_motion(
 
     Held-out data decide along the measured motion: a free run of a joint that sticks says little of any model.
     """
-    for about in (now.recalibrated, now.extended):
+    for about in dict.fromkeys((now.recalibrated, now.extended)):
         # A rig with the law may be one that no command would take: then the catalogue's diagnosis stands.
         with suppress(BadInput):
             found = better(now.recalibrated, now.extended, about, progress)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pam_antagonist.model import dynamics, equilibrium, flow, muscle
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
+from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE, places
 from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.rig import learned
@@ -52,7 +52,7 @@ def varied(name: str, value: float, change: float) -> float:
 def unphysical(rig: Rig) -> str:
     """What is wrong with a rig, as far as single fields cannot show it, in one line; empty if nothing is."""
     checks = (
-        _bad_limits, _bad_curves, _bad_effects, _bad_regulators, _bad_muscles, _bad_spreads, _bad_bounds,
+        _bad_limits, _bad_curves, _bad_effects, _bad_laws, _bad_regulators, _bad_muscles, _bad_spreads, _bad_bounds,
         _in_kilopascal, _bad_tunings,
     )  # fmt: skip
     return next((complaint for check in checks for complaint in check(rig)), "")
@@ -86,6 +86,16 @@ def _bad_tunings(rig: Rig) -> Iterator[str]:
         yield "tunings: expected one that is called 'default'"
     if not np.all(np.isfinite(rig.parameters()[par.LOCKED :])):
         yield "gas: these constants give no finite flow"
+
+
+def _bad_laws(rig: Rig) -> Iterator[str]:
+    """Check that no learned law stands at valves that the rig does not have: it would do nothing."""
+    if rig.drive == "valve" and not rig.valves.sealed:
+        return
+    for number, law in learned.laws_of(rig).items():
+        if places.TABLE[law.place].part == places.VALVES:
+            what = "is sealed" if rig.valves.sealed else "has pressure regulators"
+            yield f"effects.learned.law{number}: place {law.place}, but the rig {what}; expected one that is not at the valves"
 
 
 def _bad_regulators(rig: Rig) -> Iterator[str]:

@@ -17,6 +17,7 @@ from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion, along_motion
 from pam_antagonist.inference.trial import make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
+from pam_antagonist.rig.learned import Law
 
 
 @pytest.fixture
@@ -99,3 +100,15 @@ def test_where_a_bearing_sticks_friction_is_learned_by_the_angle(recorded, exper
     model = law_evidence.with_it(base, law)
     assert law_evidence.is_better(base, base, model, law)
     assert not law_evidence.is_better(base, base, base, law)
+
+
+def test_friction_is_judged_with_the_standstill_and_other_laws_without(recorded, experiment_of) -> None:
+    made = recorded("stick", None, "bearing that sticks near an angle", 8.0, "free", 20.0)
+    both = experiment_of(recorded(seconds=20.0), "locked"), along_motion(experiment_of(made, "free"))
+    model = Model(both, tuple(refit(one, one.origin, rounds=1, renewals=1) for one in both))
+    for place, sliding in (("friction", False), ("torque", True)):
+        (judged,) = law_evidence.acting(Law(place, (0.0,), (0.01,)), model).experiments
+        assert isinstance(judged, MeasuredMotion)
+        assert judged.sliding is sliding
+    known = [np.isfinite(one.experiments[0].measured_samples).sum() for one in law_evidence.parts(model)[:2]]
+    assert known[0] > known[1] > 0

@@ -176,3 +176,12 @@ def test_a_report_s_entry() -> None:
     law = entry["law"]
     assert (law["nodes"], law["values"], law["std"]) == (list(LAW.nodes), list(LAW.values), list(LAW.std))
     assert law["unit"] == "kg/s" and law["range"] == [-1e5, 1e5] and entry["like"] == []
+
+
+@pytest.mark.parametrize(
+    ("rig", "words"), [("sealed_joint", "is sealed"), ("shin2022_regulators", "has pressure regul")]
+)
+@pytest.mark.parametrize("law", [Law("command", (4.0, 6.0), (0.1, 0.2), 1, "voltage"), Law("supply", (0.0,), (0.1,))])
+def test_a_law_of_valves_that_a_rig_does_not_have_is_refused(rig: str, words: str, law: Law) -> None:
+    with pytest.raises(BadInput, match=f"law1: place {law.place}, but the rig {words}"):
+        with_law(load_rig(rig, regulators=True), law)
