@@ -95,7 +95,7 @@ def _bad_laws(rig: Rig) -> Iterator[str]:
     for number, law in learned.laws_of(rig).items():
         if places.TABLE[law.place].part == places.VALVES:
             what = "is sealed" if rig.valves.sealed else "has pressure regulators"
-            yield f"effects.learned.law{number}: place {law.place}, but the rig {what}; expected one that is not at the valves"
+            yield f"effects.learned.law{number}: place {law.place}, but the rig {what}; expected another one"
 
 
 def _bad_regulators(rig: Rig) -> Iterator[str]:
