@@ -299,20 +299,24 @@ def _cost(model: Model) -> float:
     return sum(fit.cost for fit in model.fits)
 
 
-_LAST: dict[str, tuple[tuple[Any, ...], LawSearch]] = {}
+_LAST: dict[tuple[Any, ...], LawSearch] = {}
 """What was found last: a rule of the verdict asks for the law that the diagnosis tries afterwards."""
+_REMEMBERED = 2
+"""Searches that are remembered: in a free run, and along the motion."""
 
 
 def search(model: Model, progress: Callable[[str], None]) -> LawSearch:
     """Look for laws that a model lacks.
 
-    `model`: all parts of all recordings, with what was found so far. One that was searched last is not searched again.
+    `model`: all parts of all recordings, with what was found so far. What was searched lately is not searched again.
     """
     asked = model.experiments, model.fits
-    last = _LAST.get("search")
-    if last is None or last[0] != asked:
-        last = _LAST["search"] = asked, _searched(model, progress)
-    return last[1]
+    if asked not in _LAST:
+        found = _searched(model, progress)
+        while len(_LAST) >= _REMEMBERED:
+            del _LAST[next(iter(_LAST))]
+        _LAST[asked] = found
+    return _LAST[asked]
 
 
 def better(base: Model, before: Model, about: Model, progress: Callable[[str], None]) -> tuple[LawSearch, Model] | None:

@@ -6,7 +6,7 @@ Held-out data decide between both diagnoses, by the rules of a further effect.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -83,10 +83,15 @@ def with_laws(
     while taken < MOST_LAWS and leaves_excess(now):
         before, moving = now, _moving(now)
         if moving is not None:
-            along = _along_the_motion(moving, diagnose, fitted, others, rig, progress)
-            if along is not moving or (moving is now and not _friction_fails(now)):
+            # What a free run does not show is friction; all else shows there, in all recordings.
+            places = TABLE if moving is now else ("friction",)
+            along = _along_the_motion(moving, diagnose, fitted, others, rig, progress, places)
+            if moving is now:
+                if along is not now or not _friction_fails(now):
+                    return along
+                before = _in_free_run(now)
+            elif along is not moving and not _friction_fails(along):
                 return along
-            before = _in_free_run(now) if moving is now else now
         try:
             learned = _looked_for(before, rig, progress)
         except BadInput as reason:
@@ -160,7 +165,7 @@ def _in_free_run(now: Diagnosis) -> Diagnosis:
 
 def _along_the_motion(
     now: Diagnosis, diagnose: Callable[..., Diagnosis], fitted: Sequence[Recording], others: Sequence[Recording],
-    rig: Rig, progress: Callable[[str], None],
+    rig: Rig, progress: Callable[[str], None], places: Collection[str] = TABLE,
 ) -> Diagnosis:  # fmt: skip
     """The diagnosis of a joint that sticks, with a law in the place of its friction, or beside it; or as it is.
 
@@ -170,7 +175,7 @@ def _along_the_motion(
         # A rig with the law may be one that no command would take: then the catalogue's diagnosis stands.
         with suppress(BadInput):
             found = better(now.recalibrated, now.extended, about, progress)
-            if found is not None:
+            if found is not None and {law.place for law in found[0].laws} <= {*places}:
                 learned, model = found
                 own = learned.in_rig(rig)
                 after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
