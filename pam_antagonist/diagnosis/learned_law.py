@@ -6,7 +6,7 @@ Held-out data decide between both diagnoses, by the rules of a further effect.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -83,15 +83,11 @@ def with_laws(
     while taken < MOST_LAWS and leaves_excess(now):
         before, moving = now, _moving(now)
         if moving is not None:
-            # What a free run does not show is friction; all else shows there, in all recordings.
-            places = TABLE if moving is now else ("friction",)
-            along = _along_the_motion(moving, diagnose, fitted, others, rig, progress, places)
-            if moving is now:
-                if along is not now or not _friction_fails(now):
-                    return along
-                before = _in_free_run(now)
-            elif along is not moving and not _friction_fails(along):
+            free = None if moving is now else now.recalibrated
+            along = _along_the_motion(moving, diagnose, fitted, others, rig, progress, free)
+            if along is not moving or (free is None and not _friction_fails(now)):
                 return along
+            before = _in_free_run(now) if free is None else now
         try:
             learned = _looked_for(before, rig, progress)
         except BadInput as reason:
@@ -165,22 +161,31 @@ def _in_free_run(now: Diagnosis) -> Diagnosis:
 
 def _along_the_motion(
     now: Diagnosis, diagnose: Callable[..., Diagnosis], fitted: Sequence[Recording], others: Sequence[Recording],
-    rig: Rig, progress: Callable[[str], None], places: Collection[str] = TABLE,
+    rig: Rig, progress: Callable[[str], None], free: Model | None,
 ) -> Diagnosis:  # fmt: skip
     """The diagnosis of a joint that sticks, with a law in the place of its friction, or beside it; or as it is.
 
     Held-out data decide along the measured motion: a free run of a joint that sticks says little of any model.
+
+    `free`: the model in a free run, where that was not explained; then the law has to be one of friction.
     """
     for about in dict.fromkeys((now.recalibrated, now.extended)):
         # A rig with the law may be one that no command would take: then the catalogue's diagnosis stands.
         with suppress(BadInput):
             found = better(now.recalibrated, now.extended, about, progress)
-            if found is not None and {law.place for law in found[0].laws} <= {*places}:
+            if found is not None and (free is None or _is_friction(free, found[0].laws)):
                 learned, model = found
                 own = learned.in_rig(rig)
                 after = diagnose(fitted, own, held_out=others, first=now.recalibrated)
                 return joined(now, after, learned, model)
     return now
+
+
+def _is_friction(free: Model, laws: Sequence[Law]) -> bool:
+    """Whether laws are of friction, and make no free run worse: all other laws show in a free run of all recordings."""
+    if any(law.place != "friction" for law in laws):
+        return False
+    return law_evidence.evidence_held_out(free, with_it(free, *laws)) >= 0.0
 
 
 def _refuse_few_sweeps(found: Diagnosis) -> None:
