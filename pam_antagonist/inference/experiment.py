@@ -184,7 +184,7 @@ class Experiment(Driven):
 
     @property
     def for_laws(self) -> tuple[Experiment, ...]:
-        """The recording as laws are judged on it: each law where it can stand first."""
+        """The recording as laws are judged on it; a law is judged on the first of several that has its place."""
         return (self,)
 
     @property
