@@ -14,7 +14,8 @@
    :mod:`findings` names the effects, with muscle and size, and :mod:`splits` says how firm they are.
 5. Describe. The :class:`Diagnosis` is made: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
    :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
-   :mod:`rig_choice` the rig files. :mod:`closed_loop` is the diagnosis with its inputs and ``report.json``.
+   :mod:`rig_choice` the rig files, :mod:`intervals` the width of their intervals. :mod:`closed_loop` is the diagnosis
+   with its inputs and ``report.json``.
 
 All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on.
 

@@ -12,13 +12,13 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from pam_antagonist.blas import one_blas_thread
-from pam_antagonist.diagnosis import ambiguity, held_out, rig_choice, splits, warnings
+from pam_antagonist.diagnosis import ambiguity, held_out, intervals, rig_choice, splits, warnings
 from pam_antagonist.diagnosis.agreement import common_rig, with_tuning
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors
 from pam_antagonist.diagnosis.findings import profile_sizes
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate, Work
 from pam_antagonist.diagnosis.judgement import judge
-from pam_antagonist.diagnosis.models import Model, in_threads
+from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timings, prepare
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.remaining import describe as describe_remaining
@@ -33,14 +33,10 @@ from pam_antagonist.diagnosis.result import (
 from pam_antagonist.diagnosis.search import CALIBRATIONS, about, hypotheses, search
 from pam_antagonist.diagnosis.splits import by_itself_or_in_turn, parted
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED, overall
-from pam_antagonist.identification.filter_stage import Given, with_unknown_force, with_unknown_torque
-from pam_antagonist.identification.parts import is_free
-from pam_antagonist.identification.sealed_tuning import EVALUATIONS, tuned
 from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.recording import Recording
-from pam_antagonist.recording.joint import JointCondition
 from pam_antagonist.rig import Rig
 from pam_antagonist.shown import DIVERGES
 
@@ -98,8 +94,6 @@ def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Mo
 
 
 _T = TypeVar("_T")
-_COVERED_S = 30.0
-"""[s] So much of a recording says how wide the intervals are: each width that is tried takes a run of the filter."""
 _NAMED = 3
 """Residuals that the sentence names; all of them are in a section of their own."""
 
@@ -119,7 +113,7 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     profiles = [item for j in judged if settings.profiles for item in profile_sizes(j.model, j.effects, progress)]
     timings.end("profiles")
     common = {name: _common_rig(prepared, judged, name == "extended") for name in ("recalibrated", "extended")}
-    tunings = _tunings(prepared, common, compared, bool(effects), settings)
+    tunings = intervals.tuned(prepared, common, compared, bool(effects), settings)
     timings.end("tuning")
     progress("errors before and after")
     entries = held_out.by_recording(prepared, compared, tunings, settings.estimator, jobs)
@@ -131,6 +125,10 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     }
     of_one_rig = rig_choice.rig_errors(prepared, models, rigs, compared, entries, settings)
     timings.end("errors")
+    # What is said of held-out data is said of the filters above: the files' intervals were made by these data.
+    tunings = intervals.of_files(prepared, tunings, compared, settings)
+    rigs = {name: with_tuning(common[name], tunings.get(name)) for name in common}
+    timings.end("tuning")
     remaining = tuple(item for j in judged for item in left(j))
     timings.end("remaining residual")
     as_prepared = sorted(judged, key=lambda j: [group.name for group in prepared.groups].index(j.group.name))
@@ -282,63 +280,6 @@ def _common_rig(prepared: Prepared, judged: Sequence[Judged], extended: bool) ->
         model, values = (j.model, j.values) if extended else (j.base, {})
         rig = common_rig(model, values, rig)
     return rig
-
-
-def _tunings(
-    prepared: Prepared, common: Mapping[str, Rig], compared: Sequence[HeldOutComparison], has_effects: bool,
-    settings: Settings,
-) -> dict[str, Rig]:  # fmt: skip
-    """Rigs whose tuning and uncertainty the estimator uses, by model; each is fitted to what may be fitted.
-
-    In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows.
-    """
-    if not settings.estimator:
-        return {}
-    settings.progress("tuning the estimators")
-    names = ("recalibrated", "extended") if has_effects else ("recalibrated",)
-    if not prepared.angle_driven:
-        rigs = {name: _covered(prepared, common[name], compared, name, settings) for name in names}
-        return {"extended": rigs["recalibrated"], **rigs}
-    named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
-    tried, most = itertools.count(1), EVALUATIONS * len(names)
-
-    def report(text: str) -> None:
-        settings.progress(f"tuning the estimators, {min(next(tried), most)} of at most {most}")
-
-    tasks = [(common[name], named, 1.0 - settings.holdout, report) for name in names]
-    best = in_threads(tuned, tasks, settings.jobs)
-    rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
-    return {"extended": rigs["recalibrated"], **rigs}
-
-
-def _covered(
-    prepared: Prepared, rig: Rig, compared: Sequence[HeldOutComparison], model: str, settings: Settings
-) -> Rig:
-    """A rig whose intervals hold 95 % of what was measured in the fitted parts.
-
-    The uncertainty that a file gives to its values is not that of the values that were fitted in their place.
-    """
-    parts: list[Given] = []
-    for part in compared:
-        if part.number < prepared.fitted:
-            trial = part.experiment.trial
-            recording, _ = held_out.corrected(prepared.recordings[part.number], part, model)
-            until = min((part.experiment.fitted - 0.5) * trial.dt, _COVERED_S)
-            parts.append((recording.slice(0.0, until), JointCondition(trial.joint, trial.lock_angle, ""), trial.name))
-    free = [given for given in parts if is_free(given)]
-    if not free:
-        return rig
-    moved_by_fit = {
-        path
-        for part in compared
-        for direction in part.experiment.directions
-        for path in (*direction.paths, *direction.adds)
-    }
-    kept = {path: std for path, std in rig.uncertainty.items() if path not in moved_by_fit}
-    report, jobs = settings.progress, settings.jobs
-    turned = {name: steps for name, steps in rig.directions.items() if moved_by_fit.isdisjoint(steps)}
-    covered = with_unknown_torque(rig.replaced(uncertainty=kept, directions=turned), free, jobs, report).rig
-    return with_unknown_force(covered, parts, jobs, report)
 
 
 def _own_rigs(

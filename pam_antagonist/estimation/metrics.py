@@ -36,8 +36,8 @@ FloatArray = NDArray[np.float64]
 
 EXACT = Reading()
 """A reference without error."""
-_SHORTEST = 10.0
-"""A series has at least so many of them for its correlation length to be estimated."""
+_FEWEST = 10.0
+"""Independent values that any series has."""
 _EVEN = 200.0
 """If half a step of a converter exceeds so many standard deviations of the normal error, only the step counts."""
 
@@ -238,10 +238,10 @@ def autocorrelation(series: ArrayLike, lags: int) -> FloatArray:
     return out
 
 
-def correlation_length(residual: FloatArray) -> float:
+def correlation_length(residual: FloatArray, fewest: float = _FEWEST) -> float:
     """Values of a series per independent one: 1 + 2 Σ ρ_k over the initial positive pairs (Geyer 1992).
 
-    `residual`: (N,), NaN where there is nothing. Returns at least 1, at most a tenth of the series.
+    `residual`: (N,), NaN where there is nothing. `fewest`: independent values that any series has. Returns at least 1.
     """
     known = np.isfinite(residual)
     rho = _lagged(np.where(known, residual, 0.0))
@@ -254,7 +254,7 @@ def correlation_length(residual: FloatArray) -> float:
     pairs = (rho[1:-1:2] + rho[2::2][: len(rho[1:-1:2])]) / rho[0]
     ends = np.flatnonzero(pairs <= 0.0)
     total = float(pairs[: ends[0] if len(ends) else len(pairs)].sum())
-    return float(np.clip(1.0 + 2.0 * total, 1.0, max(1.0, len(residual) / _SHORTEST)))
+    return float(np.clip(1.0 + 2.0 * total, 1.0, max(1.0, len(residual) / fewest)))
 
 
 def _lagged(series: FloatArray) -> FloatArray:

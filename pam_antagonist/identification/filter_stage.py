@@ -8,7 +8,8 @@ change. Of a few pairs the one is taken with which the filter's angle errs least
 
 What is left is the joint's own error, slow and of unknown form. The filter considers a constant torque that is not
 known (Schmidt-Kalman). Its standard deviation is chosen so that 95 % of the measured angles lie in their intervals. An
-error of the forces does the same for the measured torques.
+error of the forces does the same for the measured torques. Where a model was chosen by the recordings, its errors in
+them are smaller than others will be: then what no fit has seen counts as well.
 """
 
 from __future__ import annotations
@@ -16,11 +17,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
+from scipy import stats
 
+from pam_antagonist.estimation.metrics import correlation_length
 from pam_antagonist.identification.joint_stage import force_gains, off_stop, torque_scale
 from pam_antagonist.identification.runs import runs_of
 from pam_antagonist.model import equilibrium
@@ -32,6 +37,14 @@ from pam_antagonist.rig import Rig
 
 Floats = NDArray[np.float64]
 Given = tuple[Recording, JointCondition, str]
+
+
+class Unseen(NamedTuple):
+    """The end of a recording, which no fit has seen; what is before it lets the filter find the joint."""
+
+    given: Given
+    from_s: float
+
 
 UNKNOWN_TORQUE = "effects.load_torque.constant"
 UNKNOWN_FORCE = "force"
@@ -67,6 +80,10 @@ _LARGEST_STEP = (math.log(0.1), math.log(10.0))
 """Of the logarithm of the torque."""
 _MARGIN = 1.05
 """Fitted recordings have smaller errors than others will have."""
+_SLOW_S = 0.1
+"""[s] What a model lacks is slower."""
+_FEWEST = 4.0
+"""Independent errors that any recording has."""
 
 
 def with_process_noise(rig: Rig, recordings: Sequence[Given], jobs: int = 1, guessed: bool = True) -> Rig:
@@ -167,13 +184,11 @@ def with_unknown_torque(
         turned = {name: {path: part * step for path, step in steps.items()} for name, steps in rig.directions.items()}
         return rig.replaced(uncertainty={path: part * std for path, std in known.items()}, directions=turned)
 
-    def with_torque(torque: float) -> Rig:
-        return rig.replaced(uncertainty={**known, UNKNOWN_TORQUE: torque})
-
     if lacking < -_CLOSE and (known or rig.directions):
         found, _, share = _covering(narrower, math.exp(lacking), "angle", recordings, jobs, progress)
         return UnknownTorque(found, 0.0, share)
-    return UnknownTorque(*_covering(with_torque, _FIRST_SHARE * torque_scale(rig), "angle", recordings, jobs, progress))
+    first, made = _FIRST_SHARE * torque_scale(rig), partial(_with_torque, rig)
+    return UnknownTorque(*_covering(made, first, "angle", recordings, jobs, progress))
 
 
 def with_unknown_force(
@@ -183,31 +198,59 @@ def with_unknown_force(
 
     It hardly moves the angle, at which both muscles are in balance. Nothing changes where no torque was measured.
     """
-    known = [given for given in recordings if given[0].torque is not None and np.isfinite(given[0].torque).any()]
+    known = [given for given in recordings if shows("torque", given)]
     if not known or _lacking(rig, "torque", known, jobs)[0] <= 0.0:
         return rig
+    return _covering(partial(_with_force, rig), _FIRST_SHARE, "torque", known, jobs, progress)[0]
 
-    def with_error(share: float) -> Rig:
-        steps = {path: share * value for path, value in force_gains(rig).items()}
-        return rig.replaced(directions={**rig.directions, UNKNOWN_FORCE: steps})
 
-    return _covering(with_error, _FIRST_SHARE, "torque", known, jobs, progress)[0]
+def wider(rig: Rig, unseen: Sequence[Unseen], jobs: int = 1, progress: Callable[[str], None] | None = None) -> Rig:
+    """The rig with intervals that hold 95 % of the angles that no fit has seen as well; none gets narrower."""
+    known = [one for one in unseen if shows("angle", one.given)]
+    given, begins = [one.given for one in known], [one.from_s for one in known]
+    if not known or _lacking(rig, "angle", given, jobs, begins)[0] <= 0.0:
+        return rig
+    first, made = _FIRST_SHARE * torque_scale(rig), partial(_with_torque, rig)
+    return _covering(made, first, "angle", given, jobs, progress, begins)[0]
+
+
+def shows(channel: str, given: Given) -> bool:
+    """Whether a recording shows errors of a channel; the angle of a locked joint is known."""
+    recording, state, _ = given
+    values = recording.torque if channel == "torque" else recording.angle if state.condition == "free" else None
+    return values is not None and bool(np.isfinite(values).any())
+
+
+def _is_shown(channel: str, given: Given) -> bool:
+    """Whether a recording shows errors of a channel: the angle of a locked joint is known."""
+    recording, state, _ = given
+    values = recording.torque if channel == "torque" else recording.angle if state.condition == "free" else None
+    return values is not None and bool(np.isfinite(values).any())
+
+
+def _with_torque(rig: Rig, torque: float) -> Rig:
+    return rig.replaced(uncertainty={**rig.uncertainty, UNKNOWN_TORQUE: torque})
+
+
+def _with_force(rig: Rig, share: float) -> Rig:
+    steps = {path: share * value for path, value in force_gains(rig).items()}
+    return rig.replaced(directions={**rig.directions, UNKNOWN_FORCE: steps})
 
 
 def _covering(
     made: Callable[[float], Rig], first: float, channel: str, recordings: Sequence[Given], jobs: int,
-    progress: Callable[[str], None] | None,
+    progress: Callable[[str], None] | None, unseen_from: Sequence[float] = (),
 ) -> tuple[Rig, float, float]:  # fmt: skip
     """The rig whose intervals of a channel hold 95 % of the measurements, its size, and the share that they hold.
 
-    `made`: the rig by the size of what is not known, `first` to begin with.
+    `made`: the rig by the size of what is not known, `first` to begin with. `unseen_from`: as for :func:`_lacking`.
     """
     seen, size = [], first
     for number in range(_ROUNDS):
         if progress:
             progress(f"covariance of the {channel}, run {number + 1} of {_ROUNDS} at most")
         rig = made(size)
-        lacking, share = _lacking(rig, channel, recordings, jobs)
+        lacking, share = _lacking(rig, channel, recordings, jobs, unseen_from)
         seen.append((abs(lacking), math.log(size), lacking, (rig, size, share)))
         if abs(lacking) < _CLOSE:
             break
@@ -215,15 +258,35 @@ def _covering(
     return min(seen, key=lambda item: item[0])[-1]
 
 
-def _lacking(rig: Rig, channel: str, recordings: Sequence[Given], jobs: int) -> tuple[float, float]:
-    """By how much the logarithm of the intervals' width falls short, and the share of measurements that they hold."""
-    parts = Parallel(n_jobs=jobs, prefer="threads")(delayed(_errors)(rig, channel, *item) for item in recordings)
+def _lacking(
+    rig: Rig, channel: str, recordings: Sequence[Given], jobs: int, unseen_from: Sequence[float] = ()
+) -> tuple[float, float]:
+    """By how much the logarithm of the intervals' width falls short, and the share of measurements that they hold.
+
+    `unseen_from`: time of each recording [s] from which on no fit has seen it; without, all were fitted.
+    """
+    begins = unseen_from or [0.0] * len(recordings)
+    tasks = (delayed(_errors)(rig, channel, *given, begin) for given, begin in zip(recordings, begins, strict=True))
+    parts = Parallel(n_jobs=jobs, prefer="threads")(tasks)
     error, std = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if not len(error):
+        return _LARGEST_STEP[0], math.nan
     noise = rig.sensors.error(channel)
     # Errors within the sensor's own noise need nothing.
     beyond = np.sqrt(np.maximum((error / 1.96) ** 2 - noise**2, 0.0)) / np.maximum(std, 1e-9)
-    lacking = float(np.clip(math.log(_MARGIN * max(float(np.quantile(beyond, _COVERED)), 1e-9)), *_LARGEST_STEP))
+    margin = _MARGIN
+    if unseen_from:
+        # Few errors are independent: those of one step go together.
+        count = sum(_independent(own, round(_SLOW_S / rig.sample_period)) for own, _ in parts)
+        margin = float(stats.t.ppf(0.5 + 0.5 * _COVERED, max(count - 1.0, 1.0))) / 1.96
+    lacking = float(np.clip(math.log(margin * max(float(np.quantile(beyond, _COVERED)), 1e-9)), *_LARGEST_STEP))
     return lacking, float(np.mean(np.abs(error) <= 1.96 * np.hypot(std, noise)))
+
+
+def _independent(error: Floats, block: int) -> float:
+    """How many independent values an error (M,) has, in means over so many samples: noise of samples is none."""
+    means = error[: len(error) // block * block].reshape(-1, block).mean(axis=1)
+    return len(means) / correlation_length(means, _FEWEST) if len(means) else 0.0
 
 
 def _next(seen: Sequence[tuple[float, float, float, object]]) -> float:
@@ -242,8 +305,10 @@ def _next(seen: Sequence[tuple[float, float, float, object]]) -> float:
     return below[0] + min(max(share, 0.1), 0.9) * (above[0] - below[0])
 
 
-def _errors(rig: Rig, channel: str, recording: Recording, state: JointCondition, _name: str) -> tuple[Floats, Floats]:
-    """Errors of the estimated angle [rad] or torque [N m] and their standard deviations (M,).
+def _errors(
+    rig: Rig, channel: str, recording: Recording, state: JointCondition, _name: str, from_s: float
+) -> tuple[Floats, Floats]:
+    """Errors of the estimated angle [rad] or torque [N m] and their standard deviations (M,), from a time on.
 
     At its stop the filter is sure of the angle whatever the torque: such rows would ask for any torque.
     """
@@ -253,7 +318,7 @@ def _errors(rig: Rig, channel: str, recording: Recording, state: JointCondition,
     readings, place = (angle, 0) if channel == "angle" else (torque, 2)
     assert readings is not None
     error = run.rows[channel] - readings[run.index]
-    known = np.isfinite(error)
+    known = np.isfinite(error) & (run.stamp_ns - recording.stamp_ns[0] >= from_s * 1e9)
     inside = known & (np.abs(run.rows["angle"]) < off_stop(rig, _AT_STOP))
     known = inside if inside.any() else known
     return error[known], np.sqrt(run.rows["covariance"][:, place, place])[known]

@@ -10,7 +10,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification import joint_stage
-from pam_antagonist.identification.filter_stage import Given
+from pam_antagonist.identification.filter_stage import Given, shows
 from pam_antagonist.identification.joint_stage import DELAY, ZERO, model_values
 from pam_antagonist.identification.runs import Run, runs_of
 from pam_antagonist.inference.fit import Fit
@@ -32,8 +32,7 @@ _SHORTEST_HOLDOUT = 1.0
 
 def is_free(given: Given) -> bool:
     """Whether the joint of a recording moves and its angle was measured."""
-    recording, state, _ = given
-    return state.condition == "free" and recording.angle is not None and bool(np.isfinite(recording.angle).any())
+    return shows("angle", given)
 
 
 def has_commands(given: Given) -> bool:

@@ -198,6 +198,22 @@ def test_an_uncertainty_that_is_larger_than_the_errors_is_made_smaller() -> None
     assert (now.width or 0.0) < 0.6 * (before.width or 0.0)
 
 
+def test_what_no_fit_has_seen_widens_the_intervals_and_never_narrows_them() -> None:
+    """Few errors of a few seconds are independent: the interval is that of Student, and holds more than 95 % here."""
+    recording, state, name = STEADY
+    sure = filter_stage.with_unknown_torque(SHIN, [STEADY]).rig
+    loaded = SHIN.replaced(effects={"load_torque": {"constant": 0.02}})
+    other = (simulate(loaded, duration=6.0, seed=2), state, name)
+    wide = filter_stage.wider(sure, [filter_stage.Unseen(other, 1.0)])
+    before, after = (replay(other[0], rig).report.ukf.angle for rig in (sure, wide))
+    assert before is not None and after is not None
+    assert (before.coverage95 or 0.0) < 0.5 and (after.coverage95 or 0.0) > 0.9
+    assert (after.width or 0.0) < 4.0
+    assert filter_stage.wider(wide, [filter_stage.Unseen(STEADY, 1.0)]) is wide
+    silent = replace(recording, angle=None), state, name
+    assert filter_stage.wider(sure, [filter_stage.Unseen(silent, 1.0)]) is sure
+
+
 def test_the_intervals_of_the_torque_hold_what_a_torque_meter_showed() -> None:
     """Forces that are 10 % too small change the angle of two alike muscles little, and the torque by as much."""
     sure = SHIN.replaced(uncertainty={})

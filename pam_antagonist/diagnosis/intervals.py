@@ -1,0 +1,105 @@
+"""How wide the intervals of the proposed rigs are: as wide as the filter's errors ask for.
+
+The uncertainty that a file gives to its values is not that of the values that were fitted in their place. So the width
+is found by the errors where the model was fitted. What is said of held-out data is said of these intervals. A model
+that was chosen among hundreds by the recordings errs more on the next one. So the files get intervals that hold what no
+fit has seen as well.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+from pam_antagonist.diagnosis import held_out
+from pam_antagonist.diagnosis.models import in_threads
+from pam_antagonist.diagnosis.preparation import START, Prepared, Settings
+from pam_antagonist.diagnosis.result import HeldOutComparison
+from pam_antagonist.identification.filter_stage import Given, Unseen, wider, with_unknown_force, with_unknown_torque
+from pam_antagonist.identification.parts import is_free
+from pam_antagonist.identification.sealed_tuning import EVALUATIONS
+from pam_antagonist.identification.sealed_tuning import tuned as tuned_sealed
+from pam_antagonist.recording.joint import JointCondition
+from pam_antagonist.rig import Rig
+
+_COVERED_S = 30.0
+"""[s] So much of a recording says how wide the intervals are: each width that is tried takes a run of the filter."""
+
+
+def tuned(
+    prepared: Prepared, common: Mapping[str, Rig], compared: Sequence[HeldOutComparison], has_effects: bool,
+    settings: Settings,
+) -> dict[str, Rig]:  # fmt: skip
+    """Rigs whose tuning and uncertainty the estimator uses, by model; each is fitted to what may be fitted.
+
+    In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows.
+    """
+    if not settings.estimator:
+        return {}
+    settings.progress("tuning the estimators")
+    names = ("recalibrated", "extended") if has_effects else ("recalibrated",)
+    if not prepared.angle_driven:
+        rigs = {name: _covered(prepared, common[name], compared, name, settings) for name in names}
+        return {"extended": rigs["recalibrated"], **rigs}
+    named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
+    tried, most = itertools.count(1), EVALUATIONS * len(names)
+
+    def report(text: str) -> None:
+        settings.progress(f"tuning the estimators, {min(next(tried), most)} of at most {most}")
+
+    tasks = [(common[name], named, 1.0 - settings.holdout, report) for name in names]
+    best = in_threads(tuned_sealed, tasks, settings.jobs)
+    rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
+    return {"extended": rigs["recalibrated"], **rigs}
+
+
+def _covered(
+    prepared: Prepared, rig: Rig, compared: Sequence[HeldOutComparison], model: str, settings: Settings
+) -> Rig:
+    """A rig whose intervals hold 95 % of what was measured in the fitted parts."""
+    parts: list[Given] = []
+    for part in compared:
+        if part.number < prepared.fitted:
+            until = min((part.experiment.fitted - 0.5) * part.experiment.trial.dt, _COVERED_S)
+            parts.append(_given(prepared, part, model, 0.0, until))
+    free = [given for given in parts if is_free(given)]
+    if not free:
+        return rig
+    moved_by_fit = {
+        path
+        for part in compared
+        for direction in part.experiment.directions
+        for path in (*direction.paths, *direction.adds)
+    }
+    kept = {path: std for path, std in rig.uncertainty.items() if path not in moved_by_fit}
+    report, jobs = settings.progress, settings.jobs
+    turned = {name: steps for name, steps in rig.directions.items() if moved_by_fit.isdisjoint(steps)}
+    covered = with_unknown_torque(rig.replaced(uncertainty=kept, directions=turned), free, jobs, report).rig
+    return with_unknown_force(covered, parts, jobs, report)
+
+
+def of_files(
+    prepared: Prepared, rigs: Mapping[str, Rig], compared: Sequence[HeldOutComparison], settings: Settings
+) -> dict[str, Rig]:
+    """Rigs of :func:`tuned` with the intervals that the files get, by model."""
+    if prepared.angle_driven or not rigs:
+        return dict(rigs)
+
+    def found(model: str) -> Rig:
+        unseen = []
+        for part in (part for part in compared if part.judges):
+            for span in part.experiment.held_parts:
+                begin = max(span.begin_s - START, 0.0)
+                unseen.append(Unseen(_given(prepared, part, model, begin, span.end_s), span.begin_s - begin))
+        return wider(rigs[model], unseen, settings.jobs, settings.progress)
+
+    recalibrated = found("recalibrated")
+    same = rigs["extended"] is rigs["recalibrated"]
+    return {"recalibrated": recalibrated, "extended": recalibrated if same else found("extended")}
+
+
+def _given(prepared: Prepared, part: HeldOutComparison, model: str, begin_s: float, end_s: float) -> Given:
+    """A part of a recording, corrected by the calibrations of a model, with the joint's condition."""
+    recording, _ = held_out.corrected(prepared.recordings[part.number], part, model)
+    trial = part.experiment.trial
+    return recording.slice(begin_s, end_s), JointCondition(trial.joint, trial.lock_angle, ""), trial.name
