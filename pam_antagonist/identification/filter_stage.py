@@ -221,13 +221,6 @@ def shows(channel: str, given: Given) -> bool:
     return values is not None and bool(np.isfinite(values).any())
 
 
-def _is_shown(channel: str, given: Given) -> bool:
-    """Whether a recording shows errors of a channel: the angle of a locked joint is known."""
-    recording, state, _ = given
-    values = recording.torque if channel == "torque" else recording.angle if state.condition == "free" else None
-    return values is not None and bool(np.isfinite(values).any())
-
-
 def _with_torque(rig: Rig, torque: float) -> Rig:
     return rig.replaced(uncertainty={**rig.uncertainty, UNKNOWN_TORQUE: torque})
 
