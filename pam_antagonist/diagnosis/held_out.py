@@ -66,11 +66,13 @@ def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -
 
 
 def by_recording(
-    prepared: Prepared, compared: Sequence[HeldOutComparison], tuned: Mapping[str, Rig], estimator: bool, jobs: int
-) -> tuple[RecordingEntry, ...]:
+    prepared: Prepared, compared: Sequence[HeldOutComparison], tuned: Mapping[str, Rig], filters: Sequence[str],
+    jobs: int,
+) -> tuple[RecordingEntry, ...]:  # fmt: skip
     """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
 
-    `tuned`: rigs whose tuning the estimator uses, by model; default: the configured tuning.
+    `tuned`: rigs whose tuning the estimator uses, by model; default: the configured tuning. `filters`: models that the
+    estimator runs with, the last one in place of others; none: it does not run.
     """
 
     def one(number: int) -> RecordingEntry:
@@ -93,12 +95,13 @@ def by_recording(
             for model in ("recalibrated", "extended")
         }
         ukf = None
-        if estimator:
+        if filters:
             recording = prepared.recordings[number]
-            runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in MODELS}
-            ukf = ModelErrors(*(runs[model][0] for model in MODELS))
-            for model, rows in residuals.items():
-                rows.extend(residual_statistics.of_innovations(experiment, first.points[model], *runs[model][1:]))
+            runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in filters}
+            ukf = ModelErrors(*(runs.get(model, runs[filters[-1]])[0] for model in MODELS))
+            for model in residuals.keys() & runs.keys():
+                innovations = residual_statistics.of_innovations(experiment, first.points[model], *runs[model][1:])
+                residuals[model].extend(innovations)
         counted = None
         if experiment.slides is not None:
             spans = {"fitted": (0, experiment.fitted), "held_out": (experiment.fitted, len(trial))}

@@ -27,20 +27,21 @@ _COVERED_S = 30.0
 
 
 def tuned(
-    prepared: Prepared, common: Mapping[str, Rig], compared: Sequence[HeldOutComparison], has_effects: bool,
+    prepared: Prepared, common: Mapping[str, Rig], compared: Sequence[HeldOutComparison], names: Sequence[str],
     settings: Settings,
 ) -> dict[str, Rig]:  # fmt: skip
     """Rigs whose tuning and uncertainty the estimator uses, by model; each is fitted to what may be fitted.
 
+    `names`: models that differ, the last one in place of others; none: the estimator does not run.
+
     In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows.
     """
-    if not settings.estimator:
+    if not names:
         return {}
     settings.progress("tuning the estimators")
-    names = ("recalibrated", "extended") if has_effects else ("recalibrated",)
     if not prepared.angle_driven:
         rigs = {name: _covered(prepared, common[name], compared, name, settings) for name in names}
-        return {"extended": rigs["recalibrated"], **rigs}
+        return {**dict.fromkeys(("recalibrated", "extended"), rigs[names[-1]]), **rigs}
     named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
     tried, most = itertools.count(1), EVALUATIONS * len(names)
 
@@ -50,7 +51,7 @@ def tuned(
     tasks = [(common[name], named, 1.0 - settings.holdout, report) for name in names]
     best = in_threads(tuned_sealed, tasks, settings.jobs)
     rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
-    return {"extended": rigs["recalibrated"], **rigs}
+    return {**dict.fromkeys(("recalibrated", "extended"), rigs[names[-1]]), **rigs}
 
 
 def _covered(
@@ -93,9 +94,9 @@ def of_files(
                 unseen.append(Unseen(_given(prepared, part, model, begin, span.end_s), span.begin_s - begin))
         return wider(rigs[model], unseen, settings.jobs, settings.progress)
 
-    recalibrated = found("recalibrated")
+    extended = found("extended")
     same = rigs["extended"] is rigs["recalibrated"]
-    return {"recalibrated": recalibrated, "extended": recalibrated if same else found("extended")}
+    return {"recalibrated": extended if same else found("recalibrated"), "extended": extended}
 
 
 def _given(prepared: Prepared, part: HeldOutComparison, model: str, begin_s: float, end_s: float) -> Given:

@@ -26,6 +26,7 @@ from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, 
 from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Judged, Size
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED
+from pam_antagonist.diagnosis.warnings import estimator_worse
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.measured_motion import MeasuredMotion
 from pam_antagonist.model.effects import CATALOGUE, DISTURBANCE
@@ -368,7 +369,8 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
         effects=(*named, *earlier, *effects, *after.effects), by_recording=entries,
         share=share, parts=tuple(parts),
         ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
-        warnings=(*(notes if in_part else ()), *after.warnings), recalibrated=before.recalibrated,
+        warnings=(*(notes if in_part else ()), *after.warnings, *estimator_worse(entries)),
+        recalibrated=before.recalibrated,
         of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},
     )  # fmt: skip
 

@@ -23,6 +23,7 @@ from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings, Timi
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.remaining import describe as describe_remaining
 from pam_antagonist.diagnosis.result import (
+    MODELS,
     Ambiguity,
     Diagnosis,
     FoundEffect,
@@ -71,7 +72,9 @@ def diagnose(
     if how.in_turn:
         groups = (replace(one, experiments=tuple(map(parted, one.experiments))) for one in prepared.groups)
         prepared = replace(prepared, groups=tuple(groups))
-    return describe(prepared, verdicts(prepared, how, timings, first), how, timings)
+    # What was before a law is described already.
+    filters = () if not how.estimator else MODELS if first is None else MODELS[-1:]
+    return describe(prepared, verdicts(prepared, how, timings, first), how, timings, filters)
 
 
 def verdicts(prepared: Prepared, settings: Settings, timings: Timings, first: Model | None = None) -> list[Judged]:
@@ -98,8 +101,14 @@ _NAMED = 3
 """Residuals that the sentence names; all of them are in a section of their own."""
 
 
-def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, timings: Timings) -> Diagnosis:
-    """Everything that a report says. `judged`: the verdict on each group of them, the strongest effect first."""
+def describe(
+    prepared: Prepared, judged: Sequence[Judged], settings: Settings, timings: Timings, filters: Sequence[str]
+) -> Diagnosis:
+    """Everything that a report says.
+
+    `judged`: the verdict on each group of them, the strongest effect first. `filters`: models that the estimator runs
+    with.
+    """
     jobs, progress = settings.jobs, settings.progress
     ended = [_with_held_out_end(j) for j in judged]
     compared = tuple(c for end, j in zip(ended, judged, strict=True) for c in held_out.compare(*end, j.values))
@@ -113,17 +122,18 @@ def describe(prepared: Prepared, judged: Sequence[Judged], settings: Settings, t
     profiles = [item for j in judged if settings.profiles for item in profile_sizes(j.model, j.effects, progress)]
     timings.end("profiles")
     common = {name: _common_rig(prepared, judged, name == "extended") for name in ("recalibrated", "extended")}
-    tunings = intervals.tuned(prepared, common, compared, bool(effects), settings)
+    fitted = [name for name in ("recalibrated", *(["extended"] if effects else [])) if name in filters] or filters
+    tunings = intervals.tuned(prepared, common, compared, fitted, settings)
     timings.end("tuning")
     progress("errors before and after")
-    entries = held_out.by_recording(prepared, compared, tunings, settings.estimator, jobs)
+    entries = held_out.by_recording(prepared, compared, tunings, filters, jobs)
     totals = held_out.total_errors(compared, entries)
     rigs = {name: with_tuning(common[name], tunings.get(name)) for name in common}
     models: dict[str, list[tuple[Group, Model, Mapping[str, float]]]] = {
         "recalibrated": [(group, base, {}) for group, base, _ in ended],
         "extended": [(group, model, j.values) for (group, _, model), j in zip(ended, judged, strict=True)],
     }
-    of_one_rig = rig_choice.rig_errors(prepared, models, rigs, compared, entries, settings)
+    of_one_rig = rig_choice.rig_errors(prepared, models, rigs, compared, entries, filters)
     timings.end("errors")
     # What is said of held-out data is said of the filters above: the files' intervals were made by these data.
     tunings = intervals.of_files(prepared, tunings, compared, settings)

@@ -16,7 +16,7 @@ from pam_antagonist.diagnosis import held_out
 from pam_antagonist.diagnosis.agreement import common_point
 from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
 from pam_antagonist.diagnosis.models import Model
-from pam_antagonist.diagnosis.preparation import Group, Prepared, Settings
+from pam_antagonist.diagnosis.preparation import Group, Prepared
 from pam_antagonist.diagnosis.result import MODELS, Diagnosis, FoundEffect, HeldOutComparison, RecordingEntry
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
 from pam_antagonist.diagnosis.verdicts import UNEXPLAINED
@@ -87,11 +87,12 @@ def rig_errors(
     rigs: Mapping[str, Rig],
     compared: Sequence[HeldOutComparison],
     entries: Sequence[RecordingEntry],
-    settings: Settings,
+    filters: Sequence[str],
 ) -> dict[str, RigErrors]:
     """Errors on held-out data with one rig for all recordings: as configured, recalibrated and extended.
 
     `models`: by name: each group of recordings, its model, and values of its effects for one rig, by dotted path.
+    `filters`: models that the estimator runs with.
     """
     totals = held_out.total_errors(compared, entries)
     samples = {part.number: int(part.experiment.held_samples.sum()) for part in compared if part.judges}
@@ -106,15 +107,15 @@ def rig_errors(
 
         def errors(part: HeldOutComparison) -> tuple[Errors, Errors | None]:
             alone, recording = held_out.model_errors(part, "extended", rigs[name]), prepared.recordings[part.number]
-            if not settings.estimator:
+            if name not in filters:
                 return alone, None
             given = held_out.corrected(recording, part, "extended")
             return alone, held_out.estimator_errors(*given, rigs[name])[0]
 
         found = [errors(part) for part in parts]
         counts = [int(part.experiment.held_samples.sum()) for part in parts]
-        filters = [(ukf, count) for (_, ukf), count in zip(found, counts, strict=True)]
-        return RigErrors.total(total_of([alone for alone, _ in found], counts), filters)
+        runs = [(ukf, count) for (_, ukf), count in zip(found, counts, strict=True)]
+        return RigErrors.total(total_of([alone for alone, _ in found], counts), runs)
 
     # One recording's own values are those of the rig for all.
     return {name: own(name) if prepared.fitted == 1 or name not in models else common(name) for name in MODELS}
