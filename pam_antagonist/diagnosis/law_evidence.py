@@ -26,7 +26,8 @@ def with_it(model: Model, *laws: Law) -> Model:
     """A model with laws, everything else fitted anew."""
     # A sealed joint is diagnosed about what was identified of it, and not about the rig as configured.
     own = tuple(_of_laws(one, laws) for one in model.experiments)
-    return replace(model, experiments=own).map(lambda experiment, fitted: refit(experiment, fitted.point, fitted.free))
+    # The derivatives without the laws serve for the first steps.
+    return replace(model, experiments=own).map(lambda one, fit: refit(one, fit.point, fit.free, fit.base))
 
 
 def _of_laws(experiment: Experiment, laws: Sequence[Law]) -> Experiment:
