@@ -89,6 +89,8 @@ class ClosedLoop(Diagnosis):
                 "more on another day. If the same law comes again, each time from the start, that rig file is for both."
             )
         keep = f"keep the rig file of {rig.name}"
+        if narrow := self.of_one_rig["as_configured"].outside(thresholds.HOLDS):
+            keep += f", whose 95 % interval holds only {narrow} that were held out"
         proposed, use = choice.proposed, ""
         if proposed is not None:
             which = "" if proposed.number is None else f" for {self.by_recording[proposed.number].recording}"

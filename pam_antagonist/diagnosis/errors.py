@@ -160,6 +160,12 @@ class RigErrors:
                     out.setdefault(one.what, one.in_words(" in one recording "))
         return tuple(out.values())
 
+    def outside(self, least: float) -> str:
+        """Of which channels the filter's 95 % intervals hold less than a share of what was measured, in words."""
+        each = () if self.ukf is None else (("angles", self.ukf.angle), ("torques", self.ukf.torque))
+        shares = [(what, one.coverage95) for what, one in each if one is not None and one.coverage95 is not None]
+        return shown.listed([f"{shown.percent(share)} of the {what}" for what, share in shares if share < least])
+
     def deciding(self, now: RigErrors) -> list[float]:
         """Ratios of the filter's errors with another file to those with this one; of the model's if it was not run."""
         changes = self.changes(now)

@@ -140,6 +140,9 @@ HOLDOUT = (0.1, 0.5)
 FEW_SWEEPS = 4
 """All samples of a sweep have nearly the same error. With fewer sweeps a warning says so."""
 
+HOLDS = 0.9
+"""Share of held-out measurements in a filter's 95 % interval below which a report says that it is too narrow."""
+
 # What is left.
 
 CLEAR_EQUATION_ERROR = 1.3

@@ -154,6 +154,14 @@ def test_recalibration_is_compared_with_what_the_user_had(result) -> None:
     assert use.endswith("it is shin2022, recalibrated by these recordings.")
     (keep,) = with_errors(nothing, extended=(1.0, 1.0)).next_steps
     assert keep == "Next: nothing; keep the rig file of shin2022."
+    # A file whose interval is too narrow is not kept without a word.
+    given = nothing.of_one_rig["as_configured"]
+    sure = dataclasses.replace(given.ukf, torque=dataclasses.replace(given.ukf.torque, coverage95=0.19))
+    narrow = {**nothing.of_one_rig, "as_configured": dataclasses.replace(given, ukf=sure)}
+    (keep,) = with_errors(dataclasses.replace(nothing, of_one_rig=narrow), extended=(1.0, 1.0)).next_steps
+    assert keep.endswith(
+        "keep the rig file of shin2022, whose 95 % interval holds only 19.0 % of the torques that were held out."
+    )
     # Where nothing explains the recordings, the file has to halve an error of the filter, and none may be larger.
     unexplained = dataclasses.replace(nothing, verdict="unexplained")
     for factors in ((0.4, 0.7), (1.6, 0.4), (0.4, 1.1)):
