@@ -101,6 +101,12 @@ class LawSearch:
     places: tuple[LikelyPlace, ...]  # the likeliest first
     found: FittedLaws | None = None  # None if none is taken
     alternatives: tuple[Law, ...] = ()  # laws that do as well as the first one
+    single: FittedLaws | None = None  # the best law alone, where two are taken
+
+    @property
+    def choices(self) -> tuple[LawSearch, ...]:
+        """What is worth a trial, one after the other: where two laws do not hold, one may."""
+        return (self,) if self.single is None else (self, replace(self, found=self.single, single=None))
 
     @property
     def laws(self) -> tuple[Law, ...]:
@@ -356,11 +362,11 @@ def _searched(model: Model, progress: Callable[[str], None]) -> LawSearch:
         return found
     near = _as_good([*fitted, *(one for one, _ in standing)], best, kept_near)
     others = {(one.law.at, one.law.argument): one.law for one in reversed(near)}
-    for law in two.laws:
-        others.pop((law.at, law.argument), None)
-    alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES]) if two is best else ()
-    taken = two if two is not best else _with_friction(best, model)
-    return replace(found, found=taken, alternatives=alternatives)
+    others.pop((best.law.at, best.law.argument), None)
+    alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES])
+    if two is not best:
+        return replace(found, found=two, single=best)
+    return replace(found, found=_with_friction(best, model), alternatives=alternatives)
 
 
 def _finalists(

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +81,7 @@ def with_laws(
     ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
     `now`: the one without laws.
     """
-    fitted, others, taken = list(recordings), list(kept), 0
+    fitted, others, taken, beside = list(recordings), list(kept), 0, Model()
     while taken < MOST_LAWS and leaves_excess(now):
         before, moving = now, _moving(now)
         if moving is not None:
@@ -90,29 +91,57 @@ def with_laws(
                 return along
             before = _in_free_run(now) if free is None else now
         try:
-            learned = _looked_for(before, rig, progress)
+            learned = _looked_for(before, beside, rig, progress)
         except BadInput as reason:
             # The catalogue's diagnosis needs less of the recordings, and it stands.
             return _saying(now, f"No law was looked for: {reason}.")
         if not learned.laws:
             return _saying(now, place_in_words(learned, ", by nothing that was measured"))
-        right, also = (corrected(some, learned.laws) for some in (fitted, others))
-        try:
-            own = learned.in_rig(rig)
-            tried = may_be_better(before, learned)
-            after = diagnose(right, own, held_out=also, first=before.recalibrated) if tried else None
-        except BadInput as reason:
-            return _saying(now, f"{_was_learned(learned)} cannot be tried: {reason}.")
-        if after is None or not is_better(before, after.extended, learned.laws):
-            words = f"{_was_learned(learned)} does not hold on data that no fit used."
-            return _saying(now, f"{place_in_words(learned)} {words}".strip())
-        now, rig, fitted, others = joined(before, after, learned), own, right, also
-        taken += len(learned.laws)
+        why = []
+        for choice in learned.choices:
+            tried = _tried(before, beside, choice, diagnose, fitted, others, rig)
+            if not isinstance(tried, str):
+                now, beside, rig, fitted, others = tried
+                taken += len(choice.laws)
+                break
+            why.append(tried)
+        else:
+            return _saying(now, why[0])
     return now
 
 
-def _looked_for(before: Diagnosis, rig: Rig, progress: Callable[[str], None]) -> LawSearch:
+class _Tried(NamedTuple):
+    """A diagnosis with laws, and what a further law is looked for in."""
+
+    now: Diagnosis
+    beside: Model  # with the laws, without effects of the catalogue
+    rig: Rig
+    fitted: list[Recording]
+    others: list[Recording]
+
+
+def _tried(
+    before: Diagnosis, beside: Model, learned: LawSearch, diagnose: Callable[..., Diagnosis],
+    fitted: Sequence[Recording], others: Sequence[Recording], rig: Rig,
+) -> _Tried | str:  # fmt: skip
+    """The diagnosis with laws; in a sentence why there is none, where they do not hold. `beside`: as of the search."""
+    right, also = (corrected(some, learned.laws) for some in (fitted, others))
+    try:
+        own = learned.in_rig(rig)
+        may = may_be_better(before, learned, beside)
+        after = diagnose(right, own, held_out=also, first=before.recalibrated) if may else None
+    except BadInput as reason:
+        return f"{_was_learned(learned)} cannot be tried: {reason}."
+    if after is None or not is_better(before, after.extended, learned.laws):
+        words = f"{_was_learned(learned)} does not hold on data that no fit used."
+        return f"{place_in_words(learned)} {words}".strip()
+    return _Tried(joined(before, after, learned), after.recalibrated, own, right, also)
+
+
+def _looked_for(before: Diagnosis, beside: Model, rig: Rig, progress: Callable[[str], None]) -> LawSearch:
     """The laws that a diagnosis lacks.
+
+    `beside`: the model with the law that was found before; empty for the first one.
 
     Raises:
         BadInput: recordings in which none can be looked for.
@@ -122,7 +151,8 @@ def _looked_for(before: Diagnosis, rig: Rig, progress: Callable[[str], None]) ->
     if rig.valves.sealed:
         _refuse_few_sweeps(before)
     # Effects of the catalogue imitate a law that is missing; on a sealed joint few of them can.
-    return search(before.extended if rig.valves.sealed else before.recalibrated, progress)
+    about = before.extended if rig.valves.sealed else before.recalibrated
+    return search(beside if beside.experiments else about, progress)
 
 
 def _was_learned(learned: LawSearch) -> str:
@@ -257,16 +287,18 @@ def leaves_excess(found: Diagnosis) -> bool:
     return leaves_more(found.recalibrated, found.extended)
 
 
-def may_be_better(before: Diagnosis, learned: LawSearch) -> bool:
-    """Whether laws are worth a diagnosis with them: alone, or beside the effects that were found, they do better."""
-    if not learned.laws:
-        return False
-    base = before.recalibrated
+def may_be_better(before: Diagnosis, learned: LawSearch, beside: Model) -> bool:
+    """Whether laws are worth a diagnosis with them: alone, or beside the effects that were found, they do better.
+
+    `beside`: the model with the law that was found before; empty for the first one.
+    """
+    base = beside if beside.experiments else before.recalibrated
     own = with_it(Model(base.experiments, base.fits), *learned.laws).experiments
     if is_better(before, recalibrated(own, base), learned.laws):
         return True
-    beside = bool(before.effects) and not _is_a_torque_alone(before)
-    return beside and is_better(before, with_it(before.extended, *learned.laws), learned.laws)
+    if not before.effects or _is_a_torque_alone(before):
+        return False
+    return is_better(before, with_it(before.extended, *learned.laws), learned.laws)
 
 
 def is_better(before: Diagnosis, model: Model, laws: Sequence[Law]) -> bool:

@@ -243,6 +243,41 @@ def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
     assert before == [exchange.diagnoses[0].recalibrated]
 
 
+@pytest.mark.thorough(2)
+def test_where_two_laws_do_not_hold_the_better_one_is_tried(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    best = exchange.learned[0].found
+    assert best is not None
+    absurd = dataclasses.replace(COGGING, values=tuple(20.0 * value for value in COGGING.values))
+    two = dataclasses.replace(best, laws=(*best.laws, absurd), groups=(*best.groups, LawForm.of(absurd)))
+    learned = dataclasses.replace(exchange.learned[0], found=two, single=best)
+    monkeypatch.setattr(learned_law, "search", lambda *_args: learned)
+    asked: list[Rig] = []
+
+    def diagnosis(_recordings: Any, own: Rig, **_options: Any) -> Diagnosis:
+        asked.append(own)
+        return exchange.diagnoses[1]
+
+    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), print, exchange.diagnoses[0])
+    assert [laws_of(own)[1].place for own in asked] == ["exchange"] and all(len(laws_of(own)) == 1 for own in asked)
+    assert [effect.law for effect in found.effects] == list(best.laws)
+
+
+@pytest.mark.thorough(1)
+def test_a_second_law_is_looked_for_beside_the_first(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Model] = []
+
+    def looked_for(model: Model, _progress: Any) -> LawSearch:
+        asked.append(model)
+        return exchange.learned[0] if len(asked) == 1 else LawSearch(())
+
+    monkeypatch.setattr(learned_law, "search", looked_for)
+    monkeypatch.setattr(learned_law, "leaves_excess", lambda _found: True)
+    first, after = exchange.diagnoses
+    found = learned_law.with_laws(lambda *_a, **_b: after, [recorded()], [], rig(), print, first)
+    assert asked == [first.recalibrated, after.recalibrated]
+    assert [effect.name for effect in found.effects] == ["learned"]
+
+
 @pytest.mark.thorough(5)
 def test_a_second_law_is_found_beside_the_first() -> None:
     law = learned_from(recorded(EXCHANGE, COGGING, duration=24.0), with_law(rig(), EXCHANGE)).law
