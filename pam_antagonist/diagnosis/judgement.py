@@ -281,12 +281,11 @@ def _disturbance(case: Case) -> Judged | None:
     if _sticks_beside_a_law(case):
         return None
     found = disturbance.instead_of_effects(case.ranking, case.work)
-    law = None if found is None or case.ranking.start is not None else case.with_a_law
-    # What predicts held-out data comes before a torque of any course; it needs less where that needs other effects.
-    alone = found is None or len(found[1].effects) == 1
-    least = thresholds.EXPLAINED_WELL if alone else thresholds.EXPLAINED
-    if law is not None and share_of_all(case.ranking.base, law) >= least:
-        return None
+    if found is not None and case.ranking.start is None and (law := case.with_a_law) is not None:
+        # What predicts held-out data comes before a torque of any course, the more so if that needs other effects.
+        least = thresholds.EXPLAINED_WELL if len(found[1].effects) == 1 else thresholds.EXPLAINED
+        if share_of_all(case.ranking.base, law) >= least:
+            return None
     shares = (effect.holdout_gain for effect in found[1].effects if effect.name == DISTURBANCE) if found else ()
     return _by_disturbance(case, found, next(iter(shares), None))
 

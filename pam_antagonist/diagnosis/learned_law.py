@@ -81,8 +81,8 @@ def with_laws(
     ``diagnose`` makes one of recordings and a rig, with some that are ``held_out`` as a whole; the rest are its inputs.
     `now`: the one without laws.
     """
-    fitted, others, taken, beside = list(recordings), list(kept), 0, Model()
-    while taken < MOST_LAWS and leaves_excess(now):
+    fitted, others, taken, beside = list(recordings), list(kept), 0, None
+    while taken < MOST_LAWS and leaves_excess(now) and not (taken and _explains_well(now)):
         before, moving = now, _moving(now)
         if moving is not None:
             free = None if moving is now else now.recalibrated
@@ -110,6 +110,11 @@ def with_laws(
     return now
 
 
+def _explains_well(now: Diagnosis) -> bool:
+    """Whether a law leaves no more than an imperfect table does: a further one would only follow that."""
+    return share_of_all(now.recalibrated, now.extended) >= thresholds.EXPLAINED_WELL
+
+
 class _Tried(NamedTuple):
     """A diagnosis with laws, and what a further law is looked for in."""
 
@@ -121,7 +126,7 @@ class _Tried(NamedTuple):
 
 
 def _tried(
-    before: Diagnosis, beside: Model, learned: LawSearch, diagnose: Callable[..., Diagnosis],
+    before: Diagnosis, beside: Model | None, learned: LawSearch, diagnose: Callable[..., Diagnosis],
     fitted: Sequence[Recording], others: Sequence[Recording], rig: Rig,
 ) -> _Tried | str:  # fmt: skip
     """The diagnosis with laws; in a sentence why there is none, where they do not hold. `beside`: as of the search."""
@@ -138,10 +143,10 @@ def _tried(
     return _Tried(joined(before, after, learned), after.recalibrated, own, right, also)
 
 
-def _looked_for(before: Diagnosis, beside: Model, rig: Rig, progress: Callable[[str], None]) -> LawSearch:
+def _looked_for(before: Diagnosis, beside: Model | None, rig: Rig, progress: Callable[[str], None]) -> LawSearch:
     """The laws that a diagnosis lacks.
 
-    `beside`: the model with the law that was found before; empty for the first one.
+    `beside`: the model with the law that was found before; None: there is none.
 
     Raises:
         BadInput: recordings in which none can be looked for.
@@ -151,8 +156,7 @@ def _looked_for(before: Diagnosis, beside: Model, rig: Rig, progress: Callable[[
     if rig.valves.sealed:
         _refuse_few_sweeps(before)
     # Effects of the catalogue imitate a law that is missing; on a sealed joint few of them can.
-    about = before.extended if rig.valves.sealed else before.recalibrated
-    return search(beside if beside.experiments else about, progress)
+    return search(beside or (before.extended if rig.valves.sealed else before.recalibrated), progress)
 
 
 def _was_learned(learned: LawSearch) -> str:
@@ -287,12 +291,12 @@ def leaves_excess(found: Diagnosis) -> bool:
     return leaves_more(found.recalibrated, found.extended)
 
 
-def may_be_better(before: Diagnosis, learned: LawSearch, beside: Model) -> bool:
+def may_be_better(before: Diagnosis, learned: LawSearch, beside: Model | None) -> bool:
     """Whether laws are worth a diagnosis with them: alone, or beside the effects that were found, they do better.
 
-    `beside`: the model with the law that was found before; empty for the first one.
+    `beside`: the model with the law that was found before; None: there is none.
     """
-    base = beside if beside.experiments else before.recalibrated
+    base = beside or before.recalibrated
     own = with_it(Model(base.experiments, base.fits), *learned.laws).experiments
     if is_better(before, recalibrated(own, base), learned.laws):
         return True
