@@ -32,16 +32,22 @@ def tuned(
 ) -> dict[str, Rig]:  # fmt: skip
     """Rigs whose tuning and uncertainty the estimator uses, by model; each is fitted to what may be fitted.
 
-    `names`: models that differ, the last one in place of others; none: the estimator does not run.
-
     In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows.
+
+    `names`: models that are tuned, the last one in place of others; none: the estimator does not run.
     """
     if not names:
         return {}
     settings.progress("tuning the estimators")
-    if not prepared.angle_driven:
+    if prepared.angle_driven:
+        rigs = _sealed(prepared, common, names, settings)
+    else:
         rigs = {name: _covered(prepared, common[name], compared, name, settings) for name in names}
-        return {**dict.fromkeys(("recalibrated", "extended"), rigs[names[-1]]), **rigs}
+    return {**dict.fromkeys(("recalibrated", "extended"), rigs[names[-1]]), **rigs}
+
+
+def _sealed(prepared: Prepared, common: Mapping[str, Rig], names: Sequence[str], settings: Settings) -> dict[str, Rig]:
+    """The rigs of a sealed joint, tuned side by side."""
     named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
     tried, most = itertools.count(1), EVALUATIONS * len(names)
 
@@ -50,8 +56,7 @@ def tuned(
 
     tasks = [(common[name], named, 1.0 - settings.holdout, report) for name in names]
     best = in_threads(tuned_sealed, tasks, settings.jobs)
-    rigs = {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
-    return {**dict.fromkeys(("recalibrated", "extended"), rigs[names[-1]]), **rigs}
+    return {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
 
 
 def _covered(

@@ -122,8 +122,9 @@ def describe(
     profiles = [item for j in judged if settings.profiles for item in profile_sizes(j.model, j.effects, progress)]
     timings.end("profiles")
     common = {name: _common_rig(prepared, judged, name == "extended") for name in ("recalibrated", "extended")}
-    fitted = [name for name in ("recalibrated", *(["extended"] if effects else [])) if name in filters] or filters
-    tunings = intervals.tuned(prepared, common, compared, fitted, settings)
+    differ = MODELS[1:] if effects else MODELS[1:2]  # without effects, both are the recalibrated one
+    asked = [name for name in differ if name in filters] or filters
+    tunings = intervals.tuned(prepared, common, compared, asked, settings)
     timings.end("tuning")
     progress("errors before and after")
     entries = held_out.by_recording(prepared, compared, tunings, filters, jobs)

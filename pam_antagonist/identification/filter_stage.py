@@ -187,8 +187,8 @@ def with_unknown_torque(
     if lacking < -_CLOSE and (known or rig.directions):
         found, _, share = _covering(narrower, math.exp(lacking), "angle", recordings, jobs, progress)
         return UnknownTorque(found, 0.0, share)
-    first, made = _FIRST_SHARE * torque_scale(rig), partial(_with_torque, rig)
-    return UnknownTorque(*_covering(made, first, "angle", recordings, jobs, progress))
+    made = partial(_with_torque, rig)
+    return UnknownTorque(*_covering(made, _first_torque(rig), "angle", recordings, jobs, progress))
 
 
 def with_unknown_force(
@@ -199,19 +199,24 @@ def with_unknown_force(
     It hardly moves the angle, at which both muscles are in balance. Nothing changes where no torque was measured.
     """
     known = [given for given in recordings if shows("torque", given)]
-    if not known or _lacking(rig, "torque", known, jobs)[0] <= 0.0:
-        return rig
-    return _covering(partial(_with_force, rig), _FIRST_SHARE, "torque", known, jobs, progress)[0]
+    return _widened(rig, "torque", known, jobs, progress)
 
 
 def wider(rig: Rig, unseen: Sequence[Unseen], jobs: int = 1, progress: Callable[[str], None] | None = None) -> Rig:
     """The rig with intervals that hold 95 % of the angles that no fit has seen as well; none gets narrower."""
     known = [one for one in unseen if shows("angle", one.given)]
-    given, begins = [one.given for one in known], [one.from_s for one in known]
-    if not known or _lacking(rig, "angle", given, jobs, begins)[0] <= 0.0:
+    return _widened(rig, "angle", [one.given for one in known], jobs, progress, [one.from_s for one in known])
+
+
+def _widened(
+    rig: Rig, channel: str, recordings: Sequence[Given], jobs: int, progress: Callable[[str], None] | None,
+    unseen_from: Sequence[float] = (),
+) -> Rig:  # fmt: skip
+    """The rig with more that is not known, where its intervals of a channel hold less than 95 %; else as it is."""
+    if not recordings or _lacking(rig, channel, recordings, jobs, unseen_from)[0] <= 0.0:
         return rig
-    first, made = _FIRST_SHARE * torque_scale(rig), partial(_with_torque, rig)
-    return _covering(made, first, "angle", given, jobs, progress, begins)[0]
+    made, first = (_with_force, _FIRST_SHARE) if channel == "torque" else (_with_torque, _first_torque(rig))
+    return _covering(partial(made, rig), first, channel, recordings, jobs, progress, unseen_from)[0]
 
 
 def shows(channel: str, given: Given) -> bool:
@@ -219,6 +224,10 @@ def shows(channel: str, given: Given) -> bool:
     recording, state, _ = given
     values = recording.torque if channel == "torque" else recording.angle if state.condition == "free" else None
     return values is not None and bool(np.isfinite(values).any())
+
+
+def _first_torque(rig: Rig) -> float:
+    return _FIRST_SHARE * torque_scale(rig)
 
 
 def _with_torque(rig: Rig, torque: float) -> Rig:

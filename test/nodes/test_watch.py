@@ -373,9 +373,16 @@ def test_the_page_shows_the_step_of_a_command_until_it_ends(domain: None, monkey
     with contextlib.closing(watch.PipelineWatch()) as page:
         page.listen(True)
         with Announcer("commission") as announcer:
+            begun = time.monotonic()
             announcer.say("step 2 of 7, free: driving the joint", 40.0)
-            report(r"step 2 of 7, free: driving the joint, [1-9]\d* of 40 s")  # the first one may be seen late
+            found = report(r"step 2 of 7, free: driving the joint, [1-9]\d* of 40 s")  # the first one may be seen late
+            said = re.search(r", (\d+) of 40 s", found["at"][0])
+            assert said and 1 <= int(said[1]) <= round(time.monotonic() - begun)
+            begun = time.monotonic()
             announcer.say("step 4 of 7, identify: working")
-            (status,) = report(r"step 4 of 7, identify: working, \d+ s")["statuses"]
+            found = report(r"step 4 of 7, identify: working, \d+ s")
+            said = re.search(r"working, (\d+) s", found["at"][0])
+            assert said and int(said[1]) <= round(time.monotonic() - begun)
+            (status,) = found["statuses"]
             assert status["name"] == "commission: step" and status["level"] == 0
         assert report("")["statuses"] == [], "a command that has ended is no fault"
