@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import hashlib
 import os
 import re
@@ -14,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
@@ -225,14 +226,31 @@ COMPILING = Compiling()
 event.register("numba:compile", COMPILING)
 
 
+_FORMS: list[Callable[[Callable[..., Any], Sequence[Any]], Callable[..., Any]]] = []
+
+
+def form_by_types(form: Callable[[Callable[..., Any], Sequence[Any]], Callable[..., Any]]) -> Any:
+    """Decorator for a function that returns what is compiled for a kernel: its code, or another form for some types.
+
+    `form`: of the kernel's function and the types of its arguments.
+    """
+    _FORMS.append(form)
+    return form
+
+
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    def form(args: Sequence[Any], _: Any) -> Any:
+        return functools.reduce(lambda code, other: other(code, args), _FORMS, function)
+
     previous = caching.CompileResultCacheImpl._locator_classes
     # numba looks for a locator while it decorates; restored for other users of numba in the process.
     caching.CompileResultCacheImpl._locator_classes = [_Locator]
     try:
-        return numba.njit(cache=True, error_model="numpy", nogil=True, **options)(function)
+        compiled = numba.njit(cache=True, error_model="numpy", nogil=True, **options)(function)
     finally:
         caching.CompileResultCacheImpl._locator_classes = previous
+    compiled._compiler._get_implementation = form
+    return compiled
 
 
 def kernel(function: Callable[..., Any]) -> Any:

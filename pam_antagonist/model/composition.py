@@ -79,6 +79,7 @@ import numpy as np
 
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model.joint import quickest_lag
+from pam_antagonist.model.lane_values import shared
 from pam_antagonist.model.muscle import force as static_map
 from pam_antagonist.model.orifice import orifice_flow
 from pam_antagonist.model.parameters import ATMOSPHERE, SIGNAL, STATELESS_EFFECTS, SUPPLY, VISCOUS
@@ -163,7 +164,7 @@ class _Writer:
         known |= {"muscle": "i"} if of_muscle else {}
         self.constants[f"LAWS_IN_{where}".upper()] = par.LAWS_IN[where]
         text, _, _ = self.call(effect, effect.hooks[where], where, quantities, of_muscle, known)
-        return f"    if p[LAWS_IN_{where.upper()}] != 0.0:", text
+        return f"    if shared(p[LAWS_IN_{where.upper()}]) != 0.0:", text
 
     def hook(self, hook: Hook, before: str = "") -> None:
         """Write the function of a hook. With ``before``, only the effects ahead of the named one act in it."""
@@ -202,7 +203,7 @@ class _Writer:
         if stateless_lines:
             indent = "    "
             if stateless or hook.states != "none":
-                lines.append("    if p[STATELESS_EFFECTS] != 0.0:")
+                lines.append("    if shared(p[STATELESS_EFFECTS]) != 0.0:")
                 indent = "        "
             lines += [indent + line for line in stateless_lines]
         if state_lines:
@@ -223,7 +224,7 @@ class _Writer:
         for state in held or effect.states[:1]:
             name = state.family if of_muscle else state.name
             lines += [
-                f"{indent}{name}_at = {self.slot(state, of_muscle)}",
+                f"{indent}{name}_at = shared({self.slot(state, of_muscle)})",
                 # Most states are absent: their index is not converted. numba does not wrap around an unsigned index.
                 f"{indent}if {name}_at > 0.0 and {name}_at < x.shape[0]:",
             ]
@@ -258,10 +259,10 @@ class _Writer:
                     own = {key: text.format(effect=effect.name) for key, text in expressions.items()}
                     text, _, held = self.call(effect, function, where, quantities, of_muscle, own)
                 name = state.family
-                lines += [f"    {name}_at = {self.slot(state, of_muscle)}", f"    if {name}_at > 0.0:"]
+                lines += [f"    {name}_at = shared({self.slot(state, of_muscle)})", f"    if {name}_at > 0.0:"]
                 for other in held:
                     # The states of one effect are present or absent together.
-                    lines.append(f"        {other.family}_ = x[int({self.slot(other, of_muscle)})]")
+                    lines.append(f"        {other.family}_ = x[int(shared({self.slot(other, of_muscle)}))]")
                 lines.append(f"        {into}[int({name}_at)] = {text}")
         self.functions.append("\n".join([*lines, "    return"]))
 

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist._jit import inlined, kernel
+from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import dynamics, equilibrium, integration, lanes
 from pam_antagonist.model.dynamics import ANGLE, PRESSURE_1, PRESSURE_2, VELOCITY
 from pam_antagonist.model.integration import STAGES
-from pam_antagonist.model.lane_values import FEWEST, LANES
+from pam_antagonist.model.lane_values import FEWEST, LANES, in_lanes
 from pam_antagonist.model.parameters import (
     BASE_STATES,
     FRICTION_STEP,
@@ -51,7 +51,7 @@ _MOTION = 4
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _rk4_step, _initial_state = integration.rk4_step_within, equilibrium.initial_state
 _torque, _needed, _imbalance = dynamics.torque, dynamics.torque_needed, dynamics.imbalance
-_subsystem = dynamics.subsystem
+_subsystem, _keep = dynamics.subsystem, lanes.keep
 _substeps_of = inlined(integration.substeps_of)
 
 
@@ -61,18 +61,18 @@ def _move(mask, x, u, length, command, pressure, motion, signals, k, p, longest,
     steps = _substeps_of(length, longest)
     h = length / steps
     p[FRICTION_STEP] = h
-    if mask & BY_COMMAND:
+    if mask & BY_COMMAND != 0:
         for i in range(command.shape[1]):
             u[i] = command[k, i]
     moved = 0.0
-    if mask & BY_MOTION:
+    if mask & BY_MOTION != 0:
         moved = motion[k, 0] - motion[k - 1, 0]
         x[VELOCITY] = moved / length
     for s in range(steps):
         share = (s + 0.5) / steps
-        if mask & BY_MOTION:
+        if mask & BY_MOTION != 0:
             x[ANGLE] = motion[k - 1, 0] + share * moved
-        if mask & BY_PRESSURE:
+        if mask & BY_PRESSURE != 0:
             x[PRESSURE_1] = pressure[k - 1, 0] + share * (pressure[k, 0] - pressure[k - 1, 0])
             x[PRESSURE_2] = pressure[k - 1, 1] + share * (pressure[k, 1] - pressure[k - 1, 1])
         for j in range(signals.shape[1]):
@@ -83,12 +83,40 @@ def _move(mask, x, u, length, command, pressure, motion, signals, k, p, longest,
 @inlined
 def _at_row(mask, x, pressure, motion, signals, k, p):
     """What is given at row k, into state and parameters."""
-    if mask & BY_MOTION:
+    if mask & BY_MOTION != 0:
         x[ANGLE], x[VELOCITY] = motion[k, 0], motion[k, 1]
-    if mask & BY_PRESSURE:
+    if mask & BY_PRESSURE != 0:
         x[PRESSURE_1], x[PRESSURE_2] = pressure[k, 0], pressure[k, 1]
     for j in range(signals.shape[1]):
         p[SIGNAL + j] = signals[k, j]
+
+
+@inlined
+def _along(
+    mask, first, start, keeps, length, command, pressure, motion, signals, p, longest, states, shown, x, u, scratch
+):
+    """:func:`drive`, into given arrays."""
+    n = start.shape[1]
+    # Where pressures and motion are given, only added states are left to integrate.
+    follows = n > BASE_STATES or mask & (BY_PRESSURE | BY_MOTION) != BY_PRESSURE | BY_MOTION
+    for e in range(first.shape[0] - 1):
+        for k in range(first[e], first[e + 1]):
+            # What a part remembers has gone on over the step to its first row.
+            if follows and (k > first[e] or keeps[e]):
+                _move(mask, x, u, length[k], command, pressure, motion, signals, k, p, longest, scratch)
+            if k == first[e]:
+                for i in range(n):
+                    if i < BASE_STATES or not keeps[e]:
+                        x[i] = start[e, i]
+            _at_row(mask, x, pressure, motion, signals, k, p)
+            for i in range(n):
+                _keep(states, k, i, x[i])
+            if mask & TORQUE != 0:
+                _keep(shown, 0, k, _torque(x, p))
+            if mask & NEEDED != 0:
+                _keep(shown, 1, k, _needed(x, motion[k, 2], motion[k, 3], p))
+            if mask & IMBALANCE != 0:
+                _keep(shown, 1, k, _imbalance(x, motion[k, 2], motion[k, 3], p))
 
 
 @kernel
@@ -117,27 +145,26 @@ def drive(mask, first, start, keeps, length, command, pressure, motion, signals,
     wanted = mask & (TORQUE | NEEDED | IMBALANCE) != 0
     states, shown = np.empty((rows, n)), np.zeros((2, rows if wanted else 0))
     x, u, scratch = np.empty(n), np.zeros(max(command.shape[1], 2)), np.empty((STAGES + 1, n))
-    # Where pressures and motion are given, only added states are left to integrate.
-    follows = n > BASE_STATES or mask & (BY_PRESSURE | BY_MOTION) != BY_PRESSURE | BY_MOTION
-    for e in range(first.shape[0] - 1):
-        for k in range(first[e], first[e + 1]):
-            # What a part remembers has gone on over the step to its first row.
-            if follows and (k > first[e] or keeps[e]):
-                _move(mask, x, u, length[k], command, pressure, motion, signals, k, p, longest, scratch)
-            if k == first[e]:
-                for i in range(n):
-                    if i < BASE_STATES or not keeps[e]:
-                        x[i] = start[e, i]
-            _at_row(mask, x, pressure, motion, signals, k, p)
-            for i in range(n):
-                states[k, i] = x[i]
-            if mask & TORQUE:
-                shown[0, k] = _torque(x, p)
-            if mask & NEEDED:
-                shown[1, k] = _needed(x, motion[k, 2], motion[k, 3], p)
-            if mask & IMBALANCE:
-                shown[1, k] = _imbalance(x, motion[k, 2], motion[k, 3], p)
+    _along(
+        mask, first, start, keeps, length, command, pressure, motion, signals, p, longest, states, shown, x, u, scratch
+    )
     return states, shown
+
+
+@in_place
+def drive_lanes(
+    mask, first, start, keeps, length, command, pressure, motion, signals, p, longest, states, shown, x, u, scratch
+):
+    """:func:`drive` of several models side by side; ``p`` is changed.
+
+    `start`: (E, n, LANES). `p`: parameter vectors (P, LANES). `states`: result (LANES, N, n). `shown`: result
+    (LANES, 2, N) or (LANES, 2, 0) [N m]. `x`: for the state (n, LANES). `u`: zeros for the input (2,) or (3,).
+    `scratch`: (STAGES + 1, n, LANES).
+    """
+    _along(
+        mask, first, in_lanes(start), keeps, length, command, pressure, motion, signals, in_lanes(p), longest, states,
+        shown, in_lanes(x), u, in_lanes(scratch),
+    )  # fmt: skip
 
 
 @kernel
@@ -265,8 +292,7 @@ class Inputs:
         vectors = [self.vector(p) for p in vectors]
         mask, rows = self._given | wanted, len(self.length)
         for group in lanes.groups([[p] for p in vectors]):
-            together = lanes.driver() if len(group) >= FEWEST else None
-            if together is None:
+            if len(group) < FEWEST or not lanes.possible():
                 for k in group:
                     out[k] = self.driven(starts[k], vectors[k], wanted, keeps)
                 continue
@@ -275,9 +301,12 @@ class Inputs:
             start = np.stack([starts[k] for k in filled], axis=2)
             states = np.empty((LANES, rows, start.shape[1]))
             shown = np.zeros((LANES, 2, rows if wanted else 0))
-            together(mask, self.first, start, keeps, self.length, *self._columns,
-                     lanes.beside([vectors[k] for k in filled]), self.longest, states, shown,
-                     lanes.scratch(start.shape[1], max(self._columns[0].shape[1], 2)))  # fmt: skip
+            p, u = lanes.beside([vectors[k] for k in filled]), np.zeros(max(self._columns[0].shape[1], 2))
+            x, scratch = np.empty(start.shape[1:]), np.empty((STAGES + 1, *start.shape[1:]))
+            drive_lanes(
+                mask, self.first, start, keeps, self.length, *self._columns, p, self.longest, states, shown, x, u,
+                scratch,
+            )  # fmt: skip
             for lane, k in enumerate(group):
                 out[k] = states[lane], shown[lane]
         return out

@@ -10,6 +10,7 @@ import numpy as np
 
 from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import composition, flow, joint, muscle
+from pam_antagonist.model.lane_values import shared
 from pam_antagonist.model.parameters import (
     BASE_STATES,
     INERTIA,
@@ -89,11 +90,13 @@ def _force_with_effects(i, muscle_length, length_rate, chamber, x, p):
 @inlined
 def _muscle_force(i, sine, cosine, x, p, effects):
     """Contraction force [N] of muscle i in a state; without effects if ``effects`` is None."""
+    muscle_length = _length(i, sine, p)
     if effects is None:
-        return _linear_force(i, _length(i, sine, p), x[PRESSURE_1 + i], p)
-    muscle_length, chamber = _length(i, sine, p), chamber_pressure(i, x, p)
-    length_rate = _length_rate(i, cosine, x[VELOCITY], p)
-    return _force_with_effects(i, muscle_length, length_rate, chamber, x, p)
+        force = _linear_force(i, muscle_length, x[PRESSURE_1 + i], p)
+    else:
+        length_rate, chamber = _length_rate(i, cosine, x[VELOCITY], p), chamber_pressure(i, x, p)
+        force = _force_with_effects(i, muscle_length, length_rate, chamber, x, p)
+    return force
 
 
 @inlined
@@ -220,7 +223,7 @@ def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, 
     _, rate_2, _, _ = _air(
         SECOND, alpha_2, alpha_2, pressure_2, pressure_2, length_2, speed_2, supply, None, p, effects
     )
-    if p[LOCKED] != 0.0:
+    if shared(p[LOCKED]) != 0.0:
         return 0.0, 0.0, rate_1, rate_2
     if effects is None:
         force_1, force_2 = _linear_force(FIRST, length_1, pressure_1, p), _linear_force(SECOND, length_2, pressure_2, p)
@@ -236,7 +239,9 @@ def slopes(angle, velocity, pressure_1, pressure_2, alpha_1, alpha_2, external, 
 @inlined
 def external_torque(u):
     """External torque [N m] of an input that has one. `u`: as for :func:`derivative`."""
-    return u[2] if u.shape[0] > 2 else 0.0
+    if u.shape[0] > 2:
+        return u[2]
+    return 0.0
 
 
 @in_place
@@ -270,7 +275,7 @@ def rows(x, u, wanted_1, wanted_2, p, dx):
             )  # fmt: skip
     if x.shape[0] > BASE_STATES:
         _joint_rates(angle, velocity, sine, consumption, x, dx, p)
-    if p[LOCKED] != 0.0:
+    if shared(p[LOCKED]) != 0.0:
         dx[ANGLE] = 0.0
         dx[VELOCITY] = 0.0
         return
@@ -303,7 +308,7 @@ def subsystem(x, p, effects=True):
     `effects`: as for :func:`forces`.
     """
     slides = 0.0
-    if p[LOCKED] == 0.0:
+    if shared(p[LOCKED]) == 0.0:
         force_1, force_2 = forces(x, p, effects)
         sine, cosine, _ = _leverage(x[ANGLE], p)
         chamber_1 = x[PRESSURE_1] if effects is None else chamber_pressure(FIRST, x, p)

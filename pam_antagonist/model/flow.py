@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pam_antagonist._jit import inlined
 from pam_antagonist.model import composition, orifice
+from pam_antagonist.model.lane_values import shared
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
     CRITICAL_RATIO,
@@ -34,16 +35,17 @@ INFLOW_CHOKED, BOTH_CHOKED, OUTFLOW_CHOKED = 0, 1, 2
 def _on_curve(valve, voltage, p):
     """κ(u): linear between the knots of the valve's curve, constant beyond its ends."""
     start = CURVE + valve * CURVE_SIZE
-    knots = int(p[start])
+    knots = int(shared(p[start]))
     at = start + 1
     rate = start + 1 + MAX_KNOTS
-    if voltage <= p[at]:
-        return p[rate]
+    if voltage <= shared(p[at]):
+        return shared(p[rate])
     for i in range(1, knots):
-        if voltage < p[at + i]:
-            share = (voltage - p[at + i - 1]) / (p[at + i] - p[at + i - 1])
-            return p[rate + i - 1] + share * (p[rate + i] - p[rate + i - 1])
-    return p[rate + knots - 1]
+        if voltage < shared(p[at + i]):
+            before, low = shared(p[at + i - 1]), shared(p[rate + i - 1])
+            share = (voltage - before) / (shared(p[at + i]) - before)
+            return low + share * (shared(p[rate + i]) - low)
+    return shared(p[rate + knots - 1])
 
 
 @inlined

@@ -12,6 +12,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import dynamics, flow
 from pam_antagonist.model.dynamics import ANGLE, FIRST, PRESSURE_1, PRESSURE_2, SECOND, VELOCITY, WITH_EFFECTS
+from pam_antagonist.model.lane_values import shared
 from pam_antagonist.model.parameters import BASE_STATES, LAWS_PRESENT, LONGEST_STEP, PLAIN, STOP
 
 STAGES = 4
@@ -102,9 +103,9 @@ def rk4_step_within(x, u, p, dt, result, scratch):
     known the torque from outside [N m]; (2,) or (3,). `scratch`: (STAGES + 1, n), used where there are added states or
     learned laws.
     """
-    if p[PLAIN] != 0.0:
+    if shared(p[PLAIN]) != 0.0:
         _scalar_step(x, u, p, dt, result, None)
-    elif x.shape[0] == BASE_STATES and p[LAWS_PRESENT] == 0.0:
+    elif x.shape[0] == BASE_STATES and shared(p[LAWS_PRESENT]) == 0.0:
         _optional_step(x, u, p, dt, result)
     else:
         _extended_step(x, u, p, dt, result, scratch)

@@ -6,6 +6,7 @@ The laws of friction that the paper compares with (10) are here too.
 from __future__ import annotations
 
 from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.model.lane_values import shared
 from pam_antagonist.model.numeric import exp
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
@@ -56,7 +57,7 @@ def coulomb_torque(force_1, force_2, pressure_1, pressure_2, p):
 @in_place
 def _compared_coulomb(velocity, p):
     """Torque [N m] of the other laws. It is a separate function to keep the code of the paper's law small and fast."""
-    if p[FRICTION_LAW] == _SIMPLE:
+    if shared(p[FRICTION_LAW]) == _SIMPLE:
         return p[LEVER_FORCE] * p[RADIUS]
     fade = exp(-abs(velocity) / p[FRICTION_VELOCITY])
     return (p[STATIC_FRICTION] - p[KINETIC_FRICTION]) * fade + p[KINETIC_FRICTION]
@@ -99,9 +100,9 @@ def friction_torque(velocity, applied, coulomb, p):
     ``simple`` is a constant force on the lever, r F_r sgn ψ̇; ``tondu`` is
     ((f_s − f_k) exp(−|ψ̇|/v) + f_k) sgn ψ̇ (Tondu and Lopez 2000), read as torques; ``none`` is no friction.
     """
-    if p[FRICTION_LAW] == 0.0:
+    if shared(p[FRICTION_LAW]) == 0.0:
         return kikuuwe_torque(velocity, applied, coulomb, p[VISCOUS], p)
-    if p[FRICTION_LAW] == _NONE:
+    if shared(p[FRICTION_LAW]) == _NONE:
         return 0.0, 1.0
     free = velocity + p[FRICTION_STEP] / p[INERTIA] * applied
     return kikuuwe_torque(velocity, applied, _compared_coulomb(free, p), 0.0, p)

@@ -7,24 +7,34 @@ Four of them run side by side, with AVX-512 eight (:mod:`pam_antagonist.model.la
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba.core import types
+from numba.core import errors, types
 
-from pam_antagonist._jit import by_types
+from pam_antagonist._jit import by_types, form_by_types
 from pam_antagonist.model import composition, integration, lane_form
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.lane_values import CHUNK, FEWEST, LANES
+from pam_antagonist.model.lane_values import FEWEST, LANES, array_of_lanes, in_lane, in_lanes, lanes
+
+form_by_types(lane_form.lane_form)
 
 
-def driver() -> Any:
-    """The driver of several models, compiled; None where an effect of another package has no lane form."""
-    together = _side_by_side()
-    return None if together is None else together.drive
+@lru_cache(maxsize=1)
+def possible() -> bool:
+    """Whether the equations can be compiled for lanes; an effect of another package may not."""
+
+    def tried() -> str:
+        x, stages = array_of_lanes(1), array_of_lanes(2)
+        try:
+            integration.rk4_step_within.compile((x, types.float64[::1], x, types.float64, x, stages))
+        except errors.NumbaError:
+            return "no"
+        return "yes"
+
+    return composition.remembered("lanes", tried) == "yes"
 
 
 def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
@@ -35,22 +45,6 @@ def beside(vectors: Sequence[np.ndarray]) -> np.ndarray:
     p = np.stack(vectors, axis=1)
     p[par.PLAIN], p[par.STATELESS_EFFECTS] = p[par.PLAIN].min(), p[par.STATELESS_EFFECTS].max()
     return p
-
-
-def step(plain: bool) -> Any:
-    """The Runge-Kutta step of several models, compiled; None where single steps are faster or lanes cannot be compiled.
-
-    `plain`: whether all models are known to be plain: much less is compiled then. Returns
-    :func:`~pam_antagonist.model.integration.plain_step` or :func:`~pam_antagonist.model.integration.rk4_step_within`,
-    for states (n, LANES), parameters (P, LANES) and scratch (STAGES + 1, n, LANES).
-    """
-    if FEWEST > LANES:
-        return None
-    if plain:
-        text = composition.remembered("plain_lanes", lambda: lane_form.lane_module((integration.plain_step,)))
-        return composition.imported(text, "plain_lanes").plain_step
-    together = _side_by_side()
-    return None if together is None else together.rk4_step
 
 
 def groups(models: Sequence[Sequence[np.ndarray]]) -> list[list[int]]:
@@ -69,21 +63,6 @@ def _structure(p: np.ndarray) -> bytes:
     shared = p[par.LOCKED :].copy()
     shared[[place - par.LOCKED for place in (*par.FLOW_CONSTANTS, par.PLAIN, par.STATELESS_EFFECTS)]] = 0.0
     return shared.tobytes()
-
-
-@lru_cache(maxsize=1)
-def _side_by_side() -> Any:
-    """Module of the compiled driver of several models; None where an effect of another package has no lane form."""
-    try:
-        return importlib.import_module("pam_antagonist.model.lane_drive")
-    except lane_form.NoLaneForm:
-        return None
-
-
-def scratch(n: int, inputs: int) -> tuple[np.ndarray, ...]:
-    """Scratch of the driver: for a step, for the state, for the input, for states and torques of the last rows."""
-    stages, recent = np.empty((integration.STAGES + 1, n, LANES)), np.empty((CHUNK, n, LANES))
-    return stages, np.empty((n, LANES)), np.zeros(inputs), recent, np.zeros((CHUNK, 2, LANES))
 
 
 def sigma_points_beside(parameter_sets: np.ndarray, points: int) -> np.ndarray:
@@ -109,10 +88,8 @@ def advance(points, u, parameter_sets, dt, effects, work):
 @by_types(advance)
 def _advance(points, u, parameter_sets, dt, effects, work):
     plain = isinstance(effects, types.NoneType)
-    together = step(plain)
-    if together is None:
-        return _one_by_one(integration.plain_step if plain else integration.rk4_step_within)
-    return _in_groups(together)
+    step = integration.plain_step if plain else integration.rk4_step_within
+    return _in_groups(step) if FEWEST <= LANES and (plain or possible()) else _one_by_one(step)
 
 
 def _one_by_one(step: Any) -> Callable[..., None]:
@@ -133,9 +110,27 @@ def _in_groups(step: Any) -> Callable[..., None]:
             for lane in range(count):
                 for i in range(points.shape[1]):
                     states[i, lane] = points[first + lane, i]
-            step(states, u, work.lane_sets[group], dt, states, work.lane_stages)
+            x = in_lanes(states)
+            step(x, u, in_lanes(work.lane_sets[group]), dt, x, in_lanes(work.lane_stages))
             for lane in range(count):
                 for i in range(points.shape[1]):
                     points[first + lane, i] = states[i, lane]
 
     return advance
+
+
+def keep(into, row, column, value):
+    """Keep a value in an array, ``into[row, column]``; of lanes, in the array of each model. In compiled code only."""
+    raise NotImplementedError("in compiled code only")
+
+
+@by_types(keep)
+def _keep(into, row, column, value):
+    def one(into, row, column, value):
+        into[row, column] = value
+
+    def each(into, row, column, value):
+        for k in range(LANES):
+            into[k, row, column] = in_lane(value, k)
+
+    return each if value is lanes else one

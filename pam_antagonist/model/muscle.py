@@ -33,6 +33,7 @@ from __future__ import annotations
 import math
 
 from pam_antagonist._jit import in_place, inlined
+from pam_antagonist.model.lane_values import shared
 from pam_antagonist.model.numeric import exp, sine_and_cosine
 from pam_antagonist.model.parameters import (
     ATMOSPHERE,
@@ -70,7 +71,7 @@ def leverage(angle, p):
 
     Returns s, s', s''. Without a cam: sin ψ, cos ψ, −sin ψ for a lever; ψ, 1, 0 for a pulley.
     """
-    if p[PULLEY] != 0.0:
+    if shared(p[PULLEY]) != 0.0:
         travel, arm, bend = angle, 1.0, 0.0
     else:
         sine, cosine = sine_and_cosine(angle)
@@ -137,7 +138,7 @@ def force(muscle, muscle_length, pressure, p):
     * ``polynomial`` (of second degree in both): c1 + c2 k + c3 q + c4 k² + c5 k q + c6 q².
     """
     base = MUSCLE + muscle * MUSCLE_SIZE
-    if p[FORCE_FORM] != 0.0:
+    if shared(p[FORCE_FORM]) != 0.0:
         return _compared_force(base, muscle_length, pressure, p)
     return linear_force(muscle, muscle_length, pressure, p)
 
@@ -160,7 +161,7 @@ def _braided_force(base, muscle_length, pressure, p):
 @in_place
 def _compared_force(base, muscle_length, pressure, p):
     """The other forms. They are a separate function to keep the code of the linear form small and fast."""
-    form = p[FORCE_FORM]
+    form = shared(p[FORCE_FORM])
     if form == _BRAIDED:
         braided, _ = _braided_force(base, muscle_length, pressure, p)
         return braided
@@ -177,7 +178,7 @@ def _compared_force(base, muscle_length, pressure, p):
 def force_length_slope(muscle, muscle_length, pressure, p):
     """∂F/∂l [N/m] of :func:`force`."""
     base = MUSCLE + muscle * MUSCLE_SIZE
-    form = p[FORCE_FORM]
+    form = shared(p[FORCE_FORM])
     if form == 0.0:
         return p[base + V1] * pressure + p[base + W1]
     if form == _BRAIDED:

@@ -8,9 +8,15 @@ summed in pairs, which the processor computes in parallel.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
+
+from numba.core import types
+from numba.core.typing import signature
+from numba.extending import intrinsic
 
 from pam_antagonist._jit import inlined
-from pam_antagonist.model.lane_values import exponent, fraction, power_of_two, where
+from pam_antagonist.model.lane_values import LANES, ir, lanes, where
 
 _WHOLE = 1.5 * 2.0**52
 """Adding this to a number rounds it to an integer, if its absolute value is below 2^51."""
@@ -19,6 +25,41 @@ _LOG2_E = 1.0 / math.log(2.0)
 _LN2, _LN2_REST = float.fromhex("0x1.62E42FEEp-1"), 1.9082149292705877e-10
 _QUARTER, _QUARTER_REST = float.fromhex("0x1.921FB544p0"), 6.077100506506192e-11
 _FIRST_OF_UPPER_HALF = math.sqrt(2.0)
+
+
+def _of_bits(doc: str, build: Callable[..., Any]) -> Any:
+    """Define a function of the bits of a number, or of those of each lane."""
+
+    def typer(typingctx: Any, value: Any) -> Any:
+        if value is not lanes and value != types.float64:
+            return None
+
+        def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            kind = ir.VectorType(ir.IntType(64), LANES) if value is lanes else ir.IntType(64)
+
+            def constant(number: int) -> Any:
+                return ir.Constant(kind, [number] * LANES if value is lanes else number)
+
+            return builder.bitcast(build(builder, builder.bitcast(args[0], kind), constant), args[0].type)
+
+        return signature(value, value), code
+
+    typer.__doc__ = doc
+    return intrinsic(typer)
+
+
+_power_of_two = _of_bits(
+    "2 to the whole number n, −1022 to 1023, that was added to 1.5 · 2^52.",
+    lambda b, bits, c: b.shl(b.add(bits, c(1023)), c(52)),
+)
+_fraction = _of_bits(
+    "The number with another exponent: from 1 to 2.",
+    lambda b, bits, c: b.or_(b.and_(bits, c(0x000F_FFFF_FFFF_FFFF)), c(0x3FF0_0000_0000_0000)),
+)
+_exponent = _of_bits(
+    "2^52 and the exponent of a number, with the bias of 1023.",
+    lambda b, bits, c: b.or_(b.lshr(bits, c(52)), c(0x4330_0000_0000_0000)),
+)
 
 
 @inlined
@@ -36,7 +77,7 @@ def exp(x):
     low = (1.0 / 2.0 + r * (1.0 / 6.0)) + r2 * (1.0 / 24.0 + r * (1.0 / 120.0))
     middle = (1.0 / 720.0 + r * (1.0 / 5040.0)) + r2 * (1.0 / 40320.0 + r * (1.0 / 362880.0))
     high = (1.0 / 3628800.0 + r * (1.0 / 39916800.0)) + r2 * (1.0 / 479001600.0 + r * (1.0 / 6227020800.0))
-    return (1.0 + (r + r2 * (low + r4 * (middle + r4 * high)))) * power_of_two(shifted)
+    return (1.0 + (r + r2 * (low + r4 * (middle + r4 * high)))) * _power_of_two(shifted)
 
 
 @inlined
@@ -45,10 +86,10 @@ def log(x):
 
     With x = 2^n m and m from √½ to √2, it is n ln 2 + 2 artanh s, s = (m − 1)/(m + 1): eleven terms of the series.
     """
-    part = fraction(x)
+    part = _fraction(x)
     above = part > _FIRST_OF_UPPER_HALF
     m = where(above, 0.5 * part, part)
-    n = (exponent(x) - (2.0**52 + 1023.0)) + where(above, 1.0, 0.0)
+    n = (_exponent(x) - (2.0**52 + 1023.0)) + where(above, 1.0, 0.0)
     f = m - 1.0
     s = f / (2.0 + f)
     z = s * s

@@ -31,13 +31,9 @@ def _on_any_machine() -> object:
 @pytest.fixture(scope="module")
 def both_ways(_on_any_machine):
     """For plain rigs and others: one by one, side by side. All of it is in compiled code that other tests need too."""
-    return {
-        plain: [numba.njit(error_model="numpy")(way(step)) for way, step in (
-            (lanes._one_by_one, integration.plain_step if plain else integration.rk4_step_within),
-            (lanes._in_groups, lanes.step(plain)),
-        )]
-        for plain in (True, False)
-    }  # fmt: skip
+    steps = {True: integration.plain_step, False: integration.rk4_step_within}
+    ways = (lanes._one_by_one, lanes._in_groups)
+    return {plain: [numba.njit(error_model="numpy")(way(step)) for way in ways] for plain, step in steps.items()}
 
 
 @pytest.mark.parametrize("names", [(), ("leak",), ("valve_offset", "friction"), ("creep",), STATES], ids="+".join)

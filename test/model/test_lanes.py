@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
 import math
-import sys
 
 import numpy as np
 import pytest
 
-from pam_antagonist._jit import in_place, inlined
+from pam_antagonist._jit import in_place, inlined, kernel
 from pam_antagonist.model import (
     composition,
     drive,
-    dynamics,
     equilibrium,
-    lane_drive,
+    integration,
     lane_form,
     lane_values,
     lanes,
@@ -128,6 +125,49 @@ def _set_in_some_lanes(p, value):
     return value
 
 
+@inlined
+def _many_ways(value, p):
+    if value > 0.0:
+        if value > 1.0:
+            return value * p[0], 1.0
+        value += 0.5
+    for i in range(3):
+        if value < p[i] and not -0.5 < value < -0.2:
+            return p[i], 2.0 + i
+    low = 3.0 if value < 0.0 or value > 0.8 else value
+    if low == 3.0:
+        low, value = value, low
+    return low - value, 0.0
+
+
+@in_place
+def _many(x, p):
+    first, second = _many_ways(x[0], p)
+    if first > 0.0:
+        x[0] = second
+    x[1] += first
+
+
+@kernel
+def _many_lanes(x, p):
+    _many(lane_values.in_lanes(x), lane_values.in_lanes(p))
+
+
+@pytest.mark.slow
+def test_whatever_way_a_lane_goes_it_has_the_bits_of_a_number() -> None:
+    rng = np.random.default_rng(4)
+    ways = set()
+    for x, p in zip(rng.normal(size=(200, 2, lanes.LANES)), rng.normal(size=(200, 3, lanes.LANES)), strict=True):
+        together = x.copy()
+        _many_lanes(together, p)
+        for k in range(lanes.LANES):
+            alone, own = x[:, k].copy(), p[:, k].copy()
+            ways.add(_many_ways(alone[0], own)[1])
+            _many(alone, own)
+            assert np.array_equal(together[:, k], alone)
+    assert ways == {0.0, 1.0, 2.0, 3.0, 4.0}
+
+
 @pytest.mark.parametrize(("features", "width"), [("+avx2,+avx512f", (8, 3)), ("+avx,+avx2", (4, 2)), ("+sse2", (4, 5))])
 def test_a_processor_without_wide_instructions_runs_models_one_by_one(features: str, width: tuple[int, int]) -> None:
     assert lane_values.width(features) == width
@@ -138,25 +178,19 @@ def test_a_processor_without_wide_instructions_runs_models_one_by_one(features: 
 )
 def test_what_has_no_lane_form_is_refused_with_its_place(function) -> None:
     with pytest.raises(lane_form.NoLaneForm, match=f"{function.py_func.__name__}, line"):
-        lane_form.lane_module((function,))
+        lane_form.written(function.py_func)
 
 
 def test_an_effect_without_lane_form_leaves_the_models_to_run_one_by_one(p0, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> str:
-        raise lane_form.NoLaneForm("an effect with a while")
+    class Refusing:
+        def compile(self, _: object) -> None:
+            raise lane_form.NoLaneForm("an effect with a while")
 
-    monkeypatch.setattr(composition, "remembered", refuse)
-    monkeypatch.delitem(sys.modules, "pam_antagonist.model.lane_drive", raising=False)
-    lanes._side_by_side.cache_clear()
+    monkeypatch.setattr(integration, "rk4_step_within", Refusing())
+    monkeypatch.setattr(composition, "remembered", lambda _, generate: generate())
+    lanes.possible.cache_clear()
     try:
-        assert lanes._side_by_side() is None
+        assert not lanes.possible()
         assert_same([p0, par.changed(p0, {"joint.inertia": 5e-4})], inputs())
     finally:
-        lanes._side_by_side.cache_clear()
-
-
-def test_the_source_of_the_equations_is_what_is_written_for_lanes() -> None:
-    text = lane_drive.TEXT
-    for function in (dynamics.slopes, dynamics.rows):
-        assert f"def dynamics__{function.py_func.__name__}(" in text
-        assert "lanes" not in inspect.getsource(function.py_func)
+        lanes.possible.cache_clear()

@@ -69,6 +69,7 @@ import numpy as np
 from pam_antagonist._jit import in_place, inlined
 from pam_antagonist.model.effects import places
 from pam_antagonist.model.effects.base import AddedState, Effect, EffectParameter, SealedJoint, played
+from pam_antagonist.model.lane_values import shared
 
 LAWS, NODES = 12, 15
 """The most laws of a rig, and the most nodes of a law."""
@@ -121,19 +122,37 @@ _FADE = 2e3
 
 
 @inlined
+def _entry(place, p):
+    """An entry of the vector. numba does not wrap around an unsigned index, which would take time in each loop."""
+    return p[np.uint64(place)]
+
+
+@inlined
+def _code(law, which, p):
+    """An entry of a law's codes, which are the same in all lanes."""
+    return shared(_entry(law + which, p))
+
+
+@inlined
+def _is_at(law, place, muscle, p):
+    """Whether a law without a state acts at a place of a muscle."""
+    return _code(law, _PLACE, p) == place and (_code(law, _MUSCLE, p) == 0.0 or _code(law, _MUSCLE, p) == muscle + 1)
+
+
+@inlined
 def _tabled(law, argument, p):
     """Value of a table, linear between its nodes and constant outside."""
-    nodes = int(p[law + TABLE]) + _NODE_AT
+    nodes = int(_code(law, TABLE, p)) + _NODE_AT
     values = nodes + NODES
-    count = int(p[law + _COUNT])
+    count = int(_code(law, _COUNT, p))
     if count < 2:
-        return p[values]
-    lowest, low = p[nodes], p[values]
-    highest, high = p[nodes + 1], p[values + 1]
+        return _entry(values, p)
+    lowest, low = _entry(nodes, p), _entry(values, p)
+    highest, high = _entry(nodes + 1, p), _entry(values + 1, p)
     for k in range(2, count):
-        if argument > p[nodes + k - 1]:
-            lowest, low = p[nodes + k - 1], p[values + k - 1]
-            highest, high = p[nodes + k], p[values + k]
+        if argument > _entry(nodes + k - 1, p):
+            lowest, low = _entry(nodes + k - 1, p), _entry(values + k - 1, p)
+            highest, high = _entry(nodes + k, p), _entry(values + k, p)
     share = min(max((argument - lowest) / (highest - lowest), 0.0), 1.0)
     return low + share * (high - low)
 
@@ -141,12 +160,12 @@ def _tabled(law, argument, p):
 @inlined
 def _argued(law, muscle, now, own, p):  # noqa: C901 (a table of cases)
     """What a law depends on, before its operator [SI]; and the distance from its first node to the last one."""
-    what = int(p[law + _ARGUMENT])
+    what = int(_code(law, _ARGUMENT, p))
     angle, velocity, first, second = now
     length, length_rate, open_rate, flow, voltage = own
     value = 0.0 * first
     if what >= FIRST_SIGNAL:
-        value = p[int(p[law + SIGNAL])]
+        value = p[int(_code(law, SIGNAL, p))]
     elif what == _FIRST:
         value = first
     elif what == _SECOND:
@@ -175,26 +194,26 @@ def _argued(law, muscle, now, own, p):  # noqa: C901 (a table of cases)
         value = voltage
     elif what < _TIME:
         value = flow
-    first_node = int(p[law + TABLE]) + _NODE_AT
-    return value, p[first_node + int(p[law + _COUNT]) - 1] - p[first_node]
+    first_node = int(_code(law, TABLE, p)) + _NODE_AT
+    return value, p[first_node + int(_code(law, _COUNT, p)) - 1] - p[first_node]
 
 
 @in_place
 def _sums(place, muscle, now, own, law, x, p):
     """Sums of the laws at a place and at the two whose codes follow, in their units."""
     first_sum, second_sum, third_sum = 0.0, 0.0, 0.0
-    for k in range(int(p[law - 1])):
+    for k in range(int(shared(p[law - 1]))):
         codes = law + k * SIZE
-        further = p[codes + _PLACE] - place
-        side = JOINT if p[codes + _MUSCLE] == 3.0 else muscle
-        at = p[codes + STATE + side]
-        acts = p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == side + 1
+        further = _code(codes, _PLACE, p) - place
+        side = JOINT if _code(codes, _MUSCLE, p) == 3.0 else muscle
+        at = _code(codes, STATE + side, p)
+        acts = _code(codes, _MUSCLE, p) == 0.0 or _code(codes, _MUSCLE, p) == side + 1
         if acts and 0.0 <= further <= 2.0 and at < x.shape[0]:
             argument, span = _argued(codes, side, now, own, p)
             entry = argument
             if at > 0.0:
                 held = x[np.uint64(at)] * span
-                entry = argument - held if p[codes + _OPERATOR] >= _HIGH_PASS else held
+                entry = argument - held if _code(codes, _OPERATOR, p) >= _HIGH_PASS else held
             value = _tabled(codes, entry, p)
             if at == 0.0:
                 value = _passive(codes, value, argument, p)
@@ -210,9 +229,9 @@ def _sums(place, muscle, now, own, law, x, p):
 @inlined
 def _passive(law, value, rate, p):
     """A value that depends on a rate, but 0 where it would drive the motion; others as they are."""
-    of_torque = p[law + _PLACE] == TORQUE
-    if p[law + _ARGUMENT] == _VELOCITY or p[law + _ARGUMENT] == _LENGTH_RATE:
-        if of_torque or p[law + _PLACE] == FORCE or p[law + _PLACE] == STRENGTH:
+    of_torque = _code(law, _PLACE, p) == TORQUE
+    if _code(law, _ARGUMENT, p) == _VELOCITY or _code(law, _ARGUMENT, p) == _LENGTH_RATE:
+        if of_torque or _code(law, _PLACE, p) == FORCE or _code(law, _PLACE, p) == STRENGTH:
             # A muscle pulls: it works against the motion while it gets longer.
             against = -value if of_torque else value
             value = value if against * rate >= 0.0 else 0.0
@@ -236,9 +255,9 @@ def _lost_air(chamber_pressure, orifice_flow, now, own, atmosphere, supply_press
 @inlined
 def _slope_of(law, argument, p):
     """Slope of a table at an argument, 0 outside of the nodes."""
-    nodes = int(p[law + TABLE]) + _NODE_AT
+    nodes = int(_code(law, TABLE, p)) + _NODE_AT
     slope = 0.0
-    for k in range(1, int(p[law + _COUNT])):
+    for k in range(1, int(_code(law, _COUNT, p))):
         if argument >= p[nodes + k - 1] and argument < p[nodes + k]:
             slope = (p[nodes + NODES + k] - p[nodes + NODES + k - 1]) / (p[nodes + k] - p[nodes + k - 1])
     return slope
@@ -248,14 +267,14 @@ def _slope_of(law, argument, p):
 def _swollen(polytropic_rate, bulk_modulus, volume_rate, now, own, muscle, law, x, p):
     """dP/dt [Pa/s] of a muscle whose volume is V (1 + φ): place ``volume``."""
     share, by_length, by_pressure = 0.0, 0.0, 0.0
-    for k in range(int(p[law - 1])):
+    for k in range(int(shared(p[law - 1]))):
         codes = law + k * SIZE
-        if p[codes + _PLACE] == VOLUME and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
+        if _is_at(codes, VOLUME, muscle, p):
             argument, _ = _argued(codes, muscle, now, own, p)
             share += _tabled(codes, argument, p)
             slope = _slope_of(codes, argument, p)
-            by_length += slope if p[codes + _ARGUMENT] == _LENGTH else 0.0
-            by_pressure += slope if p[codes + _ARGUMENT] == _PRESSURE else 0.0
+            by_length += slope if _code(codes, _ARGUMENT, p) == _LENGTH else 0.0
+            by_pressure += slope if _code(codes, _ARGUMENT, p) == _PRESSURE else 0.0
     _, length_rate, _, _, _ = own
     volume = max(1.0 + share, _LEAST_VOLUME)
     carried = bulk_modulus * volume_rate
@@ -316,13 +335,13 @@ def _supply_shift(supply_pressure, now, law, x, p):
 def _shown(value, muscle, law, p):
     """Reading of a pressure sensor [Pa]; the inverse of :func:`_pressure_behind`, which is straight between nodes."""
     reading = value
-    for k in range(int(p[law - 1])):
+    for k in range(int(shared(p[law - 1]))):
         codes = law + k * SIZE
-        if p[codes + _PLACE] == SENSOR and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
-            nodes = int(p[codes + TABLE]) + _NODE_AT
+        if _is_at(codes, SENSOR, muscle, p):
+            nodes = int(_code(codes, TABLE, p)) + _NODE_AT
             values = nodes + NODES
             reading = value + p[values]
-            for j in range(1, int(p[codes + _COUNT])):
+            for j in range(1, int(_code(codes, _COUNT, p))):
                 before, after = p[nodes + j - 1] - p[values + j - 1], p[nodes + j] - p[values + j]
                 if value > before:
                     share = min((value - before) / (after - before), 1.0)
@@ -334,9 +353,9 @@ def _shown(value, muscle, law, p):
 def _pressure_behind(value, muscle, law, p):
     """The pressure behind a reading [Pa]: place ``sensor``."""
     pressure = value
-    for k in range(int(p[law - 1])):
+    for k in range(int(shared(p[law - 1]))):
         codes = law + k * SIZE
-        if p[codes + _PLACE] == SENSOR and (p[codes + _MUSCLE] == 0.0 or p[codes + _MUSCLE] == muscle + 1):
+        if _is_at(codes, SENSOR, muscle, p):
             pressure = value - _tabled(codes, value, p)
     return pressure
 
@@ -344,25 +363,27 @@ def _pressure_behind(value, muscle, law, p):
 @in_place
 def _rates(muscle, now, own, quickest_lag, law, x, dx, p):
     """Fill in the derivatives [1/s] of the laws' states, which are in units of the span of a law's nodes."""
-    for k in range(int(p[law - 1])):
+    for k in range(int(shared(p[law - 1]))):
         codes = law + k * SIZE
-        at = p[codes + STATE + muscle]
+        at = _code(codes, STATE + muscle, p)
         if at > 0.0:
             argument, span = _argued(codes, muscle, now, own, p)
             rate = 1.0 / span
-            if p[codes + _OPERATOR] == _PLAY or p[codes + _OPERATOR] == _STOP:
-                rate = played(p[int(p[codes + TABLE]) + _WIDTH_AT] / span, x[int(at)], argument / span, quickest_lag)
-            elif p[codes + _OPERATOR] != _CLOCK:
-                rate = (argument / span - x[int(at)]) / max(p[int(p[codes + TABLE]) + _TIME_AT], quickest_lag)
+            if _code(codes, _OPERATOR, p) == _PLAY or _code(codes, _OPERATOR, p) == _STOP:
+                rate = played(
+                    p[int(_code(codes, TABLE, p)) + _WIDTH_AT] / span, x[int(at)], argument / span, quickest_lag
+                )
+            elif _code(codes, _OPERATOR, p) != _CLOCK:
+                rate = (argument / span - x[int(at)]) / max(p[int(_code(codes, TABLE, p)) + _TIME_AT], quickest_lag)
             dx[int(at)] = rate
 
 
 @in_place
 def _rest(muscle, now, own, law, x, p):
     """Fill in the laws' states after a long rest."""
-    for k in range(int(p[law - 1])):
+    for k in range(int(shared(p[law - 1]))):
         codes = law + k * SIZE
-        at = p[codes + STATE + muscle]
+        at = _code(codes, STATE + muscle, p)
         if at > 0.0:
             argument, span = _argued(codes, muscle, now, own, p)
             x[int(at)] = argument / span
