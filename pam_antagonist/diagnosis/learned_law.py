@@ -387,13 +387,19 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     named = list({one.name: one for effect in effects for one in _namers(effect, others)[:1]}.values())
     entries = tuple(
         replace(
-            entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf),
+            entry,
+            errors=_from(first.errors, entry.errors),
+            ukf=_from(first.ukf, entry.ukf),
             residuals=_residuals(first, entry),
-        )  # fmt: skip
+        )
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
     )
     errors = _from(before.errors, after.errors)
     assert errors is not None
+    parts_after = {(one.number, one.experiment.trial.name): one for one in after.compared}
+    # In the order of the parts that miss most without laws.
+    without = {(one.number, one.experiment.trial.name): one.before or one for one in before.compared}
+    compared = [replace(parts_after[key], before=one) for key, one in without.items()]
     taken = {one.name for one in (*named, *earlier)}
     ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
     shown = [one.trial.name for one in both[1].experiments]
@@ -409,7 +415,7 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
         share=share, parts=tuple(parts),
         ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
         warnings=(*(notes if in_part else ()), *after.warnings, *estimator_worse(entries)),
-        recalibrated=before.recalibrated,
+        recalibrated=before.recalibrated, compared=tuple(compared),
         of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},
     )  # fmt: skip
 
