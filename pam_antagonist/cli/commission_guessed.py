@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.cli.commission_steps import Commission, StepFailed
+from pam_antagonist.cli.commission_steps import Commission, StepFailed, from_to
 from pam_antagonist.cli.demo import MODEL, task
 from pam_antagonist.cli.driving import SIMULATED
 from pam_antagonist.control.command import Mode, VoltageLimits
@@ -26,14 +26,14 @@ from pam_antagonist.control.model_law import ModelController, ModelGains, Seen, 
 from pam_antagonist.control.reference import Wanted
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.design import Plan
-from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
+from pam_antagonist.design.exploration import FirstAir, Quick, Slow, Towards
 from pam_antagonist.design.first_fill import TURNS, pulse_faults
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import equilibrium
-from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.physical import angle_range, rest_pressure, rest_voltage, unphysical, vented
@@ -102,21 +102,17 @@ class GuessedCommission(Commission):
 
     STEPS = ("wiring", "slow", "quick", "identify", "gains")
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        super().__init__(arguments)
+    def __init__(self, arguments: argparse.Namespace, rig: Rig) -> None:
+        super().__init__(arguments, rig)
+        least, command = vented(rig)
+        self._start = Plan(np.empty((0, 2)), rig.sample_period, "free", 0.0, self._limits, least, command)
         if arguments.source in SIMULATED and arguments.plant is None:
             # The file itself would be too easy: its numbers are a guess.
             joint = self._out / "simulated_joint.yaml"
             if not joint.exists():
-                about = f"The simulated joint of a rehearsal, drawn from the priors of {self._rig.name}."
-                write_rig(drawn(self._rig, arguments.seed), joint, [about])
+                about = f"The simulated joint of a rehearsal, drawn from the priors of {rig.name}."
+                write_rig(drawn(rig, arguments.seed), joint, [about])
             self._owner = replace(self._owner, rig=str(joint.resolve()), mismatch=0.0)
-
-    def _explored(self, name: str, program: Program) -> dict[str, Any]:
-        """Drive the joint by a program, from muscles without air on."""
-        least, command = vented(self._rig)
-        plan = Plan(np.empty((0, 2)), self._rig.sample_period, "free", 0.0, self._limits, least, command)
-        return self._recorded(name, plan, program, _WIDER)
 
     def _towards(self) -> Towards:
         p, (low, high) = self._rig.parameters(), self._rig.command_limits
@@ -129,49 +125,36 @@ class GuessedCommission(Commission):
 
     @override
     def _wiring(self) -> dict[str, Any]:
-        self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
         program = FirstAir(self._rig)
-        driven = self._explored("wiring", program)
-        recording = read_bag(self._out / driven.pop("bag"), judge=False)
-        if found := pulse_faults(self._rig, recording, program.pulses):
-            raise StepFailed("\n".join(fault.sentence for fault in found))
+        _, recording = self._first_air(self._start, program, _WIDER)
+        self._refuse(pulse_faults(self._rig, recording, program.pulses))
         turned = ", ".join(f"{math.degrees(pulse.turned):+.1f}" for pulse in program.pulses)
         said = f"each valve fills its muscle; a little air turned the joint by {turned} deg"
         if still := [str(i) for i, pulse in enumerate(program.pulses, 1) if not abs(pulse.turned) > TURNS]:
             said += f"; with valve {' and '.join(still)} too little to show the encoder's sign: check it by hand"
-        return {"said": said, "doubt": bool(still), **driven}
+        return {"said": said, "doubt": bool(still), "rig_s": recording.duration_s}
 
     def _slow(self) -> dict[str, Any]:
         self._ask("slow", "Joint free; it will turn slowly:")
         program = Slow(self._rig, self._limits, self._towards())
-        driven = self._explored("slow", program)
-        recording = read_bag(self._out / driven["bag"], judge=False)
-        assert recording.angle is not None
-        low, high = (math.degrees(float(bound(recording.angle))) for bound in (np.nanmin, np.nanmax))
+        driven = self._recorded("slow", self._start, program, _WIDER)
         if not program.confined:
             raise StepFailed(
                 "slow: the difference of the pressures did not turn the joint to its middle: is a muscle off, does a "
                 "load hold it, or does the encoder count the other way?"
             )
-        return {"said": f"the joint turned slowly from {low:+.1f} to {high:+.1f} deg", **driven}
+        return {"said": f"the joint turned slowly {from_to(self._recording(driven))}", **driven}
 
     def _quick(self) -> dict[str, Any]:
         self._ask("quick", "Joint free; it will turn quickly:")
-        slow = read_bag(self._out / self.steps["slow"]["bag"], judge=False)
-        seconds, seed = self._arguments.duration, self._arguments.seed
-        program = Quick(self._rig, self._limits, self._towards(), slow, seconds, seed)
-        driven = self._explored("quick", program)
+        seconds, slow = self._arguments.duration, self._recording(self.steps["slow"])
+        program = Quick(self._rig, self._limits, self._towards(), slow, seconds, self._arguments.seed)
+        driven = self._recorded("quick", self._start, program, _WIDER)
         return {"said": f"moved for {seconds:.0f} s, at last within {program.fastest:.2g} s a move", **driven}
 
     @override
     def _identify(self) -> dict[str, Any]:
-        from pam_antagonist.api.diagnose import IdentifyResult, identify
-        from pam_antagonist.identification.from_pressures import FromPressures
-
-        result = identify([*self._bags().values()], self._rig, seed=self._arguments.seed)
-        assert isinstance(result, IdentifyResult), "a rig of new_rig"
-        result.save(self._result("identified"), figures=True)
-        self._note_down(result)
+        result = self._identified(figures=True)
         if result.rejected:
             raise StepFailed(f"identify: do not use this rig: {result.rejected}")
         found = result.found
@@ -197,8 +180,7 @@ class GuessedCommission(Commission):
         }  # fmt: skip
         self._write_parameters(given)
         said = f"law through the model: pressures in {1e3 / gains.bandwidth:.0f} ms, integral {gains.integral:.2g}/s; "
-        said += held.in_words()
-        return {"said": said, "gains": given}
+        return {"said": said + held.in_words(), "gains": given}
 
 
 class Held(NamedTuple):
