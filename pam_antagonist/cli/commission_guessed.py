@@ -198,18 +198,6 @@ class Held(NamedTuple):
         return f"with the best gains simulated joints {how}, expected {math.degrees(self.allowed):.2g} deg at most"
 
 
-def seen(row: np.void) -> Seen:
-    """What a law goes by, of an estimate (an ``ESTIMATE_DTYPE``)."""
-    covariance, innovation = row["covariance"], row["innovation_covariance"]
-    first, second = row["pressure"].tolist()
-    return Seen(
-        float(row["angle"]), float(row["velocity"]), float(row["torque"]), first, second,
-        float(row["external_torque"]), float(row["external_torque_covariance"][3]),
-        float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[2, 2]),
-        float(innovation[0, 0]), float(innovation[1, 1]),
-    )  # fmt: skip
-
-
 def held_angles(rig: Rig, plant: Plant, gains: ModelGains, zero: float = 0.0) -> Held:
     """Steps of the angle, as a demo asks for them, on a simulated joint, with filter and law of a rig.
 
@@ -231,7 +219,7 @@ def held_angles(rig: Rig, plant: Plant, gains: ModelGains, zero: float = 0.0) ->
         assert row is not None  # every sample is newer than the one before
         if abs(sample.truth[0]) > 0.5 * math.pi:
             return Held(math.inf, allowed, largest)  # it has run away
-        command = laws.step(Wanted(Mode.ANGLE, float(values[k // size])), seen(row)).voltage
+        command = laws.step(Wanted(Mode.ANGLE, float(values[k // size])), Seen.of(row)).voltage
         angles.append(float(sample.truth[0]) - zero)
     ends = np.reshape(angles, (len(values), size))[:, -last:] - values[:, None]
     error = float(np.max(np.sqrt(np.mean(ends**2, axis=1))))

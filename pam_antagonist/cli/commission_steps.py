@@ -19,7 +19,7 @@ from pam_antagonist.cli.driving import SIMULATED, DrivenExperiment, Owner, drive
 from pam_antagonist.cli.progress import counted
 from pam_antagonist.cli.recordings import note_down
 from pam_antagonist.design import Plan, designed
-from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
+from pam_antagonist.design.apart import LIKELY, no_motion_decides, told_apart
 from pam_antagonist.design.exploration import Program
 from pam_antagonist.design.first_fill import WiringFault, dead_sensors, faults, first_fill, turns_visibly
 from pam_antagonist.design.loop_gains import loop_gains
@@ -37,7 +37,6 @@ from pam_antagonist.strict_yaml import dump
 if TYPE_CHECKING:
     from pam_antagonist.api.diagnose import IdentifyResult
 
-STEPS = ("wiring", "free", "locked", "identify", "close_loop", "apart", "gains")
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
 _LATEST_NS = 500_000_000
@@ -78,7 +77,7 @@ class Commission:
     `steps`: of each step that was tried, by its name: whether it is ``done``, what it ``said``, and what else it found.
     """
 
-    STEPS: tuple[str, ...] = STEPS
+    STEPS: tuple[str, ...] = ("wiring", "free", "locked", "identify", "close_loop", "apart", "gains")
 
     def __init__(self, arguments: argparse.Namespace, rig: Rig) -> None:
         self._arguments, self._rig = arguments, rig
@@ -287,7 +286,7 @@ class Commission:
         if verdict.chance < LIKELY:
             self._at("apart", "looking for what would decide")
             said = f"{given[1]} or {' or '.join(given[2])}: the probability of a decision is {verdict.chance:.0%}. "
-            said += no_motion_decides(instead_of(*given, verdict, channels))
+            said += no_motion_decides(*given, verdict, channels)
             return {"said": f"{said}. The joint was not driven", "chance": verdict.chance}
         seconds, likely = f"{verdict.plan.duration:.0f} s", f"{verdict.chance:.0%}"
         print(f"the experiment takes {seconds} and decides with a probability of {likely}", flush=True)
