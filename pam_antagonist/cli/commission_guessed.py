@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.cli.commission_steps import Commission, StepFailed, from_to
+from pam_antagonist.cli.commission_steps import FIRST_AIR, Commission, StepFailed, from_to
 from pam_antagonist.cli.demo import MODEL, task
 from pam_antagonist.cli.driving import SIMULATED
 from pam_antagonist.control.command import Mode, VoltageLimits
@@ -100,7 +101,10 @@ def _drivable(joint: Rig) -> bool:
 class GuessedCommission(Commission):
     """A commissioning of a joint whose rig file is a guess."""
 
-    STEPS = ("wiring", "slow", "quick", "identify", "gains")
+    STEPS: Mapping[str, str] = {
+        "wiring": FIRST_AIR, "slow": "Joint free; it will turn slowly:", "quick": "Joint free; it will turn quickly:",
+        "identify": "", "gains": "",
+    }  # fmt: skip
 
     def __init__(self, arguments: argparse.Namespace, rig: Rig) -> None:
         super().__init__(arguments, rig)
@@ -126,7 +130,7 @@ class GuessedCommission(Commission):
     @override
     def _wiring(self) -> dict[str, Any]:
         program = FirstAir(self._rig)
-        _, recording = self._first_air(self._start, program, _WIDER)
+        _, recording = self._driven("wiring", self._start, program, _WIDER)
         self._refuse(pulse_faults(self._rig, recording, program.pulses))
         turned = ", ".join(f"{math.degrees(pulse.turned):+.1f}" for pulse in program.pulses)
         said = f"each valve fills its muscle; a little air turned the joint by {turned} deg"
@@ -135,7 +139,6 @@ class GuessedCommission(Commission):
         return {"said": said, "doubt": bool(still), "rig_s": recording.duration_s}
 
     def _slow(self) -> dict[str, Any]:
-        self._ask("slow", "Joint free; it will turn slowly:")
         program = Slow(self._rig, self._limits, self._towards())
         driven = self._recorded("slow", self._start, program, _WIDER)
         if not program.confined:
@@ -146,7 +149,6 @@ class GuessedCommission(Commission):
         return {"said": f"the joint turned slowly {from_to(self._recording(driven))}", **driven}
 
     def _quick(self) -> dict[str, Any]:
-        self._ask("quick", "Joint free; it will turn quickly:")
         seconds, slow = self._arguments.duration, self._recording(self.steps["slow"])
         program = Quick(self._rig, self._limits, self._towards(), slow, seconds, self._arguments.seed)
         driven = self._recorded("quick", self._start, program, _WIDER)

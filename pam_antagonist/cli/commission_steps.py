@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 _LOCKED_S = 26.0
 """[s] Shortest experiment with the joint locked: close_loop wants 20 s and more in which the valves move."""
 _LATEST_NS = 500_000_000
+FIRST_AIR = "Joint free, nothing in its way, supply on; keep away from it:"
 _CHECK = "; let the air out, and check valves and sensors"
 _BEYOND = """\
 . The joint goes farther than its model says. What helps:
@@ -74,10 +75,14 @@ def _begun(out: Path, rig: str) -> dict[str, dict[str, Any]]:
 class Commission:
     """A commissioning, and what of it is done.
 
-    `steps`: of each step that was tried, by its name: whether it is ``done``, what it ``said``, and what else it found.
+    `STEPS`: what the person at the rig is asked before each step; nothing before one that needs nobody. `steps`: of
+    each step that was tried, by its name: whether it is ``done``, what it ``said``, and what else it found.
     """
 
-    STEPS: tuple[str, ...] = ("wiring", "free", "locked", "identify", "close_loop", "apart", "gains")
+    STEPS: Mapping[str, str] = {
+        "wiring": FIRST_AIR, "free": "Joint free:", "locked": "Lock the joint at 0 degrees:", "identify": "",
+        "close_loop": "", "apart": "", "gains": "",
+    }  # fmt: skip
 
     def __init__(self, arguments: argparse.Namespace, rig: Rig) -> None:
         self._arguments, self._rig = arguments, rig
@@ -132,6 +137,8 @@ class Commission:
         self._at(name, "working")
         begin, result = time.monotonic(), {"done": False, "said": "interrupted"}
         try:
+            if self.STEPS[name]:
+                self._ask(name, self.STEPS[name])
             result = {"done": True, **getattr(self, f"_{name}")()}
         except Exception as fault:
             result["said"] = str(fault) or type(fault).__name__
@@ -142,7 +149,7 @@ class Commission:
         print(f"{name}: {result['said']}", flush=True)
 
     def _at(self, name: str, what: str, seconds: float | None = None) -> None:
-        self._say(f"step {self.STEPS.index(name) + 1} of {len(self.STEPS)}, {name}: {what}", seconds)
+        self._say(f"step {list(self.STEPS).index(name) + 1} of {len(self.STEPS)}, {name}: {what}", seconds)
 
     def _ask(self, name: str, text: str) -> None:
         if not self._arguments.unattended:
@@ -155,35 +162,31 @@ class Commission:
                     "(simulated joint only)"
                 ) from None
 
-    def _driven(self, name: str, plan: Plan, program: Program | None = None) -> tuple[DrivenExperiment, Recording]:
-        """Drive the joint by a plan or a program, and record it, into a new folder."""
+    def _driven(
+        self, name: str, plan: Plan, program: Program | None = None, advice: str = _BEYOND
+    ) -> tuple[DrivenExperiment, Recording]:
+        """Drive the joint by a plan or a program, to its end, and record it into a new folder.
+
+        The advice is for an experiment that ends early.
+        """
         number = next(k for k in count(1) if not (self._out / f"{name}_{k}").exists())
         folder = self._out / f"{name}_{number}"
         folder.mkdir()
         widened(ExciteResult, plan, rig=self._rig).write(folder)
         self._at(name, "driving the joint", plan.duration if program is None else program.seconds)
         driven = drive(self._owner, plan, folder, self._rig, program)
-        return driven, read_bag(driven.bag, judge=False)
+        recording = read_bag(driven.bag, judge=False)
+        if driven.ended:
+            if name == "wiring":  # a sensor that always shows a high pressure ends it as well
+                self._refuse(dead_sensors(recording.pressure))
+            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}{advice}")
+        return driven, recording
 
     def _recorded(self, name: str, plan: Plan, program: Program | None = None, advice: str = _BEYOND) -> dict[str, Any]:
-        """Drive a plan or a program, to its end; the advice is for one that ends early."""
-        driven, recording = self._driven(name, plan, program)
-        if driven.ended:
-            raise StepFailed(f"{name}: the experiment ended early, {driven.ended}{advice}")
+        """Drive the joint for a recording that the next steps learn from."""
+        driven, recording = self._driven(name, plan, program, advice)
         seconds = plan.duration if program is None else recording.duration_s
         return {"bag": str(driven.bag.relative_to(self._out)), "rig_s": seconds}
-
-    def _first_air(
-        self, plan: Plan, program: Program | None = None, advice: str = _CHECK
-    ) -> tuple[DrivenExperiment, Recording]:
-        """Let the first air in, by a plan or a program, to its end."""
-        self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
-        driven, recording = self._driven("wiring", plan, program)
-        if driven.ended:
-            # A sensor that always shows a high pressure ends it as well.
-            self._refuse(dead_sensors(recording.pressure))
-            raise StepFailed(f"wiring: the experiment ended early, {driven.ended}{advice}")
-        return driven, recording
 
     def _refuse(self, found: Sequence[WiringFault]) -> None:
         if found:
@@ -191,7 +194,7 @@ class Commission:
 
     def _wiring(self) -> dict[str, Any]:
         plan = first_fill(self._rig, self._limits.pressure[1])
-        driven, recording = self._first_air(plan)
+        driven, recording = self._driven("wiring", plan, advice=_CHECK)
         samples = driven.begun_ns + np.round(np.arange(len(plan.voltage)) * plan.period * 1e9).astype(np.int64)
         if recording.stamp_ns[-1] < samples[-1] - _LATEST_NS:
             raise StepFailed(
@@ -210,11 +213,9 @@ class Commission:
         return {"said": said, "doubt": doubt, "rig_s": plan.duration}
 
     def _free(self) -> dict[str, Any]:
-        self._ask("free", "Joint free:")
         return self._excited("free", self._arguments.duration)
 
     def _locked(self) -> dict[str, Any]:
-        self._ask("locked", "Lock the joint at 0 degrees:")
         result = self._excited("locked", max(_LOCKED_S, 0.5 * self._arguments.duration))
         self._ask("locked", "Take the lock away:")
         return result

@@ -108,6 +108,19 @@ def test_each_step_goes_on_after_ctrl_c(stopped, tmp_path, capsys):
     assert 5.0 < gains["bias"] < 5.6 and gains["angle_proportional"] > 1.0
 
 
+def test_a_person_is_asked_before_each_step_that_needs_one(stopped, monkeypatch, tmp_path):
+    asked: list[str] = []
+    monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt.removesuffix(" [Enter] ")))
+    stopped.calls.update(
+        dict.fromkeys(("wiring", "free", "locked", "identified", "found", "apart", "found_again"), 1)
+    )
+    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--source", "rehearsal"]
+    assert commission.main(words) == 0
+    first, *others = asked
+    assert first == "Joint free, nothing in its way, supply on; keep away from it:"
+    assert others == ["Joint free:", "Lock the joint at 0 degrees:", "Take the lock away:", "Joint free:"]
+
+
 def test_recordings_that_no_model_fits_are_left_to_close_loop(stopped, monkeypatch, tmp_path, capsys):
     from pam_antagonist.api import diagnose
 
