@@ -62,13 +62,8 @@ def _one_of(*choices: str) -> Callable[[str], str]:
     return read
 
 
-def _part(what: str, parts: Callable[[], Mapping[str, Any]]) -> Callable[[str], str]:
-    def read(text: str) -> str:
-        if text != OWN:
-            named(what, text, dict(parts()))
-        return text
-
-    return read
+def _part(what: str, parts: Callable[[], dict[str, Any]]) -> Callable[[str], Any]:
+    return lambda text: OWN if text == OWN else named(what, text, parts())
 
 
 def _list(parts: Callable[[], Mapping[str, Any]]) -> str:
@@ -274,7 +269,7 @@ def new_rig(**answers: str) -> Rig:
         raise BadInput(f"{unknown[0]}: no such answer; expected one of {expected}")
     given = Answers(answers)
     given.read()
-    return starting_point(facts_of(given.values))
+    return starting_point(facts_of(given))
 
 
 _AS_ANSWERED = (
@@ -282,18 +277,18 @@ _AS_ANSWERED = (
 )  # fmt: skip
 
 
-def facts_of(values: Mapping[str, Any]) -> Facts:
+def facts_of(answers: Answers) -> Facts:
     """What the answers say."""
-    low, high = values.get("voltage", (0.0, 10.0))
+    values, texts = answers.values, answers.texts
     regulator = _regulator(values) if values["drive"] == "regulator" else None
     mass = values["limb_mass"]
     return Facts(
         **{name: values[name] for name in _AS_ANSWERED},
         muscle=_muscle(values),
-        muscle_name=f"muscle {values['muscle']}",
+        muscle_name=f"muscle {texts['muscle']}",
         valve=_valve(values, regulator),
-        valve_name=f"valve {values['valve']}" if regulator is None else f"pressure regulators {values['regulator']}",
-        voltage=(low, high),
+        valve_name=f"valve {texts['valve']}" if regulator is None else f"pressure regulators {texts['regulator']}",
+        voltage=values.get("voltage", (0.0, 10.0)),
         pressure_range=values["sensor_range"],
         pressure_bits=round(values["sensor_bits"]),
         period=1.0 / values["rate"],
@@ -305,7 +300,7 @@ def facts_of(values: Mapping[str, Any]) -> Facts:
 
 def _muscle(values: Mapping[str, Any]) -> MusclePart:
     if values["muscle"] != OWN:
-        return named("muscle", values["muscle"], muscle_parts())
+        return values["muscle"]
     sheet = {name: values[f"muscle_{name}"] for name in ("diameter", "force", "pressure")}
     share = values["muscle_contraction"] / 100.0
     return MusclePart(**sheet, contraction=share, source="measured or by its data sheet")
@@ -315,7 +310,7 @@ def _valve(values: Mapping[str, Any], regulator: RegulatorPart | None) -> ValveP
     if regulator is not None:
         return valve_parts()["shin2022"].replaced(source=regulator.source)  # its numbers play no part
     if values["valve"] != OWN:
-        return named("valve", values["valve"], valve_parts())
+        return values["valve"]
     curve, closed = Curve(voltage=values["voltage"], open_rate=(0.0, 1.0)), values["valve_centre"] == "closed"
     source = "its data sheet; the curve is a guess"
     return ValvePart(flow=values["valve_flow"], curve=curve, closed_centre=closed, source=source)
@@ -323,7 +318,7 @@ def _valve(values: Mapping[str, Any], regulator: RegulatorPart | None) -> ValveP
 
 def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
     if values["regulator"] != OWN:
-        return named("regulator", values["regulator"], regulator_parts())
+        return values["regulator"]
     low, high = values["regulator_range"]
     return RegulatorPart(lowest=low, highest=high, hysteresis=0.0, source="your answer")
 

@@ -91,7 +91,7 @@ class _Answers(Answers):
         """What the answers say, and the rig file that they make; answers that contradict each other are asked again."""
         while True:
             self.read()
-            facts = facts_of(self.values)
+            facts = facts_of(self)
             try:
                 return facts, starting_point(facts)
             except Contradiction as error:

@@ -111,9 +111,7 @@ def test_each_step_goes_on_after_ctrl_c(stopped, tmp_path, capsys):
 def test_a_person_is_asked_before_each_step_that_needs_one(stopped, monkeypatch, tmp_path):
     asked: list[str] = []
     monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt.removesuffix(" [Enter] ")))
-    stopped.calls.update(
-        dict.fromkeys(("wiring", "free", "locked", "identified", "found", "apart", "found_again"), 1)
-    )
+    stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "identified", "found", "apart", "found_again"), 1))
     words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--source", "rehearsal"]
     assert commission.main(words) == 0
     first, *others = asked
