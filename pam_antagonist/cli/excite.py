@@ -88,7 +88,10 @@ def _main(arguments: argparse.Namespace) -> int:
     if promise:
         print(promise)
     out: Path = arguments.out
-    out.mkdir(parents=True)
+    try:
+        out.mkdir(parents=True)
+    except OSError as error:
+        raise BadInput(f"{out}: cannot be made: {error.strerror}") from None
     planned = widened(ExciteResult, plan, rig=rig)
     planned.write(out)
     print(planned.summary())
