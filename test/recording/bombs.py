@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import resource
 import sqlite3
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import lz4.frame
@@ -47,6 +49,18 @@ def assert_refused_in_a_gigabyte(imports: str, reads: str, *words: str, seconds:
     assert "memory" not in said.lower()  # refused, not starved
     assert took < seconds and megabytes < 1000.0
     print(f"{words[0]}: {took:.2f} s, {megabytes:.0f} MB: {said}")
+
+
+@contextmanager
+def little_memory(limit: int = 1 << 30) -> Iterator[None]:
+    """Let nothing allocate more than ``limit`` bytes on top of what the process has."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def mcap(*bodies: bytes) -> bytes:
