@@ -14,6 +14,7 @@ from pathlib import Path
 
 import lz4.frame
 from backports import zstd
+from edits import laughs
 from fake_bags import FLUID
 from mcap_bytes import FOOTER, HEADER, chunk, message, record, text
 
@@ -113,16 +114,16 @@ def packed_messages(folder: Path) -> Path:
 
 
 def laughing_metadata(folder: Path) -> Path:
-    lines = ["rosbag2_bagfile_information:", "  custom_data:", "    a0: &a0 [ha, ha]"]
-    lines += [f"    a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
-    (folder / "metadata.yaml").write_text("\n".join(lines) + "\n  relative_file_paths: [bag.mcap]\n")
+    custom = "\n    ".join(["  custom_data:", *laughs("[ha, ha]", "[{}]", 12)])
+    (folder / "metadata.yaml").write_text(
+        f"rosbag2_bagfile_information:\n{custom}\n  relative_file_paths: [bag.mcap]\n"
+    )
     (folder / "bag.mcap").write_bytes(mcap())
     return folder
 
 
 def merging_metadata(folder: Path) -> Path:
-    lines = ["a0: &a0 {x: 1}"] + [f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}" for k in range(1, 12)]
-    (folder / "metadata.yaml").write_text("\n".join(lines))
+    (folder / "metadata.yaml").write_text("\n".join(laughs("{x: 1}", "{{<<: [{}]}}", 12)))
     return folder
 
 

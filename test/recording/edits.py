@@ -16,6 +16,13 @@ VALUES = [
     "'" + "x" * 5000 + "'", "\ufeff", "\u2028", "{1: 2}",
 ]  # fmt: skip
 
+
+def laughs(first: str, each: str, levels: int = 10) -> list[str]:
+    """A billion laughs: entries of a mapping, each of ten aliases of the one before, 10 ** levels once written out."""
+    aliases = (", ".join([f"*a{k}"] * 10) for k in range(levels))
+    return [f"a0: &a0 {first}"] + [f"a{k}: &a{k} {each.format(text)}" for k, text in enumerate(aliases, 1)]
+
+
 Edit = tuple[str, int, int]
 EDIT = st.one_of(
     st.tuples(st.just("cut"), st.integers(0, 10**6), st.just(0)),

@@ -8,28 +8,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from edits import VALUES
-
-
-def laughs(levels: int, width: int) -> str:
-    """A billion laughs: lists of aliases of lists, width ** levels items once written out."""
-    lines = ["a0: &a0 [ha, ha]"]
-    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * width)}]" for k in range(1, levels)]
-    return "\n".join(lines) + "\n"
-
-
-def laughs_in_place(levels: int, width: int) -> str:
-    """The same as one value, so that no other complaint comes before it."""
-    parts = ["a0: &a0 {x: 1}"]
-    parts += [f"a{k}: &a{k} {{{', '.join(f'k{j}: *a{k - 1}' for j in range(width))}}}" for k in range(1, levels)]
-    return "{" + ", ".join(parts) + "}"
-
-
-def laughs_by_merging(levels: int, width: int) -> str:
-    lines = ["a0: &a0 {x: 1}"]
-    lines += [f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * width)}]}}" for k in range(1, levels)]
-    return "\n".join(lines) + "\n"
-
+from edits import VALUES, laughs
 
 CONTENTS = {
     "empty": ("", "expected a mapping"),
@@ -50,8 +29,8 @@ CONTENTS = {
     "deep closed list": ("a: " + "[" * 10_000 + "]" * 10_000, "not valid YAML"),
     "deep mapping": ("a: " + "{a: " * 5_000, "not valid YAML"),
     "deep block mapping": ("".join(" " * k + "a:\n" for k in range(420)), "not valid YAML"),
-    "billion laughs": (laughs(10, 10), "stand for more than 100000 values"),
-    "billion laughs by merging": (laughs_by_merging(10, 10), "stand for more than 100000 values"),
+    "billion laughs": ("\n".join(laughs("[ha, ha]", "[{}]")), "stand for more than 100000 values"),
+    "billion laughs by merging": ("\n".join(laughs("{x: 1}", "{{<<: [{}]}}")), "stand for more than 100000 values"),
     "hexadecimal number of 50,000 digits": (f"geometry: {{radius: 0x{'f' * 50_000}}}\n", ""),
     "number of 20,000 digits": (f"name: {'1' * 20_000}\n", "too large"),
     "a file of 2 MB": ("#" * 2_000_000, "bytes"),
@@ -72,7 +51,7 @@ TOUCH = "!!python/object/apply:"
 NONE = [
     *VALUES, f"{TOUCH}pathlib.Path.touch [touched]", f"{TOUCH}os.system ['touch touched']", "!!binary é", "!!null x",
     "!!python/object/new:os.PathLike []", "!!bool x", "!!set 3", "0x" + "f" * 9_000, "0b" + "1" * 990,
-    ":".join(["59"] * 9_000), laughs_in_place(10, 10), laughs_in_place(4, 10),
+    ":".join(["59"] * 9_000), *(f"{{{', '.join(laughs('[ha, ha]', '[{}]', levels))}}}" for levels in (10, 4)),
 ]  # fmt: skip
 SAID = ("geometry", "too large", "not valid YAML", "stand for more than 100000 values")
 
