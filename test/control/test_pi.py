@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pam_antagonist.control.command import PI_MODES, Mode, Status, VoltageLimits
@@ -47,24 +47,19 @@ def test_law_is_the_paper_s_state_space_form(mode):
         x += e
 
 
-values = st.one_of(errors, st.sampled_from([math.nan, math.inf, -math.inf]))
-calls = st.tuples(st.sampled_from([None, *Mode]), values, values, st.booleans())
-
-
-@given(st.lists(calls, min_size=1, max_size=200), voltages)
-def test_whatever_comes_the_voltages_are_within_the_limits_and_the_integral_never_asks_for_more(sequence, valves):
+@given(st.lists(errors, min_size=1, max_size=200), st.sampled_from(PI_MODES), voltages)
+def test_voltages_never_leave_the_limits_and_the_integral_never_asks_for_it(sequence, mode, valves):
     limits = VoltageLimits(1.0, 9.5)
     # an integral that could run away within a few samples
     gains = {m: Gains(7.0, 900.0, 5.5) for m in PI_MODES}
-    controller = PiController(gains, limits=limits, safe_voltage=(4.0, 4.0))
+    controller = PiController(gains, limits=limits)
     controller.stop(tuple(limits.clip(u) for u in valves))
-    assert all(controller.span(mode) == pytest.approx(4.0) for mode in PI_MODES)
-    for mode, wanted, value, late in sequence:
-        command = controller.step(mode, wanted, value, late=late)
+    span = controller.span(mode)
+    assert span == pytest.approx(4.0)
+    for e in sequence:
+        command = controller.step(mode, e, 0.0)
         assert all(1.0 <= u <= 9.5 for u in command.voltage)
-        assert abs(controller.integral) <= 4.0 + 1e-12
-        usable = mode in PI_MODES and not late and math.isfinite(wanted) and math.isfinite(value)
-        assert command.status.safe is not usable
+        assert abs(controller.integral) <= span
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -168,6 +163,28 @@ def test_after_a_long_interruption_the_start_is_bumpless_from_the_safe_voltages(
     assert controller.step(Mode.ANGLE, 0.3, 0.1).voltage == (5.5, 5.5)
 
 
+@settings(max_examples=50)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([None, *Mode]),
+            st.sampled_from([0.0, 0.4, -2.0, math.nan, math.inf]),
+            st.sampled_from([0.0, -0.4, 2.0, math.nan, -math.inf]),
+            st.booleans(),
+        ),
+        max_size=300,
+    )
+)
+def test_whatever_comes_the_voltages_are_finite_and_within_the_limits(calls):
+    controller = PiController(safe_voltage=(4.0, 4.0))
+    for mode, wanted, value, late in calls:
+        command = controller.step(mode, wanted, value, late=late)
+        assert all(0.0 <= u <= 10.0 for u in command.voltage)
+        assert math.isfinite(controller.integral)
+        usable = mode in PI_MODES and not late and math.isfinite(wanted) and math.isfinite(value)
+        assert command.status.safe is not usable
+
+
 @pytest.mark.parametrize(
     "make",
     [
@@ -194,13 +211,38 @@ STEP_SECONDS = 6.0
 RIG = load_rig("shin2022")
 
 
-def test_the_loop_settles_without_saturation():
-    plant, controller = Plant(RIG, noise=False), PiController(sample_period=RIG.sample_period)
-    valves, saturated = (5.5, 5.5), []
+class Printed(PiController):
+    """The paper's law: the printed gains, and nothing against windup."""
+
+    def _integrate(self, mode, gains, error, half):
+        self.integral += gains.integral / self._period * error
+
+
+def run(kind=PiController):
+    """Angle [rad], reference [rad] and whether a valve was at its limit, a sample (N,)."""
+    plant = Plant(RIG, noise=False)
+    controller = kind(sample_period=RIG.sample_period)
+    angle, valves = 0.0, (5.5, 5.5)
+    log = []
     for degrees in STEPS_DEG:
         for _ in range(round(STEP_SECONDS / RIG.sample_period)):
-            angle = float(plant.step(valves).angle)
+            sample = plant.step(valves)
+            angle = float(sample.angle)
             valves, status = controller.step(Mode.ANGLE, math.radians(degrees), angle)
-            saturated.append(status is Status.SATURATED)
-        assert abs(degrees - math.degrees(angle)) < 2.0
-    assert np.mean(saturated) < 0.01
+            log.append((angle, math.radians(degrees), status is Status.SATURATED))
+    return np.array(log)
+
+
+def test_as_printed_the_valves_sit_in_saturation():
+    log = run(Printed)
+    assert log[:, 2].mean() > 0.6
+    moving = log[round(STEP_SECONDS / RIG.sample_period) :]
+    assert np.degrees(np.abs(moving[:, 0] - moving[:, 1])).mean() > 5.0
+
+
+def test_corrected_the_loop_settles_without_saturation():
+    log = run()
+    assert log[:, 2].mean() < 0.01
+    n = round(STEP_SECONDS / RIG.sample_period)
+    for end in (n, 2 * n, 3 * n):
+        assert abs(np.degrees(log[end - 1, 0] - log[end - 1, 1])) < 2.0

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pam_antagonist.model import drive, equilibrium, integration
+from pam_antagonist.model import integration
 from pam_antagonist.rig import Rig
 
 ATMOSPHERE, TANK = 101.3e3, 710e3
@@ -60,14 +60,3 @@ def steps(x: list[float], p: np.ndarray, number: int, dt: float = 1e-3, u=(5.5, 
     for k in range(number):
         integration.rk4_step(out[k], np.array(u), p, dt, out[k + 1])
     return out
-
-
-def assert_same_bits(vectors: list[np.ndarray], given: np.ndarray) -> None:
-    """Models side by side under the same commands go the same ways as one by one."""
-    starts = [equilibrium.initial_state(0.05, 3e5, 2.5e5, given[0], p) for p in vectors]
-    along = drive.Inputs.even(len(given), 1e-3, command=given)
-    together = along.driven_each([x[None] for x in starts], vectors, drive.TORQUE)
-    for x, p, (states, shown) in zip(starts, vectors, together, strict=True):
-        alone = drive.course(x, given, p, 1e-3, 1)
-        assert np.array_equal(states, alone[0], equal_nan=True)
-        assert np.array_equal(shown[0], alone[1], equal_nan=True)

@@ -2,106 +2,61 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import typing
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import simulate_model
 from pam_antagonist.model import flow, joint, muscle, orifice
 from pam_antagonist.model import parameters as par
-from pam_antagonist.model.force_forms import FORMS
-from pam_antagonist.rig import Rig
-from pam_antagonist.rig.schema import ModelForm
+from pam_antagonist.rig import Rig, load_rig
 
-USUAL = {
-    "linear": {"v1": 3e-3, "v2": -4e-4, "w1": 800.0, "w2": -150.0},
-    "hildebrandt": dict(zip((f"c{k}" for k in range(1, 8)), (5.0, -8.0, 3.0, 12.0, 20.0, -15.0, 4.0), strict=True)),
-    "sarosi": dict(zip((f"c{k}" for k in range(1, 7)), (40.0, -12.0, -4.0, 30.0, -8.0, 3.0), strict=True)),
-    "polynomial": dict(zip((f"c{k}" for k in range(1, 7)), (5.0, -8.0, 3.0, 12.0, 20.0, -15.0), strict=True)),
-    "braided": {"c1": 60.0, "c2": 4.0, "c3": 20.0, "c4": 60.0, "c5": 0.01, "c6": 0.17, "c7": 1.0},
-}
-"""Coefficients of each force law."""
-LENGTHS = (0.12, 0.145, 0.1655, 0.1683, 0.175)
-"""[m] Contracted, and the braided muscle beyond its nominal length."""
+COEFFICIENTS = (12.0, -25.0, -8.0, 30.0, -14.0, 3.0, -20.0)
 
 
-def changed(rig: Rig, **values: float) -> np.ndarray:
-    return par.changed(rig.parameters(), {name.replace("__", "."): value for name, value in values.items()})
+def with_form(rig: Rig, force: str = "linear", friction: str = "kikuuwe", **friction_values: float) -> Rig:
+    coefficients = {f"c{k + 1}": value for k, value in enumerate(COEFFICIENTS)}
+    own = {
+        name: getattr(rig, name).replaced(force=getattr(rig, name).force.replaced(**coefficients))
+        for name in ("muscle_1", "muscle_2")
+    }
+    changed = rig.replaced(**own, friction=rig.friction.replaced(**friction_values))
+    return changed.replaced(model=rig.model.replaced(force=force, friction=friction))
 
 
-def with_force(rig: Rig, form: str, **changes: float) -> np.ndarray:
-    """Both muscles have this law."""
-    values = USUAL[form] | changes
-    p = changed(rig, **{f"muscle_{i}__force__{name}": value for i in (1, 2) for name, value in values.items()})
-    p[par.FORCE_FORM] = float(par.FORCE_FORMS.index(form))
-    return par.refresh(p)
-
-
-def published(form: str, length: float, pressure: float, rig: Rig) -> float:
-    c1, c2, c3, c4, c5, c6, c7 = (*USUAL[form].values(), 0.0)[:7]
-    k, q = 1.0 - length / rig.geometry.length, pressure / 1e5
+def published(form: str, k: float, q: float) -> float:
+    c1, c2, c3, c4, c5, c6, c7 = COEFFICIENTS
     if form == "hildebrandt":
         return (c1 + c2 * k + c3 * k**2) * q + (c4 + c5 * k + c6 * k**2 + c7 * k**3)
     if form == "sarosi":
         return (c1 * q + c2) * math.exp(c3 * k) + c4 * k * q + c5 * q + c6
-    if form == "polynomial":
-        return c1 + c2 * k + c3 * q + c4 * k**2 + c5 * k * q + c6 * q**2
-    e, gauge = 1.0 - length / c6, (pressure - rig.atmosphere.pressure) / 1e5
-    rubber = 1.0 - math.exp(-c4 * (e - c5)) if e > c5 else c4 * (e - c5)
-    f = c1 * (1.0 - c2 * e) * gauge - c3 * rubber
-    return 0.5 * (f + math.hypot(f, c7))  # it never pushes
+    return c1 + c2 * k + c3 * q + c4 * k**2 + c5 * k * q + c6 * q**2
 
 
-def test_a_rig_file_knows_every_form_and_no_other() -> None:
-    assert typing.get_args(ModelForm.model_fields["force"].annotation) == tuple(FORMS)
+@pytest.mark.parametrize("form", ["hildebrandt", "sarosi", "polynomial"])
+@pytest.mark.parametrize("number", [0, 1])
+def test_force_is_the_published_form(rig, form, number):
+    p = with_form(rig, form).parameters()
+    for length in (0.145, 0.165, 0.18):
+        for pressure in (200e3, 450e3, 700e3):
+            expected = published(form, 1.0 - length / 0.165, pressure / 1e5)
+            assert muscle.force(number, length, pressure, p) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("form", ["hildebrandt", "sarosi", "polynomial", "braided"])
-def test_force_is_the_published_form(rig: Rig, form: str) -> None:
-    p = with_force(rig, form)
-    for number, length, pressure in itertools.product((0, 1), LENGTHS, (rig.atmosphere.pressure, 200e3, 700e3)):
-        expected = published(form, length, pressure, rig)
-        assert muscle.force(number, length, pressure, p) == pytest.approx(expected, rel=1e-10)
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_slope_with_length_is_that_of_the_force(rig: Rig, form: str) -> None:
-    p = with_force(rig, form)
-    for length in LENGTHS:
-        above, below = (muscle.force(1, length + step, 5e5, p) for step in (1e-7, -1e-7))
-        assert muscle.force_length_slope(1, length, 5e5, p) == pytest.approx((above - below) / 2e-7, rel=1e-4)
-
-
-@pytest.mark.parametrize("name", FORMS)
-def test_a_row_says_what_its_coefficients_do(rig: Rig, name: str) -> None:
-    form, usual = FORMS[name], USUAL[name]
-    assert set(usual) == set(form.units)
-
-    def force(**changes: float) -> float:
-        return float(muscle.force(0, 0.15, 400e3, with_force(rig, name, **changes)))
-
-    alone = force()
-    for key, value in usual.items():
-        up, down = (force(**{key: value * (1.0 + way)}) - alone for way in (1e-3, -1e-3))
-        assert up != 0.0, key
-        linear = abs(up + down) < 1e-9 * max(abs(up), abs(alone))
-        assert linear == (key not in form.bent) or (name == "braided" and abs(up + down) < 1e-2 * abs(up))
-    if name != "braided":
-        assert force(**{key: 1.1 * usual[key] for key in form.gains if key in usual}) == pytest.approx(1.1 * alone)
-    assert {form.offset, *form.positive, *form.gains, *form.bent} <= set(form.units)
-    assert not form.nominal or form.nominal in form.units
-
-
-def with_friction(rig: Rig, law: str) -> Rig:
-    return rig.replaced(model=rig.model.replaced(friction=law))
+@pytest.mark.parametrize("form", ["linear", "hildebrandt", "sarosi", "polynomial"])
+def test_slope_with_length_is_that_of_the_force(rig, form):
+    p = with_form(rig, form).parameters()
+    for length in (0.15, 0.165, 0.178):
+        above, below = (muscle.force(1, length + step, 5e5, p) for step in (1e-6, -1e-6))
+        assert muscle.force_length_slope(1, length, 5e5, p) == pytest.approx((above - below) / 2e-6, rel=1e-6)
 
 
 def test_simple_friction_is_a_constant_force_on_the_lever(rig):
-    p = with_friction(rig, "simple").parameters()
+    p = with_form(rig, friction="simple").parameters()
     bound = 13.7 * 0.0365
     held, slides = joint.friction_torque(0.0, 0.99 * bound, 0.1, p)
     assert held == pytest.approx(0.99 * bound) and slides == 0.0
@@ -111,7 +66,7 @@ def test_simple_friction_is_a_constant_force_on_the_lever(rig):
 
 
 def test_tondu_friction_falls_from_its_static_to_its_kinetic_value(rig):
-    p = with_friction(rig, "tondu").parameters()
+    p = with_form(rig, friction="tondu").parameters()
     held, slides = joint.friction_torque(0.0, 0.1, 0.0, p)
     assert held == pytest.approx(0.1) and slides == 0.0
     slow, _ = joint.friction_torque(0.8, 0.0, 0.0, p)
@@ -124,12 +79,45 @@ def test_the_model_runs_with_every_law_and_each_stops_the_joint_elsewhere(rig):
     voltage = np.where(np.arange(2000)[:, None] < 200, [5.0, 5.0], [5.6, 4.6])
     ends = {}
     for law in par.FRICTION_LAWS:
-        run = simulate_model(with_friction(rig, law), voltage, np.array([450e3, 450e3]))
+        run = simulate_model(with_form(rig, friction=law), voltage, np.array([450e3, 450e3]))
         assert np.all(np.isfinite(run.angle))
         ends[law] = run.angle[-1]
     assert len({round(value, 5) for value in ends.values()}) == 4
     # The more friction, the further from the frictionless rest angle it may stay: F_r is by far the largest.
     assert abs(ends["simple"] - ends["none"]) > abs(ends["kikuuwe"] - ends["none"])
+
+
+@pytest.mark.parametrize(
+    ("line", "allowed"),
+    [("force: polinomial", par.FORCE_FORMS), ("friction: kikuwe", par.FRICTION_LAWS)],
+    ids=["force", "friction"],
+)
+def test_a_misspelt_option_is_refused_with_the_allowed_ones(tmp_path: Path, line: str, allowed: tuple[str, ...]):
+    (tmp_path / "rig.yaml").write_text(f"based_on: shin2022\nmodel: {{{line}}}\n", encoding="utf-8")
+    with pytest.raises(BadInput) as refusal:
+        load_rig(tmp_path / "rig.yaml")
+    assert all(f"'{value}'" in str(refusal.value) for value in allowed), refusal.value
+
+
+def test_a_form_without_coefficients_is_refused(tmp_path: Path):
+    (tmp_path / "rig.yaml").write_text("based_on: shin2022\nmodel: {force: sarosi}\n", encoding="utf-8")
+    with pytest.raises(BadInput, match="muscle_1.force gives dF/dP"):
+        load_rig(tmp_path / "rig.yaml")
+
+
+BRAIDED = {"c1": 250.0, "c2": 3.2, "c3": 300.0, "c4": 60.0, "c5": 0.01, "c6": 0.17, "c7": 2.0}
+
+
+def changed(rig: Rig, **values: float) -> np.ndarray:
+    return par.changed(rig.parameters(), {name.replace("__", "."): value for name, value in values.items()})
+
+
+def braided(rig: Rig, **values: float) -> np.ndarray:
+    p = changed(
+        rig, **{f"muscle_{i}__force__{name}": value for i in (1, 2) for name, value in (BRAIDED | values).items()}
+    )
+    p[par.FORCE_FORM] = float(par.FORCE_FORMS.index("braided"))
+    return par.refresh(p)
 
 
 @pytest.mark.parametrize("kind", [0.0, 1.0])
@@ -183,3 +171,23 @@ def test_open_rate_for_is_the_inverse_of_the_flow(rig: Rig, overlap: float, pres
         )
     assert flow.open_rate_for(1, 2.0 * ends[1], pressure, supply, p) == 1.0
     assert flow.open_rate_for(1, 2.0 * ends[0], pressure, supply, p) == 0.0
+
+
+def test_a_braided_muscle_is_its_published_form_and_never_pushes(rig: Rig) -> None:
+    p = braided(rig)
+    c, outside = BRAIDED, rig.atmosphere.pressure
+    for length in np.linspace(0.12, 0.175, 12):
+        for gauge in (0.0, 0.5e5, 2e5, 6e5):
+            e = 1.0 - length / c["c6"]
+            rubber = 1.0 - math.exp(-c["c4"] * (e - c["c5"])) if e > c["c5"] else c["c4"] * (e - c["c5"])
+            f = c["c1"] * (1.0 - c["c2"] * e) * gauge / 1e5 - c["c3"] * rubber
+            expected = 0.5 * (f + math.hypot(f, c["c7"]))
+            assert muscle.force(0, length, outside + gauge, p) == pytest.approx(expected, rel=1e-10)
+            assert expected > 0.0
+
+
+def test_slope_of_a_braided_muscle_is_that_of_its_force(rig: Rig) -> None:
+    p = braided(rig)
+    for length in (0.14, 0.165, 0.1683, 0.174):
+        above, below = (muscle.force(1, length + step, 5e5, p) for step in (1e-7, -1e-7))
+        assert muscle.force_length_slope(1, length, 5e5, p) == pytest.approx((above - below) / 2e-7, rel=1e-4)

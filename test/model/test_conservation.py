@@ -1,7 +1,8 @@
-"""Air ends at the atmosphere or the tank behind a shut valve, and friction takes mechanical energy.
+"""Air is kept account of, and mechanical energy with the pressures held is kept without friction and lost with it.
 
-With constant pressures the muscles are springs. The force map is linear in sin ψ, so the energy
-U(ψ) = −∫ τ dψ + k_s ψ²/2 is a polynomial, E = J ψ̇²/2 + U(ψ).
+Air: equation (4) against what it integrates to, equation (5) against its balance. Energy: with constant pressures the
+muscles are springs. The force map is linear in sin ψ, so the energy U(ψ) = −∫ τ dψ + k_s ψ²/2 is a polynomial,
+E = J ψ̇²/2 + U(ψ).
 """
 
 from __future__ import annotations
@@ -9,12 +10,47 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import transcription as paper
-from states import ATMOSPHERE, TANK, held, steps
+from scipy.optimize import brentq
+from states import ATMOSPHERE, TANK, held, sealed, steps
 
 from pam_antagonist.model import drive
 from pam_antagonist.model import parameters as par
 
 T = paper.CORRECTED
+
+
+def test_sealed_chambers_keep_p_v_to_the_k_2(rig):
+    """Without flow equation (4) is Ṗ/P = −k_2 V̇/V, so ln P + k_2 ln V does not change, however the joint moves."""
+    swing = steps([0.25, 0.0, 400e3, 450e3], sealed(rig), 500)
+    for i in (1, 2):
+        pressure = swing[:, 1 + i]
+        volume = np.array([paper.volume(T, paper.length(T, i, angle)) for angle in swing[:, 0]])
+        assert np.ptp(pressure) > 50e3, "the joint hardly moved: nothing is shown"
+        product = pressure * volume ** T["k_2"]
+        assert np.ptp(product) < 1e-6 * product[0]
+
+
+def steady(alpha):
+    """The pressure at which α m_in = (1 − α) m_out."""
+    return brentq(
+        lambda pressure: alpha * paper.nozzle(T, TANK, pressure) - (1 - alpha) * paper.nozzle(T, pressure, ATMOSPHERE),
+        ATMOSPHERE,
+        TANK,
+        xtol=1e-6,
+    )
+
+
+@pytest.mark.parametrize("voltage", [4.0, 4.6, 5.5, 6.3, 7.5])
+def test_steady_pressure_is_the_root_of_the_balance(rig, voltage):
+    """From below and from above, with whatever areas and polytropic indices (Proposition 1 of the paper)."""
+    expected = steady(paper.kappa(T, voltage))
+    assert 1.1 * ATMOSPHERE < expected < 0.99 * TANK
+    for changes in ({}, {"valve_1.inflow_area": 2e-7, "valve_2.outflow_area": 2e-8, "gas.polytropic_flow": 1.4}):
+        p = rig.parameters("locked", changes=changes)
+        # 300 s: the time constant is 4 s with the table's areas and 15 s with the small one.
+        voltages = np.full((15_001, 2), voltage)
+        states, _, _ = drive.simulate(np.array([0.0, 0.0, 120e3, 690e3]), voltages, p, 0.02, 1)
+        assert states[-1, 2:] == pytest.approx([expected, expected], abs=1.0)
 
 
 @pytest.mark.parametrize(("voltage", "expected"), [(0.0, ATMOSPHERE), (10.0, TANK)])
@@ -59,6 +95,18 @@ def reversal_gain(law_step):
     _, coulomb, applied = paper.balance(T, START)
     applied = abs(applied)
     return 0.5 * coulomb * law_step / T["J"] * applied * law_step * applied / (applied - coulomb)
+
+
+def test_without_friction_energy_is_kept(rig):
+    """To fourth order or better: halving the step leaves a sixteenth or less of the loss."""
+    p = held(rig, friction__shaft=0.0, friction__muscle=0.0, joint__viscous_friction=0.0)
+    lost = []
+    for dt in (2e-3, 1e-3, 0.5e-3):
+        states = steps(START, p, int(0.5 / dt), dt)
+        assert states[:, 0].min() < -0.3, "it does not swing"
+        lost.append(np.ptp(energy(states)) / drop(states))
+    assert lost[1] < 5e-5
+    assert lost[0] > 16 * lost[1] > 256 * lost[2]
 
 
 def test_with_friction_energy_never_grows(rig):

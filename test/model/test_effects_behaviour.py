@@ -1,4 +1,4 @@
-"""What effects do at rest and at a start, beside the rates that the transcription holds them against."""
+"""What effects do at rest, at a start and under a push, beside the rates that the transcription holds them against."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 import transcription as paper
 from states import TANK, sealed
 
-from pam_antagonist.model import drive, dynamics, equilibrium
+from pam_antagonist.model import drive, dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import parameter_path
 
@@ -82,3 +82,36 @@ def test_a_load_moves_the_angle_of_rest(rig, constant, sine):
     positive = equilibrium.rest_angle(450e3, 450e3, p) - equilibrium.rest_angle(450e3, 450e3, sealed(rig))
     if sine == 0.0:
         assert math.copysign(1.0, positive) == math.copysign(1.0, constant)
+
+
+def test_a_known_push_and_an_estimated_one_move_alike(rig):
+    base = rig.parameters()
+    p = with_effects(base, external_torque={"noise": 0.1})
+    time = np.arange(2000)
+    pushes = np.where((time > 300) & (time < 900), 0.4, 0.0)
+    voltage = np.tile([5.8, 5.2], (2000, 1))
+    known, _, _ = drive.simulate(np.array([0.0, 0.0, 450e3, 450e3]), np.column_stack([voltage, pushes]), base, DT, 1)
+    x = np.array([0.0, 0.0, 450e3, 450e3, 0.0])
+    for k in range(1, 2000):
+        x[4] = pushes[k]
+        integration.rk4_step(x, voltage[k], p, DT, x)
+        assert np.array_equal(x[:4], known[k])
+    quiet, torque, _ = drive.simulate(np.array([0.0, 0.0, 450e3, 450e3]), voltage, base, DT, 1)
+    assert known[800, 0] > quiet[800, 0] + math.radians(1.0), "a push about +z turns the joint that way"
+    # The muscles' torque is what pulls back: the meter reads less.
+    assert dynamics.torque(known[800], base) < torque[800] - 0.2
+
+
+@pytest.mark.parametrize("width", [0.1, 2.0, 20.0])
+def test_a_slack_muscle_never_pushes(rig, width):
+    base, p = rig.parameters(), with_effects(rig.parameters(), slack={"width": width})
+    pushes = 0
+    for angle in np.linspace(-0.43, 0.43, 23):
+        for pressure in np.linspace(101.3e3, 700e3, 25):
+            x = np.array([angle, 0.0, pressure, pressure])
+            for pulls, linear in zip(dynamics.forces(x, p), dynamics.forces(x, base), strict=True):
+                assert pulls > 0.0
+                # Above either branch of the sharp bend, and nowhere by more than half the width.
+                assert 0.0 <= pulls - max(linear, 0.0) <= 0.5 * width + 1e-12
+                pushes += linear < 0.0
+    assert pushes > 50, "the base model pushes in some of these states"

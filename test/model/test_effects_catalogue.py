@@ -11,7 +11,7 @@ import pytest
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
-from pam_antagonist.model import drive, equilibrium, integration
+from pam_antagonist.model import drive, dynamics, equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, parameter_path
 from pam_antagonist.model.effects.registry import catalogue
@@ -20,6 +20,14 @@ from pam_antagonist.rig.file import write_rig
 from pam_antagonist.simulation import excitation
 
 VOLTAGE = excitation.profile("steps", 8.0, 1e-3, seed=6)
+NAMES = (
+    "hysteresis", "leak", "supply_droop", "valve_lag", "valve_offset", "line_resistance", "pressure_sensor",
+    "load_torque", "friction", "creep", "thermal", "external_torque", "valve_play", "warm_up", "slack",
+    "friction_by_pressure", "friction_by_signal", "load_by_signal", "strength_by_signal", "regulator_limits",
+    "regulator_threshold", "regulator_dead_time", "regulator_lag", "limb_weight",
+    "weak_laws", "learned",
+)  # fmt: skip
+"""As reports call them."""
 
 
 def run(p: np.ndarray, substeps: int = 1, start: np.ndarray | None = None):
@@ -45,6 +53,14 @@ def test_sizes_of_zero_are_the_base_model_whatever_the_shapes(rig, name, joint):
     whole = run(base)
     assert np.ptp(whole[0][:, 2:], axis=0).min() > 100e3, "the valves did not move the pressures"
     same(run(with_effect), whole)
+
+
+def test_sensors_show_the_pressure_itself(rig):
+    p = rig.parameters()
+    for pressure in np.random.default_rng(1).uniform(90e3, 720e3, 100):
+        for muscle in (0, 1):
+            assert dynamics.reading(muscle, pressure, p) == pressure
+            assert dynamics.pressure_behind(muscle, pressure, p) == pressure
 
 
 @pytest.mark.parametrize("joint", ["free", "locked"])
@@ -73,8 +89,9 @@ def test_a_state_comes_with_its_size_and_goes_with_it(rig):
                 assert np.array_equal(par.changed(there, {parameter_path(effect.name, item.name): 0.0}), p)
 
 
-def test_the_catalogue_has_definite_sizes_and_states():
+def test_the_catalogue_has_the_effects_of_reports_and_definite_states():
     """Its registry refuses effects that are not whole."""
+    assert tuple(CATALOGUE) == NAMES
     for effect in CATALOGUE.values():
         assert all(item.low < item.scale < item.high for item in effect.parameters)
         assert all(state.initial_std > 0.0 for state in effect.states)
@@ -89,6 +106,40 @@ def rig_file(folder: Path, body: str) -> Path:
     path = folder / "rig.yaml"
     path.write_text(f"based_on: shin2022\nname: trial\n{body}", encoding="utf-8")
     return path
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("effects: {hysterese: {width: 1.0e-3}}", ["effects", "'hysterese'", "did you mean 'hysteresis'", "creep"]),
+        ("effects: {leak: {aera_1: 1.0e-9}}", ["effects.leak", "'aera_1'", "did you mean 'area_1'", "area_2"]),
+        ("effects: {leak: {area: 1.0e-9}}", ["effects.leak", "'area'", "expected one of area_1, area_2"]),
+        ("effects: {leak: {area_1: -1.0e-9}}", ["effects.leak.area_1", "-1e-09", "0 to 5e-08 m2", "leak of muscle 1"]),
+        ("effects: {valve_lag: {time_2: 12.0}}", ["effects.valve_lag.time_2", "12", "0 to 2 s"]),
+        (
+            "effects: {valve_lag: {time_1: 1.0e-4}}",
+            ["effects.valve_lag.time_1", "0.0005 s, or 0 for none", "integration"],
+        ),
+        (
+            "sample_period: 0.01\neffects: {valve_lag: {time_1: 4.0e-4}}",
+            ["effects.valve_lag.time_1", "at least 0.0005 s, or 0 for none"],
+        ),
+        ("effects: {creep: {time: 0.0}}", ["effects.creep.time", "0.2 to 60 s", "time constant"]),
+        ("effects: {creep: {share_1: .nan}}", ["effects.creep.share_1"]),
+        ("effects: {leak: 3.0}", ["effects.leak"]),
+        ("effects: {leak: {area_1: large}}", ["effects.leak.area_1"]),
+        ("effects: {leak: {area_1: true}}", ["effects.leak.area_1", "expected a number"]),
+        ("uncertainty: {effects.leak.area_3: 1.0e-9}", ["effects.leak.area_3", "did you mean"]),
+        ("directions: {one: {effects.leak.aera_1: 1.0e-9}}", ["directions.one", "did you mean 'effects.leak.area_1'"]),
+    ],
+)
+def test_refused(tmp_path, body, words):
+    path = rig_file(tmp_path, body)
+    with pytest.raises(BadInput) as error:
+        load_rig(path)
+    message = str(error.value)
+    assert message.startswith(f"{path}: ") and "\n" not in message
+    assert all(word in message for word in words), message
 
 
 @pytest.mark.parametrize("period", [1e-3, 1e-2])

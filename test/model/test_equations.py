@@ -1,13 +1,17 @@
-"""Equations (2) to (10) one by one, where the whole derivative does not show them: flow and muscle."""
+"""Equations (2) to (10) one by one, where the whole derivative does not show them: flow, muscle, joint.
+
+An orifice, whatever its constants: continuity, symmetry, areas by direction.
+"""
 
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
 import transcription as paper
-from states import ATMOSPHERE, EDGE_PRESSURES, EDGE_VOLTAGES, TANK
+from states import ATMOSPHERE, CHOKED_BELOW, EDGE_PRESSURES, EDGE_VOLTAGES, TANK
 
 from pam_antagonist.model import flow, muscle
 from pam_antagonist.model import parameters as par
@@ -55,6 +59,11 @@ def test_a_flow_is_found_again_from_its_pressure_rate(p):
 # ---------------------------------------------------------------- Equations (2), (3), (6), (7)
 
 
+def test_muscle_1_shortens_where_the_angle_grows(p):
+    """Muscle 1 pulls towards positive angles: it is the shorter one there."""
+    assert muscle.length(0, math.sin(0.3), p) < T["L_0"] < muscle.length(1, math.sin(0.3), p)
+
+
 def test_volume_stays_positive_where_the_parabola_does_not(p):
     """Sigma points may fall far outside the joint's range; a negative volume would turn the flow round."""
     assert paper.volume(T, 0.30) < 0.0
@@ -67,6 +76,23 @@ def test_force_slope_with_length(p, i):
     for pressure in (150e3, 450e3, 700e3):
         quotient = (paper.force(T, i, 0.170, pressure) - paper.force(T, i, 0.160, pressure)) / 0.010
         assert muscle.force_length_slope(i - 1, 0.165, pressure, p) == pytest.approx(quotient, rel=1e-10)
+
+
+CRITICAL = CHOKED_BELOW / TANK
+
+
+def test_value_and_slope_are_continuous_where_the_flow_chokes(p):
+    """The subsonic branch ends at its maximum: level, like the choked one. A wrong exponent or a wrong
+    critical ratio shows as a step or a kink."""
+    edge = CRITICAL * TANK
+    choked = flow.orifice_flow(TANK, edge * (1 - 1e-6), p)
+    subsonic = flow.orifice_flow(TANK, edge * (1 + 1e-6), p)
+    assert subsonic == pytest.approx(choked, rel=1e-10)
+    step = 1e-4 * edge
+    slope = (flow.orifice_flow(TANK, edge + step, p) - choked) / step
+    assert abs(slope) * TANK < 1e-3 * choked
+    # ... and it does fall further on, so that the test above can fail.
+    assert flow.orifice_flow(TANK, 1.3 * edge, p) < 0.95 * choked
 
 
 def test_choked_flow_of_air_has_the_textbook_value(p):

@@ -17,6 +17,37 @@ Z = T["T_stp"] / T["J"]
 PRESSURES = (400e3, 450e3)
 
 
+def test_it_is_coulomb_friction_by_implicit_euler(p):
+    """The law is the solution of T_f ∈ T_c sgn(ψ̇⁺) + c_s ψ̇ with ψ̇⁺ = ψ̇ + Z (T_0 − T_f), the velocity after
+    the step: sliding on with the full friction, or at rest with whatever dry friction that takes. With the printed
+    Z = J/T_stp (0.43 instead of 2.35) neither holds."""
+    rng = np.random.default_rng(14)
+    rested = 0
+    for velocity, applied, coulomb in zip(
+        rng.normal(0.0, 0.5, 400), rng.normal(0.0, 0.2, 400), rng.uniform(0.0, 0.4, 400), strict=True
+    ):
+        friction, slides = joint.friction_torque(velocity, applied, coulomb, p)
+        after = velocity + Z * (applied - friction)
+        if slides:
+            assert friction == pytest.approx(coulomb * np.sign(after) + T["c_s"] * velocity, rel=1e-9)
+        else:
+            assert after == pytest.approx(0.0, abs=1e-15)
+            assert abs(friction - T["c_s"] * velocity) <= coulomb
+            rested += 1
+    assert 50 < rested < 350
+
+
+@pytest.mark.parametrize("period", [1e-3, 1e-4, 1e-5])
+def test_it_is_equation_10_but_for_an_inertia_that_grows_with_the_step(rig, period):
+    """Equation (10) in a Runge-Kutta stage gives a sliding joint an inertia of J + T_stp c_s; here it is J."""
+    p = par.changed(rig.parameters(), {"friction.time_step": period})
+    velocity, applied, coulomb = 0.7, 0.2, 0.11
+    printed = paper.printed_friction({**T, "T_stp": period}, velocity, applied, coulomb)
+    friction, slides = joint.friction_torque(velocity, applied, coulomb, p)
+    assert slides
+    assert applied - printed == pytest.approx((applied - friction) / (1.0 + period * T["c_s"] / T["J"]), rel=1e-12)
+
+
 def test_a_joint_that_slides_does_not_depend_on_the_step(rig):
     """A swing of 20 ms without a reversal, in steps of 1 ms and of 4 ms."""
     start = [0.2, 0.0, 300e3, 500e3]

@@ -22,28 +22,55 @@ SCALE = np.array([0.1, 10.0, 1e5, 1e5])
 """What the states change by in these runs [rad, rad/s, Pa, Pa]."""
 
 
-@pytest.mark.parametrize(
-    ("x", "u", "duration", "divisions", "locked"),
-    [
-        ([-0.2, 8.0, 580e3, 480e3], (6.0, 5.0), 0.016, (8, 16, 32, 64), False),
-        # Both muscles where the inflow is subsonic; in steps of 0.1 s and more, since at 1 ms only rounding is left.
-        ([0.0, 0.0, 380e3, 640e3], (6.0, 5.5), 1.6, (4, 8, 16), True),
-    ],
-    ids=["sliding", "locked"],
-)
-def test_a_smooth_motion_converges_to_fourth_order(p, p_locked, x, u, duration, divisions, locked):
+def reference(x, u, duration, locked=False):
+    """States of the transcription at 101 times, and that nothing switches among them."""
+    times = np.linspace(0.0, duration, 101)
     solution = solve_ivp(
         lambda _, state: paper.derivative(T, state.tolist(), u, locked), (0.0, duration), x, method="DOP853",
-        t_eval=np.linspace(0.0, duration, 101), rtol=1e-12, atol=[1e-14, 1e-12, 1e-6, 1e-6],
+        t_eval=times, rtol=1e-12, atol=[1e-14, 1e-12, 1e-6, 1e-6],
     )  # fmt: skip
-    way = solution.y.T
-    assert len({(paper.regime(T, s[2]), paper.regime(T, s[3])) for s in way}) == 1, "a flow changes its regime"
-    assert locked or all(paper.slides(T, s) and s[1] > 0.0 for s in way.tolist()), "the joint sticks or turns"
-    ends = [steps(x, p_locked if locked else p, n, duration / n, u)[-1] for n in divisions]
+    states = solution.y.T
+    regimes = {(paper.regime(T, s[2]), paper.regime(T, s[3])) for s in states}
+    assert len(regimes) == 1, "a flow changes its regime on the way"
+    if not locked:
+        assert all(paper.slides(T, s) for s in states.tolist())
+        assert len({math.copysign(1.0, s[1]) for s in states}) == 1, "the joint turns on the way"
+    return states
+
+
+def errors(x, u, duration, p, divisions, locked=False):
+    """Largest errors at the end (len(divisions), 4) with that many steps."""
+    end = reference(x, u, duration, locked)[-1]
+    return np.array([np.abs(steps(x, p, n, duration / n, u)[-1] - end) for n in divisions])
+
+
+def test_sliding_joint_converges_to_fourth_order(p):
+    x, u = [-0.2, 8.0, 580e3, 480e3], (6.0, 5.0)
     # In one number, since a single state's error may pass through zero between two step sizes.
-    error = np.max(np.abs(ends - way[-1]) / SCALE, axis=1)
+    error = np.max(errors(x, u, 0.016, p, (8, 16, 32, 64)) / SCALE, axis=1)
     rate = np.log2(error[:-1] / error[1:])
-    assert np.all(rate > 3.6) and np.all(rate < 5.5)
+    assert np.all(rate > 3.6)
+    assert np.all(rate < 5.0)
+
+
+def test_sliding_joint_at_the_sample_period(p):
+    x, u = [-0.2, 8.0, 580e3, 480e3], (6.0, 5.0)
+    error = errors(x, u, 0.016, p, (16,))[0]
+    assert np.all(error < 1e-4 * SCALE)
+
+
+def test_locked_joint_converges_to_fourth_order(p_locked):
+    """Both muscles where the inflow is subsonic; steps of 0.2 s and less, since at 1 ms only rounding is left."""
+    x, u = [0.0, 0.0, 380e3, 640e3], (6.0, 5.5)
+    error = errors(x, u, 1.6, p_locked, (4, 8, 16), locked=True)[:, 2:]
+    rate = np.log2(error[:-1] / error[1:])
+    assert np.all(rate > 3.7)
+    assert np.all(rate < 5.5)
+
+
+def test_locked_joint_at_the_sample_period(p_locked):
+    for x, u in (([0.0, 0.0, 200e3, 370e3], (6.0, 5.0)), ([0.3, 0.0, 380e3, 640e3], (6.0, 5.5))):
+        assert np.all(errors(x, u, 0.3, p_locked, (300,), locked=True)[0] < 1e-5)
 
 
 START = np.array([0.0, 0.0, 450e3, 450e3])
@@ -93,3 +120,15 @@ def test_locked_joint_holds_exactly(rig, angle):
     assert np.all(sigma % 2 == 1)
     # The muscles still pull: the torque follows the pressures.
     assert np.ptp(torques) > 0.3
+
+
+def test_mirrored_drive_mirrors_the_motion(rig):
+    """Equal muscles, voltages exchanged: the angle changes sign, the pressures change places."""
+    same = {f"muscle_2.force.{k}": rig.value(f"muscle_1.force.{k}") for k in ("v1", "v2", "w1", "w2")}
+    p = rig.parameters(changes=same)
+    u = voltages(4000)
+    one, _, _ = drive.simulate(START, u, p, 1e-3, 1)
+    other, _, _ = drive.simulate(START, np.ascontiguousarray(u[:, ::-1]), p, 1e-3, 1)
+    assert np.ptp(one[:, 0]) > 0.05
+    assert other[:, 0] == pytest.approx(-one[:, 0], abs=1e-9)
+    assert other[:, [3, 2]] == pytest.approx(one[:, [2, 3]], rel=1e-9)

@@ -1,4 +1,4 @@
-"""Learned laws against a second version of them in plain Python; limits, passivity, bits."""
+"""Learned laws against a second version of them in plain Python, integrated by scipy; limits, passivity, bits."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import transcription as paper
-from states import assert_same_bits, random_states
+from scipy.integrate import solve_ivp
+from states import random_states
 
-from pam_antagonist.model import dynamics, equilibrium
+from pam_antagonist.model import drive, dynamics, equilibrium
 from pam_antagonist.model import parameters as par
 from pam_antagonist.model.effects import CATALOGUE, places
 from pam_antagonist.rig import Rig
@@ -207,6 +208,27 @@ def test_rates(signalled: Rig, case: str) -> None:
     assert differs > 5
 
 
+@pytest.mark.parametrize(
+    "case", [case for case, law in CASES.items() if law.operator != "none" or law.place in ("exchange", "volume")]
+)
+def test_trajectory(signalled: Rig, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of a second against scipy: steps of 0.25 ms leave two thousandths of the way at most."""
+    monkeypatch.setitem(T, "T_stp", 0.25e-3)
+    law, u = CASES[case], np.array([5.6, 5.2])
+    p = vector(signalled, law)
+    x = equilibrium.initial_state(0.02, 380e3, 330e3, u, p)
+    states, _ = drive.course(x, np.tile(u, (1001, 1)), p, 0.25e-3, 1)
+    memories = [] if law.operator == "none" else list(x[4:] * span(law))
+    solution = solve_ivp(
+        lambda t, y: second_version(law, y.tolist(), (u[0], u[1]), t, (0.0, 0.0)),
+        (0.0, 0.25), [*x[:4], *memories], method="LSODA", rtol=1e-8, atol=1e-10,
+    )  # fmt: skip
+    way = np.ptp(states[:, :4], axis=0)
+    assert np.all(np.abs(states[-1, :4] - solution.y[:4, -1]) <= 2e-3 * way + 1e-6)
+    if memories:
+        assert states[-1, 4:] * span(law) == pytest.approx(solution.y[4:, -1], rel=1e-3)
+
+
 def test_play_and_stop_are_the_operators_of_their_names(rig: Rig) -> None:
     """Turned to and fro, z stays within a ± width/2 and does not move within the play; stop is what is left."""
     width, u = 0.1, np.array([5.0, 5.0])
@@ -232,6 +254,39 @@ def test_play_and_stop_are_the_operators_of_their_names(rig: Rig) -> None:
         assert (loaded[1] - without[1]) * T["J"] == pytest.approx(wanted, rel=0.02)
 
 
+def test_no_law_drives_the_joint_or_pumps_air(rig: Rig) -> None:
+    """Laws with the wrong sign: negative friction, a damping that pushes, a leak and flows against pressures."""
+    states = random_states(200, seed=8)
+    wrong = {
+        "friction": Law("friction", (0.0, 1.0), (-50.0, -90.0), argument="speed"),
+        "torque": Law("torque", (-1.0, 1.0), (-5.0, 5.0), argument="velocity"),
+        "strength": Law("strength", (-0.01, 0.01), (5.0, -5.0), "both", "length_rate"),
+    }
+    base = vector(rig)
+    for name, law in wrong.items():
+        p = vector(rig, law)
+        for x, u in states:
+            dx, plain = np.empty(4), np.empty(4)
+            dynamics.derivative(np.array(x), np.array(u), p, dx)
+            dynamics.derivative(np.array(x), np.array(u), base, plain)
+            if name != "friction":
+                assert np.array_equal(dx, plain)
+        fast = dynamics.sliding_friction(np.array([0.0, 2.0, 400e3, 400e3]), 1.0, p)
+        assert fast >= T["c_s"] * 2.0
+    u = np.array([5.0, 5.0])
+    shut = {"valve_1.inflow_area": 1e-13, "valve_1.outflow_area": 1e-13, "valve_2.inflow_area": 1e-13}
+    shut |= {"valve_2.outflow_area": 1e-13, "joint.stop": math.inf}
+    for law, low, high in (
+        (Law("leak", (1e5, 2e5), (-1e-6, -1e-6), 1, "pressure"), 200e3, 200e3),
+        (Law("flow", (1e5, 2e5), (-1e-4, -1e-4), "both", "pressure"), 101.3e3, 200e3),
+        (Law("flow", (1e5, 2e5), (1e-3, 1e-3), "both", "pressure"), 200e3, 710e3),
+        (Law("exchange", (0.0,), (1e-4,)), 180e3, 220e3),
+    ):
+        p = with_law(rig, law).parameters("locked", changes=shut)
+        states, _ = drive.course(np.array([0.0, 0.0, 200e3, 200e3]), np.tile(u, (4001, 1)), p, 1e-3, 1)
+        assert states[:, 2:].min() >= low - 50.0 and states[:, 2:].max() <= high + 50.0
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_side_by_side_it_has_the_same_bits(signalled: Rig, case: str) -> None:
     """Values, nodes and the operator's number differ between the lanes."""
@@ -240,7 +295,12 @@ def test_side_by_side_it_has_the_same_bits(signalled: Rig, case: str) -> None:
     others = [replace(law, values=tuple((1.0 + 0.3 * k) * value for value in law.values)) for k in range(3)]
     others += [replace(law, nodes=tuple(1.1 * node for node in law.nodes), time=1.2 * law.time)]
     vectors = [vector(signalled, each) for each in (law, *others)]
-    assert_same_bits(vectors, voltage)
+    starts = [equilibrium.initial_state(0.05, 430e3, 470e3, voltage[0], p) for p in vectors]
+    along = drive.Inputs.even(len(voltage), 1e-3, command=voltage)
+    together = along.driven_each([x[None] for x in starts], vectors, drive.TORQUE)
+    for x, p, (states, shown) in zip(starts, vectors, together, strict=True):
+        for one, other in zip(drive.course(x, voltage, p, 1e-3, 1), (states, shown[0]), strict=True):
+            assert np.array_equal(one, other)
 
 
 def test_a_value_moves_by_its_path(rig: Rig) -> None:

@@ -27,6 +27,13 @@ def test_torque_slope_is_the_derivative_of_the_torque(p):
         assert slope == pytest.approx(quotient, rel=1e-8, abs=1e-7)
 
 
+def test_the_joint_is_a_spring_that_stiffens_with_pressure(p):
+    """∂τ/∂ψ is negative (τ pulls back), and larger in size at a higher mean pressure."""
+    slopes = [dynamics.torque_slope(np.array([0.0, 0.0, P, P]), p) for P in (200e3, 450e3, 700e3)]
+    assert 0.0 > slopes[0] > slopes[1] > slopes[2]
+    assert slopes[1] == pytest.approx(-7.07, abs=0.01)
+
+
 def test_rest_angle_balances_the_torques(p):
     for pressures in ((450e3, 450e3), (200e3, 700e3), (700e3, 200e3), (350e3, 420e3)):
         angle = equilibrium.rest_angle(*pressures, p)
@@ -67,16 +74,26 @@ def driven(printed):
     return states, torques
 
 
-def test_the_angle_never_passes_the_stop_the_velocity_is_lost_and_it_leaves_when_pulled_away(driven, printed):
+def test_the_stop_is_what_holds_it(driven, printed):
     free = printed.parameters(changes={"joint.stop": math.inf})
-    assert steps([0.0, 0.0, 450e3, 450e3], free, 3000, u=(8.0, 3.0))[-1, 0] > STOP + math.radians(3.0)
-    states, torques = driven
-    assert np.max(np.abs(states[:, 0])) == STOP == states[2999, 0]
+    states = steps([0.0, 0.0, 450e3, 450e3], free, 3000, u=(8.0, 3.0))
+    assert states[-1, 0] > STOP + math.radians(3.0)
+    assert driven[0][2999, 0] == STOP
+
+
+def test_the_angle_never_passes_the_stop_and_the_velocity_is_lost(driven):
+    states, _ = driven
+    assert np.max(np.abs(states[:, 0])) == STOP
     at = states[:, 0] == STOP
+    assert at.sum() > 500
     assert np.all(states[at, 1] <= 0.0)
     arrival = int(np.argmax(at))
     assert states[arrival - 1, 1] > 0.01
     assert states[arrival + 1 : 2990, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_it_leaves_the_stop_when_pulled_away(driven):
+    states, torques = driven
     assert np.all(torques[2500:3000] > 0.0)
     assert states[-1, 0] < math.radians(5.0)
 

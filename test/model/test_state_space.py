@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import transcription as paper
-from states import EDGE_PRESSURES, EDGE_VOLTAGES, random_states
+from states import CHOKED_ABOVE, CHOKED_BELOW, EDGE_PRESSURES, EDGE_VOLTAGES, random_states
 
 from pam_antagonist.model import dynamics, integration
 
@@ -55,8 +55,7 @@ def test_runge_kutta_step(p, p_locked, locked):
     for x, u in cases():
         before = np.array(x)
         integration.rk4_step(before, np.array(u), p_locked if locked else p, 1e-3, result)
-        expected = paper.runge_kutta(lambda y, u=u: paper.derivative(T, y, u, locked), x, 1e-3)
-        agree(result, expected, [1e-13, 1e-10, 1e-6, 1e-6])
+        agree(result, paper.runge_kutta(T, x, u, 1e-3, locked), [1e-13, 1e-10, 1e-6, 1e-6])
         assert before.tolist() == x, "the state before the step was changed"
 
 
@@ -68,3 +67,17 @@ def test_subsystems_are_1_to_18_and_mean_what_they_say(p):
         assert dynamics.subsystem(np.array(x), p) == expected
         seen.add(expected)
     assert seen == set(range(1, 19))
+
+
+def test_flow_regimes_have_the_bounds_of_the_printed_conditions(p):
+    """The conditions at m_in and m_out: P ≤ P_tank b and P_out ≤ P b with b = 0.528."""
+    assert pytest.approx(375.1e3, abs=50.0) == CHOKED_BELOW
+    assert pytest.approx(191.8e3, abs=50.0) == CHOKED_ABOVE
+    for pressure, regime in ((191e3, 0), (192.5e3, 1), (374e3, 1), (376e3, 2)):
+        x = np.array([0.0, 0.0, pressure, 150e3])
+        assert (dynamics.subsystem(x, p) - 1) // 6 == regime
+
+
+def test_locked_joint_counts_as_sticking(p_locked):
+    x = np.array([0.0, 0.0, 700e3, 200e3])
+    assert dynamics.subsystem(x, p_locked) % 2 == 1

@@ -179,6 +179,16 @@ def friction(t, psi_dot_before, t_0, coulomb):
     return stopping + viscous, False
 
 
+def printed_friction(t, psi_dot_before, t_0, coulomb):
+    """T_f of equation (10), but for its Z: the viscous torque, too, is that at the end of the step."""
+    z = t["T_stp"] / t["J"]
+    psi_dot = psi_dot_before + z * t_0
+    if abs(psi_dot) > z * coulomb:
+        sgn = math.copysign(1.0, psi_dot)
+        return (coulomb * sgn + t["c_s"] * psi_dot) / (1 + z * t["c_s"])
+    return psi_dot / z
+
+
 def balance(t, x):
     """tau, T_s + T_p and T_0 of a state."""
     psi, _, p_1, p_2 = x
@@ -206,17 +216,17 @@ def derivative(t, x, u, locked=False):
     return [psi_dot, (tau - t_f - t["k_s"] * psi) / t["J"], *p_dot]
 
 
-def runge_kutta(rates, x, h):
-    """The classical fourth-order step of a state whose rates are a function of it."""
+def runge_kutta(t, x, u, h, locked=False):
+    """The classical fourth-order step with the input held."""
 
     def shifted(by, share):
         return [a + share * b for a, b in zip(x, by, strict=True)]
 
-    a = rates(x)
-    b = rates(shifted(a, h / 2))
-    c = rates(shifted(b, h / 2))
-    d = rates(shifted(c, h))
-    return [x[j] + h / 6 * (a[j] + 2 * b[j] + 2 * c[j] + d[j]) for j in range(len(x))]
+    a = derivative(t, x, u, locked)
+    b = derivative(t, shifted(a, h / 2), u, locked)
+    c = derivative(t, shifted(b, h / 2), u, locked)
+    d = derivative(t, shifted(c, h), u, locked)
+    return [x[j] + h / 6 * (a[j] + 2 * b[j] + 2 * c[j] + d[j]) for j in range(4)]
 
 
 def regime(t, pressure):

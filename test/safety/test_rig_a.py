@@ -66,6 +66,19 @@ def test_a_recording_of_a_sound_joint_or_one_with_an_effect_stops_nothing(case: 
     assert first_of_estimates(estimated(case, given.pressure)) == (-1, "")
 
 
+@pytest.mark.parametrize(("fault", "after"), [("stuck", (29, 31)), ("gone", (20, 21))])
+def test_a_sensor_that_fails_in_such_a_recording_stops_the_valves(fault: str, after: tuple[int, int]) -> None:
+    given, at = recording(CHOSEN[0]), 20_000
+    pressure = given.pressure.copy()
+    if fault == "stuck":
+        pressure[at:, 0] = pressure[at, 0]
+    else:
+        pressure[at:, 1] = np.nan
+    supervision = pressures()
+    said = (supervision.check(int(given.stamp_ns[k]), *pressure[k].tolist()) for k in range(at - 1000, at + 1000))
+    assert after[0] <= next(k for k, words in enumerate(said) if words) - 1000 <= after[1]
+
+
 @pytest.mark.parametrize("step", [10e3, -60e3])
 def test_a_sensor_that_jumps_disagrees_with_the_estimate_before_the_filter_gives_in(step: float) -> None:
     """As from a loose contact; a sensor's own readings do not show it."""
