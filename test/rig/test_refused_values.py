@@ -119,7 +119,7 @@ OVERLAID: dict[str, tuple[str, ...]] = {
 def test_what_is_laid_over_another_rig_is_refused_as_well(tmp_path, refusal, case):
     (body, *words), path = OVERLAID[case], tmp_path / "rig.yaml"
     path.write_text(f"based_on: shin2022\nname: trial\n{body}", encoding="utf-8")
-    message = refusal(path, 7000)  # the names of all effects are many
+    message = refusal(path, 700)
     assert all(word in message for word in words), message
 
 
